@@ -226,7 +226,7 @@ class TestFiles:
         ("text", "problem"),
         [
             ("obstacles: [{kind: ball}]", "kind must be one of sphere, capsule, half_space, box"),
-            ("obstacles: [{kind: sphere, centre_mm: [1, 2], radius_mm: 4}]", "centre_mm has 2 items"),
+            ("obstacles: [{kind: sphere, centre_mm: [1, 2], radius_mm: 4}]", "centre_mm has 2 numbers"),
             ("obstacles: [{kind: sphere, centre_mm: [1, 2, 3], radius_mm: 0}]", "radius_mm is 0"),
             ("obstacles: [{kind: box, low_mm: [0, 0, 0], high_mm: [0, 1, 1]}]", "low must be less than high"),
         ],

@@ -39,7 +39,7 @@ def test_a_file_says_what_pushes(file: Path) -> None:
         distributed=(Stretch(0.01, 0.06, (1.0, 0, 0)),),
     )
     file.write_text("tip_force_mN: [1, 2]\ngravity: [0, 0, -9.81]")
-    with pytest.raises(InputError, match=r"tip_force_mN has 2 items.*\n.*gravity is not a known key; did you mean"):
+    with pytest.raises(InputError, match=r"tip_force_mN has 2 numbers.*\n.*gravity is not a known key; did you mean"):
         load_entry(file).build()
     file.write_text("points: [{at_mm: -1, force_mN: [0, 0, 1]}]")
     with pytest.raises(InputError, match="must be at least 0"):

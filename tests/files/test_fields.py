@@ -107,7 +107,7 @@ def test_keys_are_in_their_units() -> None:
             {"pegs": [{"length_mm": 1, "taper_deg": -1}]},
             "pegs[0].taper_deg is -1; it must be at least 0",
         ),
-        ({"place_mm": [1]}, "place_mm has 1 item; it must have at least 2"),
+        ({"place_mm": [1]}, "place_mm has 1 number; it must have 2"),
         ({"marks_mm": []}, "marks_mm has 0 items; it must have at least 1"),
     ],
 )

@@ -275,12 +275,12 @@ PROBLEMS = [
     (
         "kind: concentric",
         "kind: concentric\nlimits: {rotations_deg: [[0, 1, 2]], translations_mm: 0}",
-        "limits.rotations_deg[0] has 3 items; it must have at most 2\nlimits.translations_mm is 0; it must be a list",
+        "limits.rotations_deg[0] has 3 numbers; it must have 2\nlimits.translations_mm is 0; it must be a list",
     ),
     (
         "kind: concentric",
         "kind: concentric\nlimits: {rotations_deg: [[0]], translations_mm: [[0, 1]]}",
-        "limits.rotations_deg[0] has 1 item; it must have at least 2",
+        "limits.rotations_deg[0] has 1 number; it must have 2",
     ),
     (
         "kind: concentric",

@@ -44,13 +44,19 @@ Whole = Annotated[int, BeforeValidator(_whole)]
 """A whole number."""
 
 
-def _three(value: object) -> object:
-    if isinstance(value, (list, tuple)) and len(value) != 3:
-        raise ValueError(f"has {len(value)} number{'' if len(value) == 1 else 's'}; it must have 3: x, y, z")
+def as_many(count: int, value: object, what: str = "") -> object:
+    """A list, where it has as many numbers as it must; raises ValueError with words that continue its name."""
+    if isinstance(value, (list, tuple)) and len(value) != count:
+        raise ValueError(f"has {len(value)} number{'' if len(value) == 1 else 's'}; it must have {count}{what}")
     return value
 
 
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3), BeforeValidator(_three)]
+def three(value: object) -> object:
+    """A list, where it has three numbers; raises ValueError with words that continue its name."""
+    return as_many(3, value, ": x, y, z")
+
+
+Triple = Annotated[list[Number], Field(min_length=3, max_length=3), BeforeValidator(three)]
 """x, y and z."""
 
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Se
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
 from ..errors import InputError
-from .checked import Entry, Whole
+from .checked import Entry, Whole, as_many, three
 from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, marked
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, parted, plainest, to_si
 
@@ -254,8 +254,9 @@ def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tup
     inner, read, write = _kind(kinds[0], marks, suffix)
     most = None if kinds[-1] is ... else len(kinds)
     least = most or (1 if kinds[0] is float else 0)
+    exact = [] if most is None else [BeforeValidator(three if most == 3 else functools.partial(as_many, most))]
     return (
-        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most)],
+        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most), *exact],
         lambda listed: tuple(read(each) for each in listed),
         lambda listed: [write(each) for each in listed],
     )

@@ -55,6 +55,8 @@ class JointSpace:
     """(k,) m."""
     row_names: tuple[str, ...]
     """(k,) what each row says where it is active."""
+    row_faults: tuple[str, ...]
+    """(k,) what tubes would do where each row is broken."""
     spread: Array
     """(2n, m) (rotations, translations) = spread q + offset."""
     offset: Array
@@ -163,7 +165,7 @@ class JointSpace:
         if missing.max(initial=0.0) <= SLACK * self.length:
             return ""
         worst = int(np.argmax(missing))
-        return f"the tubes leave their order by {missing[worst] * TO_MM:.4g} mm, beyond {self.row_names[worst]}"
+        return f"{self.row_faults[worst]}, by {missing[worst] * TO_MM:.4g} mm"
 
     def inequalities(self, q: Array) -> tuple[Array, Array]:
         """rows (2m + k, m) and bounds of a step from q that stays admissible."""
@@ -351,6 +353,7 @@ def _joint_space(
         rows=rows.reshape(-1, len(lower))[kept],
         least=least[kept],
         row_names=tuple(one.name for one, keep in zip(order, kept, strict=True) if keep),
+        row_faults=tuple(one.broken for one, keep in zip(order, kept, strict=True) if keep),
         spread=spread,
         offset=np.concatenate([np.zeros(n), offset]),
         scale=np.concatenate([np.ones(n), np.full(len(carriages), max(tube.length for tube in robot.tubes) / 2)]),

@@ -143,10 +143,10 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     """
     comments = [line.lstrip("# ").strip() for line in read_text(path).splitlines() if line.startswith("#")]
     named = [line.removeprefix(ROBOT) for line in comments if line.startswith(ROBOT)]
+    table = read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
         raise InputError(f"{path}: the file names no robot; give --robot ROBOT.yaml")
     own = robot if robot is not None else load_robot(Path(path).parent / named[0])
-    table = read_csv(path)
     turns, shifts = joint_columns(own.n_tubes)
     moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)

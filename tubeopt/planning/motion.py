@@ -13,6 +13,7 @@ from scipy.interpolate import PPoly
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
 from ..files.marks import POSITIVE, key
+from ..files.units import TO_MM
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import MOST_TURN, JointLimits, default_limits
 from ..robots.robot import Robot
@@ -76,6 +77,9 @@ class RateLimits(Displayed):
 
 
 DEFAULT_RATES = RateLimits()
+
+ANY_RATES = RateLimits(*(1e12,) * 4)
+"""Of actuators that are as fast as they like."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +164,8 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
         late = (space.least - q @ space.rows.T).max(0) / space.length
         row = int(np.argmax(late))
         if late[row] > SLACK:
-            faults.append(f"the tubes leave their order: beyond {space.row_names[row]}")
+            far = late[row] * space.length * TO_MM
+            faults.append(f"tubes leave their order: {space.row_faults[row]}, by {far:.4g} mm")
     return faults
 
 

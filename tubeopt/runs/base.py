@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections import UserDict
 from collections.abc import Sequence
 from decimal import Decimal
@@ -14,7 +15,9 @@ from pydantic import AfterValidator, Field, ValidationInfo
 
 from ..equilibrium.readings import to_model
 from ..files.checked import Entry, Number, Positive, Whole, in_file
+from ..files.units import TO_MM
 from ..robots.file import AnyRobot, load_robot
+from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
 from ..typing import Array, Progress
@@ -27,11 +30,27 @@ RobotPath = Annotated[
 """A robot, given as the path of its file."""
 
 
+ROUNDED = 1e-9
+"""mm, by which a translation may exceed what the tube allows: numbers of a file are rounded."""
+
+
 def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
     robot = info.data.get("robot")  # absent where the robot itself has problems
     if robot is not None and len(values) != robot.n_tubes:
         count = "1 number" if len(values) == 1 else f"{len(values)} numbers"
         raise ValueError(f"has {count}; it must be {robot.n_tubes} (one per tube)")
+    key = info.field_name or ""
+    if robot is None or robot.calibration is not None or key.startswith(("lower", "upper")):  # readings; ends of a box
+        return values
+    most = round(math.degrees(MOST_TURN))
+    for i, (value, tube) in enumerate(zip(values, robot.tubes, strict=True)):
+        at = f"has {value} for tube {i + 1}; it must be"
+        if key.endswith("_deg") and abs(value) > most:
+            raise ValueError(f"{at} at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side")
+        if key.endswith("_mm") and float(value) > tube.straight_length * TO_MM + ROUNDED:
+            raise ValueError(f"{at} at most its straight length, {tube.straight_length * TO_MM:g}: it is held there")
+        if key.endswith("_mm") and float(value) < -FAR * tube.length * TO_MM:
+            raise ValueError(f"{at} at least {-FAR * tube.length * TO_MM:g}, {FAR:g} lengths of the tube behind home")
     return values
 
 

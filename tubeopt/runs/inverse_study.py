@@ -21,7 +21,7 @@ from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
 from .base import OnePerTube, RobotPath, joints_of, require_one
 from .load_file import LoadedStudy
-from .obstacle_file import Place, Surrounded
+from .obstacle_file import Surrounded, TipPlace
 from .target_file import Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -83,7 +83,7 @@ class InverseStudy(Surrounded, LoadedStudy):
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: Place | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    target_mm: TipPlace | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
     direction: Triple | None = Field(
         None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
     )

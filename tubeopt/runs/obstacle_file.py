@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from decimal import Decimal
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, ValidationInfo
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
@@ -15,12 +17,30 @@ from ..errors import nearest
 from ..files.checked import Entry, Triple, check, in_file
 from ..files.fields import Part, entry_of
 from ..files.marks import Usual
-from ..files.units import shown
+from ..files.units import TO_MM, shown
 from ..files.yaml_file import load_yaml
+from ..robots.limits import FAR
 from .anatomy_file import AnatomyKey, load_anatomy
 
 Place = Annotated[Triple, Usual(1e-3, 10.0)]
 """A position that is reached by a robot as long as a hand or an arm."""
+
+
+def _near_the_robot(place: list[Decimal], info: ValidationInfo) -> list[Decimal]:
+    robot = info.data.get("robot")
+    if robot is not None:
+        most, away = FAR * max(tube.length for tube in robot.tubes) * TO_MM, math.hypot(*map(float, place))
+        if away > most:
+            numbers = ", ".join(map(str, place))
+            raise ValueError(
+                f"is [{numbers}], {away:.6g} mm from the plate; it must be at most {most:.6g} mm away, {FAR:g} times "
+                "the longest tube"
+            )
+    return place
+
+
+TipPlace = Annotated[Place, AfterValidator(_near_the_robot)]
+"""A position for the tip of the study's robot."""
 
 
 class MeshEntry(Part):

@@ -19,7 +19,7 @@ from ..planning.tip_path import follow_tip_path
 from ..typing import Array, Progress
 from .base import OnePerTube, Started, joints_of
 from .load_file import LoadedStudy
-from .obstacle_file import Place, Surrounded
+from .obstacle_file import Place, Surrounded, TipPlace
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -75,7 +75,7 @@ class Aimed(Started):
 
     goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
-    tip_mm: Place | None = Field(None, description="goal as a position of the tip")
+    tip_mm: TipPlace | None = Field(None, description="goal as a position of the tip")
     tip_at: str | None = Field(None, description="goal of the tip: a landmark of the anatomy, or its target")
     tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Annotated, Literal
 
@@ -10,10 +10,11 @@ from pydantic import Field
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
-from ..files.checked import NotNegative, check_kind, in_file
+from ..files.checked import NotNegative, Positive, check_kind, in_file
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
+from ..planning.motion import ANY_RATES
 from ..typing import Progress
 from .base import RobotPath, Timed
 from .load_file import LoadedStudy
@@ -65,6 +66,9 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
         examples=["F"],
     )
     rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
+    tip_mm_per_s: Positive | None = Field(
+        None, description="greatest speed of the tip, in place of that of rates; by default any", examples=["V"]
+    )
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,
         description="margin, obstacles, clearance, force, load and rates of this plan study, where none are given here",
@@ -83,6 +87,9 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
         """What is found on the trajectory; raises SolveError where it cannot be followed."""
         asked = self._asked()
         file, joints = self.trajectory
+        rates, tip = None if asked.rates is None else asked.rates.build(), self.si("tip_mm_per_s")
+        if tip is not None:
+            rates = replace(rates or ANY_RATES, tip=tip)
         proof = verify_trajectory(
             joints.robot,
             joints.time,
@@ -92,7 +99,7 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
             obstacles=asked.bodies,
             min_margin=asked.si("min_margin") or 0.0,
             clearance=asked.si("clearance_mm") or 0.0,
-            rate_limits=None if asked.rates is None else asked.rates.build(),
+            rate_limits=rates,
             max_force=asked.si("max_tip_force_mN") or 0.0,
             load=asked.pushing(),
         )
