@@ -10,9 +10,10 @@ from ..errors import InputError
 from ..typing import Array
 from .derivatives import Derivatives
 from .general_motion import GeneralMotion
+from .linearised import Linearised
 
 
-def place_at(of: Derivatives | GeneralMotion, fraction: float) -> Array:
+def place_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> Array:
     """(3,) position at a fraction of the arm's length in front of the plate, m."""
     table = of.arm.position
     if len(of.cuts) < 2:
@@ -21,7 +22,7 @@ def place_at(of: Derivatives | GeneralMotion, fraction: float) -> Array:
     return np.asarray(weights @ table[4 * k : 4 * k + 5])
 
 
-def position_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array, Array]:
+def position_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[Array, Array]:
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.arm.position
     change = of.position.copy()
@@ -35,13 +36,13 @@ def position_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array
     return weights @ table[own], np.tensordot(weights, change[own], 1) + fraction * np.outer(rates @ table[own], longer)
 
 
-def curvature_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Array, Array]:
+def curvature_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[Array, Array]:
     """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q).
 
     Raises:
         InputError: a tube is made of pieces.
     """
-    if isinstance(of, GeneralMotion):
+    if not isinstance(of, Derivatives):
         raise InputError("an expression speaks of the curvature inside a pose; tubes made of pieces have none for it")
     if len(of.cuts) < 2:
         return np.zeros(2), of.per_tube(np.zeros((2, of.size)))
@@ -56,19 +57,19 @@ def curvature_at(of: Derivatives | GeneralMotion, fraction: float) -> tuple[Arra
     return at.curvature[k, 0], change + fraction * np.outer(moved, _longer(of))
 
 
-def _longer(of: Derivatives | GeneralMotion) -> Array:
+def _longer(of: Derivatives | GeneralMotion | Linearised) -> Array:
     """(Q,) change of the arm's length."""
     return np.asarray(of.per_tube(of.arm.frame[-1][:, 2] @ of.pushed))
 
 
-def _place(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, float]:
+def _place(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[int, float]:
     """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
     s = fraction * of.cuts[-1]
     k = int(np.clip(np.searchsorted(of.cuts[:-1], s, side="right") - 1, 0, len(of.cuts) - 2))
     return k, float((s - of.cuts[k]) / (of.cuts[k + 1] - of.cuts[k]))
 
 
-def _weights(of: Derivatives | GeneralMotion, fraction: float) -> tuple[int, Array, Array]:
+def _weights(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[int, Array, Array]:
     """The piece in which a fraction of the length lies, and weights (5,) of its shape points in value and change per m,
     by the polynomial through them."""
     k, x = _place(of, fraction)

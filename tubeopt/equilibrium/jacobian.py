@@ -15,7 +15,6 @@ from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_c
 from ..solvers.parallel.blas import small
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
-from .general_motion import GeneralMotion
 from .linearised import Linearised
 from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
@@ -33,11 +32,11 @@ def derivatives_of(
     *,
     side: int = 1,
     carriages: Carriages | None = None,
-) -> Derivatives | GeneralMotion:
+) -> Derivatives | Linearised:
     """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
     are by default those of the robot."""
     if is_general(equilibrium.robot):
-        return GeneralMotion(equilibrium, wrt, side)
+        return Linearised(equilibrium, wrt, side)
     assembly = _assembly(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
@@ -112,7 +111,7 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    of: Derivatives | GeneralMotion | Linearised
+    of: Derivatives | Linearised
     if equilibrium.load is not None:
         of = Linearised(equilibrium, wrt, side)
     else:

@@ -425,10 +425,25 @@ class Linearised:
     def margin(self) -> Array:
         """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without one."""
         value = self.equilibrium.margin
+        if not self.here.pieces:
+            return np.asarray(-self._softened @ self._given[2])
         if value >= FLAT:
             return np.zeros(self.size)
         mode = None if np.isnan(value) else self.here.mode(value)
         return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
+
+    @property
+    def _softened(self) -> Array:
+        """(J,) by how much the margin of an arm of length zero falls per length of what leaves the plate: the largest
+        eigenvalue of -dM/dtheta over the stiffness of the transmissions, which alone twist there, or 0."""
+        count, root = len(self._breakpoints.index), np.sqrt(self.here.transmission)
+        slope = self._sections_there[0].by_torque[..., : self.n] * self._breakpoints.there[:, None, None]
+        second = -root[:, None] * (slope[:count] - slope[count:]) * root
+        return np.asarray(np.linalg.eigvalsh(second).max(1, initial=0.0))
+
+    def per_tube(self, columns: Array) -> Array:
+        """Every tube has a carriage of its own."""
+        return columns
 
     def _quotient(self, mode: Response, softness: float) -> Array:
         """(Q,) of the margin, from its mode."""

@@ -11,9 +11,9 @@ import numpy as np
 from ..bodies.scene import Scene
 from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.derivatives import Derivatives
-from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
+from ..equilibrium.linearised import Linearised
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
 from ..errors import InputError, SolveError
@@ -64,11 +64,11 @@ class Posture:
         return polish(self.equilibrium, DEFAULT_DISCRETISATION)
 
     @cached_property
-    def derivatives(self) -> Derivatives | GeneralMotion:
+    def derivatives(self) -> Derivatives | Linearised:
         """Those by rotations and translations, which grow, where they differ to either side: of all that there is."""
         return self._derivatives(1)
 
-    def _derivatives(self, side: int) -> Derivatives | GeneralMotion:
+    def _derivatives(self, side: int) -> Derivatives | Linearised:
         return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property

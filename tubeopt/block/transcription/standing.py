@@ -80,7 +80,8 @@ def sections_of(theta: Array, stiffness: Array, moment: Array, bent: Array) -> S
     out = mapped(bent_functions(n)["linear"], count)(theta, stiffness, moment, bent)
     torque, curvature, energy = (part.copy() for part in out[:3])
     # CasADi stores (rows, 3 n + 2) by columns.
-    by = [part.reshape(count, 3 * n + 2, -1).swapaxes(1, 2).copy() for part in out[3:]]
+    rows = (n, 2, 1)
+    by = [part.reshape(count, 3 * n + 2, k).swapaxes(1, 2).copy() for part, k in zip(out[3:], rows, strict=True)]
     return Sections(torque, curvature, energy[:, 0], by[0], by[1], by[2][:, 0])
 
 
@@ -365,6 +366,11 @@ class Standing:
             SolveError: the equilibrium is a fold.
         """
         n, own, size, count = self.n, self.n + 3, self.size, forcing.base.shape[1]
+        first = np.zeros((size, count))
+        first[:n] = forcing.base + forcing.transmission * self.torque_ahead[0][:, None]
+        if not self.pieces:
+            nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
+            return Response(first + forcing.jumps, *nothing)
         forced, columns = self._forced(forcing)
         inner, ends = self._maps(1.0, forced)
         matrix = self._system(1.0, ends)
@@ -372,8 +378,6 @@ class Standing:
         jumps = forcing.jumps
         if kicks is not None and forcing.side < 0:
             jumps = kicks @ jumps
-        first = np.zeros((size, count))
-        first[:n] = forcing.base + forcing.transmission * self.torque_ahead[0][:, None]
         start = first + jumps[0]
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
         gained = ends[..., size + self._turns :]
