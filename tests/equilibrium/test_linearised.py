@@ -52,7 +52,7 @@ LOADS = {
     "points": Load(points=((0.031, (0.1, 0.05, -0.06)), (0.066, (-0.05, 0.08, 0.02)))),
     "distributed": Load(distributed=(0.4, -0.7, 0.3)),
     "function": Load(distributed=lambda s: (0.9 * np.cos(25 * s), 0.5, -7 * s)),
-    "stretches": Load(distributed=((0.012, 0.043, (1.0, -0.8, 0.5)), (0.03, 0.3, (-0.2, 0.5, 0.4)))),
+    "stretches": Load(distributed=((0.012, 0.043, (1.0, -0.8, 0.5)), (0.03, 0.08, (-0.2, 0.5, 0.4)))),
     "moment": Load(moment=(0.004, -0.003, 0.002)),
     "following": Load((0.03, 0.02, -0.04), (0.002, 0.001, -0.001), frame="tip"),
     "point moment": Load(points=((0.037, (0.05, 0.02, 0.03), (0.003, -0.002, 0.004)),)),
@@ -122,10 +122,10 @@ def _check(e: Equilibrium, name: str, tolerances: tuple[float, float, float, flo
 def test_every_derivative_under_every_load_is_that_of_differences(load: str, name: str) -> None:
     """Steps change the tip by a tenth of a millimetre and a milliradian: 1e-6 of that and of the energy; the margin is
     solved for to 1e-8."""
-    n = 1 + sorted(LOADS).index(load) % 4
-    for pieces in (False, True):
-        e = forward_kinematics(_robot(n, pieces), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
-        _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
+    number, column = sorted(LOADS).index(load), PARAMETERS.index(name)
+    n = 1 + number % 4
+    e = forward_kinematics(_robot(n, (number + column) % 2 == 1), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
+    _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
 
 
 def _one_sided(e: Equilibrium, name: str, step: Array) -> Array:

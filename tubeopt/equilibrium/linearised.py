@@ -22,12 +22,12 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..block.transcription.buffered import mapped
+from ..block.transcription.buffered import bent_function
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import cumulate
+from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.standing import Burden, Forcing, Response, Sections, Standing, cross, hat, sections_of
 from ..errors import InputError, SolveError
-from ..physics.torsion import bent_functions
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections
 from ..robots.load import FORCE, MOMENT, masses
@@ -122,7 +122,8 @@ class Linearised:
         if abs(equilibrium.margin) < APART:
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
         self.equilibrium, self.wrt, self.side = equilibrium, tuple(wrt), side
-        self.here = standing_of(equilibrium)
+        straight = "curvature" in wrt and not all(tube.curvature for tube in equilibrium.robot.tubes)
+        self.here = standing_of(equilibrium, straight)
         self.assembly = self.here.problem.assembly
         self.n, self.arm, self.cuts = self.here.n, equilibrium.arm, self.here.cuts
         self.terms = [[(name, i, 1.0)] for name in self.wrt for i in range(self.n)]
@@ -161,7 +162,7 @@ class Linearised:
         if name == "rotations":
             into.base[i, column] += by
         elif name == "straight_length":
-            into.transmission[i, column] += by / self._torsional(i, 0.0)
+            into.transmission[i, column] += by * float(_held(self.assembly, 0)[i])
         elif name == "curvature":
             straight = here.stiffness[..., i] * self._bendable(i)
             m += by * (here.moments[..., i] / own.curvature if own.curvature else straight)
@@ -188,7 +189,7 @@ class Linearised:
             return np.maximum(place - own.straight_length, 0.0) / own.curved_length
 
         speed[mine, column] += by * moves(points.place[mine] + held)
-        into.transmission[i, column] -= by * float(moves(np.array(held))) / self._torsional(i, held)
+        into.transmission[i, column] -= by * float(moves(np.array(held))) * self._softness(i)
         end = float(self.assembly.end[i])
         if self._density[i] and end > -self.side * ROUND_OFF:
             gained = by * float(moves(np.array(end + held))) * self._density[i]
@@ -196,7 +197,7 @@ class Linearised:
         if table is None:
             if name == "curved_length":
                 grown = max(held - own.straight_length, 0.0) / own.curved_length
-                into.transmission[i, column] += by * grown / self._torsional(i, held)
+                into.transmission[i, column] += by * grown * self._softness(i)
             return
         place = self._arc_length + held
         moved = by * moves(place)
@@ -234,31 +235,13 @@ class Linearised:
         own, place = self.equilibrium.robot.tubes[i], self._arc_length + self.assembly.transmission[i]
         return np.asarray((place > own.straight_length) & (not own.general))
 
-    def _torsional(self, i: int, place: float) -> float:
-        """kt of a tube at a place on it, on the side from which it moves, N m^2."""
-        table = self.assembly.lengthwise
-        if table is None:
-            return float(self.assembly.torsional_stiffness[i])
-        at = np.full((1, self.n), place)
-        return float(table.values(at, at - self.side * ROUND_OFF)[1, 0, i])
+    def _softness(self, i: int) -> float:
+        """1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
+        return float(_held(self.assembly, self.side)[i])
 
-    @cached_property
+    @property
     def _passing(self) -> tuple[Array, ...]:
-        """(P, K, n) rates of phase, kb, m and 1 / kt along the tubes at the points."""
-        table, here, mesh = self.assembly.lengthwise, self.here, self.here.mesh
-        assert table is not None
-        nodes = here.t.nodes
-        s, inside = (
-            (mesh.start[:, None] + here.length[:, None] * x).ravel()[:, None] + self.assembly.transmission
-            for x in (nodes, nodes + INWARDS * (0.5 - nodes))
-        )
-        _, kt, x, y, z, _ = (part.reshape(here.phase.shape) for part in table.values(s, inside))
-        kb, there = here.stiffness, here.stiffness > 0
-        dkb, dkt, dx, dy, _, _ = (part.reshape(here.phase.shape) for part in table.rates(s, inside))
-        size = np.hypot(x, y)
-        solid = np.where(size > 0, size, 1.0)
-        turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
-        return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2
+        return passing(self.here.problem)
 
     # --- breakpoints --------------------------------------------------------------------------------------------------
 
@@ -276,13 +259,6 @@ class Linearised:
         return np.asarray(table[index])
 
     @cached_property
-    def _along_there(self) -> Array:
-        """(J, 6) force and moment per length there."""
-        if self.here.load is None:
-            return np.zeros((len(self._breakpoints.place), 6))
-        return self.here.load.per_length(self.cuts[self._breakpoints.index] + self.side * ROUND_OFF)
-
-    @cached_property
     def _strips(self) -> tuple[Array, Array, Array, Array]:
         """What the rates of the state (J, 2 n + 6), the motion of the tip (J, 3), the elastic energy per length and
         |u|^2 (J,) gain where a breakpoint moves."""
@@ -290,21 +266,28 @@ class Linearised:
         index, count = points.index, len(points.index)
         if not count:
             return np.zeros((0, here.size)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
-        there, frame = points.there, here.end_frame[index]
-        torque = np.tile((here.torque_ahead if self.side < 0 else here.torque_behind)[index], (2, 1))
+        both = np.concatenate([index, index])
+        frame, there, n = here.end_frame[both], points.there, self.n
+        torque = (here.torque_ahead if self.side < 0 else here.torque_behind)[both]
         at, rate, _ = self._sections_there
-        turning = rate * torque
-        bending = (np.concatenate([frame, frame])[..., :2] @ at.curvature[..., None])[..., 0]
-        along = self._along_there[:, MOMENT]
-        twisting = at.torque.copy()
-        twisting[np.arange(2 * count), points.outermost] -= np.tile((along * frame[..., 2]).sum(1), 2)
-        falling = np.tile(-cross(frame[..., 2], self._force_there) - along, (2, 1))
-        rates = np.concatenate([turning, bending, twisting, falling], axis=1)
-        energy = at.energy + (rate * torque**2).sum(1) / 2
-        parts = rates, np.tile(frame[..., 2], (2, 1)), energy, (at.curvature**2).sum(1)
-        out = [part * (there if part.ndim == 1 else there[:, None]) for part in parts]
-        gains = [self.side * (part[:count] - part[count:]) for part in out]
-        return gains[0], gains[1], gains[2], gains[3]
+        rates = np.empty((2 * count, here.size))
+        rates[:, :n] = rate * torque
+        rates[:, n : n + 3] = (frame[..., :2] @ at.curvature[..., None])[..., 0]
+        rates[:, n + 3 : 2 * n + 3] = at.torque
+        falling = -cross(frame[:count, :, 2], self._force_there)
+        if here.load is not None and here.load.distributed is not None:
+            along = here.load.per_length(self.cuts[index] + self.side * ROUND_OFF)[:, MOMENT]
+            falling -= along
+            felt = (along * frame[:count, :, 2]).sum(1)
+            rates[np.arange(2 * count), n + 3 + points.outermost] -= np.concatenate([felt, felt])
+        rates[:count, 2 * n + 3 :] = rates[count:, 2 * n + 3 :] = falling
+        energy = at.energy + (rates[:, :n] * torque).sum(1) / 2
+        squared = (at.curvature**2).sum(1)
+        signs = self.side * there
+        signs[count:] *= -1
+        gains = [part * signs[:, None] for part in (rates, frame[..., 2], np.column_stack([energy, squared]))]
+        state, tip, more = (part[:count] + part[count:] for part in gains)
+        return state, tip, more[:, 0], more[:, 1]
 
     @cached_property
     def _sections_there(self) -> tuple[Sections, Array, tuple[Array, ...]]:
@@ -411,8 +394,11 @@ class Linearised:
         moved, weights, size = self.response, here.weights.ravel(), self.size
         by = weights[:, None] * here.at.by_energy
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
-        out += by[:, : 3 * n].ravel() @ forcing.data.reshape(-1, size)
-        out += by[:, 3 * n :].ravel() @ moved.bent.reshape(-1, size)
+        out += by[:, n:].ravel() @ moved.bent.reshape(-1, size)
+        if forcing.data.any():
+            out += (weights[:, None] * here.by_data[2].reshape(len(weights), -1)).ravel() @ forcing.data.reshape(
+                -1, size
+            )
         torque = here.torque.reshape(-1, n)
         out += (weights[:, None] * here.rate.reshape(-1, n) * torque).ravel() @ moved.torque.reshape(-1, size)
         out += (weights[:, None] * torque**2 / 2).ravel() @ forcing.rate.reshape(-1, size)
@@ -429,7 +415,7 @@ class Linearised:
             return np.asarray(-self._softened @ self._given[2])
         if value >= FLAT:
             return np.zeros(self.size)
-        mode = None if np.isnan(value) else self.here.mode(value)
+        mode = None if np.isnan(value) else mode_of(self.here, value)
         return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
 
     @property
@@ -452,24 +438,26 @@ class Linearised:
         y, psi, felt, torque, moment = (
             part[..., 0] for part in (mode.phi, mode.psi, mode.bent, mode.torque, mode.moment)
         )
-        count, function = len(here.at.energy), bent_functions(n)["mode"]
-        flat = [table.reshape(count, -1) for table in (here.phi + here.phase, here.stiffness, here.moments, here.bent)]
-        _, slope = mapped(function, count)(*flat, felt.reshape(count, 2), y.reshape(count, n), softness)
+        count = len(here.at.energy)
+        flat = (here.theta, here.stiffness, here.moments, here.bent, felt, y)
+        function = bent_function("mode", count, n)
+        slope = function(*(table.reshape(count, -1) for table in flat), softness)[1]
         by = weights.ravel()[:, None] * slope
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
-        out += by[:, : 3 * n].ravel() @ forcing.data.reshape(-1, size)
-        out += by[:, 3 * n : 3 * n + 2].ravel() @ moved.bent.reshape(-1, size)
-        across = here.frame[..., :2] @ by[:, 3 * n + 2 :].reshape(here.pieces, here.degree, 2, 1)
-        across = across[..., 0]
+        out += by[:, n : n + 2].ravel() @ moved.bent.reshape(-1, size)
+        if forcing.data.any():
+            own = bent_function("mode_data", count, n)(*(table.reshape(count, -1) for table in flat), softness)[0]
+            whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * own], axis=1)
+            out += whole.ravel() @ forcing.data.reshape(-1, size)
+        across = (here.frame[..., :2] @ by[:, n + 2 :].reshape(here.pieces, here.degree, 2, 1))[..., 0]
+        turns = hat(psi)
+        twice = weights[..., None, None] * (turns @ turns)
         # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
-        whole = moment + cross(here.moment, psi)
-        out += (cross(psi, across) / 2).ravel() @ moved.moment.reshape(-1, size)
-        turning = cross(across, whole)
-        twice = cross(psi, cross(psi, here.force))
-        turning -= weights[..., None] * cross(here.axis, twice)
+        whole = moment - (turns @ here.moment[..., None])[..., 0]
+        out += ((turns @ across[..., None])[..., 0] / 2).ravel() @ moved.moment.reshape(-1, size)
+        turning = cross(across, whole) - cross(here.axis, (twice @ here.force[..., None])[..., 0])
         out += turning.ravel() @ moved.psi.reshape(-1, size)
-        lean = cross(psi, cross(psi, here.axis))
-        out -= (weights[..., None] * lean).ravel() @ forcing.force.reshape(-1, size)
+        out -= (twice @ here.axis[..., None]).ravel() @ forcing.force.reshape(-1, size)
         out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
         held = mode.state[0, n + 3 : 2 * n + 3, 0]
         out -= softness * held**2 @ forcing.transmission
@@ -483,25 +471,61 @@ class Linearised:
         if not count:
             return np.zeros(0)
         frame, state = here.end_frame[index], mode.state[index, :, 0]
-        y, psi, torque, moment = np.split(state, [n, n + 3, 2 * n + 3], axis=1)
-        ahead = (here.moment_ahead if self.side < 0 else here.moment_behind)[index]
-        felt = (frame[..., :2].swapaxes(1, 2) @ (moment + cross(ahead, psi))[..., None])[..., 0]
+        y, psi, torque, moment = state[:, :n], state[:, n : n + 3], state[:, n + 3 : 2 * n + 3], state[:, 2 * n + 3 :]
+        turns, ahead = hat(psi), (here.moment_ahead if self.side < 0 else here.moment_behind)[index]
+        whole = moment - (turns @ ahead[..., None])[..., 0]
+        felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
         _, rate, given = self._sections_there
-        more = (np.tile(part, (2, 1)) for part in (felt, y))
-        form, _ = mapped(bent_functions(n)["mode"], 2 * count)(*given, *more, softness)
-        density = form[:, 0] - softness * (rate * np.tile(torque, (2, 1)) ** 2).sum(1)
-        lean = cross(psi, cross(psi, frame[..., 2]))
-        density -= np.tile((self._force_there * lean).sum(1), 2)
+        both = (np.concatenate([part, part]) for part in (felt, y))
+        form = bent_function("mode", 2 * count, n)(*given, *both, softness)[0][:, 0]
+        lean = (self._force_there * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
+        twisted = torque**2
+        density = form - softness * (rate * np.concatenate([twisted, twisted])).sum(1) - np.concatenate([lean, lean])
         density = density * points.there
         return np.asarray(self.side * (density[:count] - density[count:]))
+
+
+@lru_cache(maxsize=64)
+def _held(assembly: Assembly, side: int) -> Array:
+    """(n,) 1 / kt of the tubes at the plate, on the side from which they move; with `side` 0 where they are held."""
+    table = assembly.lengthwise
+    if table is None:
+        return np.asarray(1 / assembly.torsional_stiffness)
+    at = assembly.transmission[None] * abs(side)
+    return np.asarray(1 / table.values(at, at - side * ROUND_OFF)[1, 0])
+
+
+@lru_cache(maxsize=64)
+def passing(problem: ReducedProblem) -> tuple[Array, ...]:
+    """(P, K, n) rates of phase, kb, m and 1 / kt along tubes made of pieces, at the points."""
+    table, mesh, shape = problem.assembly.lengthwise, problem.mesh, problem.here.rate.shape
+    assert table is not None
+    nodes = mesh.tableau.nodes
+    s, inside = (
+        (mesh.start[:, None] + mesh.length[:, None] * x).ravel()[:, None] + problem.assembly.transmission
+        for x in (nodes, nodes + INWARDS * (0.5 - nodes))
+    )
+    kb, kt, x, y, z, _ = (part.reshape(shape) for part in table.values(s, inside))
+    dkb, dkt, dx, dy, _, _ = (part.reshape(shape) for part in table.rates(s, inside))
+    there, size = problem.here.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
+    solid = np.where(size > 0, size, 1.0)
+    turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
+    return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2
 
 
 TIP = 1e-9
 """Distance (m) from the tip up to which a force acts at it."""
 
 
-def standing_of(equilibrium: Equilibrium) -> Standing:
-    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved."""
+@lru_cache(maxsize=8)
+def mode_of(here: Standing, margin: float) -> tuple[Response, float] | None:
+    """See `Standing.mode`."""
+    return here.mode(margin)
+
+
+@lru_cache(maxsize=8)
+def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Standing:
+    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as there."""
     robot, shift = equilibrium.robot, tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
         problem, burden = reduced_problem(robot, shift, discretisation_of(equilibrium)), None
@@ -509,4 +533,4 @@ def standing_of(equilibrium: Equilibrium) -> Standing:
         loaded = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
         problem, burden = loaded.torsion, Burden(loaded.load, loaded.force, loaded.couples)
     solved = sample_rotation(equilibrium, problem.arc_length)
-    return Standing(problem, equilibrium.rotations, solved, equilibrium.arm, burden)
+    return Standing(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)

@@ -183,24 +183,28 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     """CasADi functions of (theta, kb, m, b) at one cross-section of n concentric tubes that bears a bending moment b
     (2,), N m.
 
-    `linear`: M, u, bending energy, and their derivatives (n, 3 n + 2), (2, 3 n + 2), (1, 3 n + 2) with respect to
-    theta, kb, m and b.  `mode`, with further arguments g (2,), y (n,) and a softness c: what a mode of the second
-    variation that turns the tubes by y and bends by the moment g has per length,
+    `linear`: M, u, bending energy, and their derivatives (n, n + 2), (2, n + 2), (1, n + 2) with respect to theta and
+    b; `linear_data`: those (n, 2 n), (2, 2 n), (1, 2 n) with respect to kb and m.  `mode`, with further arguments g
+    (2,), y (n,) and a softness c: what a mode of the second variation that turns the tubes by y and bends by the moment
+    g has per length,
 
         y' (dM/dtheta) y - 2 g'(du/dtheta) y - c |g|^2 / sum kb,
 
-    and its gradient (3 n + 4) with respect to theta, kb, m, b and g.
+    and its gradient (n + 4) with respect to theta, b and g; `mode_data`: that (2 n) with respect to kb and m.
     """
     theta, stiffness, moment, y = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "y"))
     bent, felt, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
-    inputs, given = [theta, stiffness, moment, bent], ca.vertcat(theta, stiffness, moment, bent)
+    inputs, given, data = [theta, stiffness, moment, bent], ca.vertcat(theta, bent), ca.vertcat(stiffness, moment)
     here = cross_section(theta, stiffness, moment, load=bent)
     values = [here.moment, here.curvature, here.bending_energy]
     stiff, turned = ca.jacobian(here.moment, theta), ca.jacobian(here.curvature, theta)
     mode = ca.bilin(stiff, y, y) - 2 * felt.T @ turned @ y - softness * ca.sumsqr(felt) / ca.sum1(stiffness)
+    of_mode = [*inputs, felt, y, softness]
     table = {
         "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given)) for value in values)]),
-        "mode": ([*inputs, felt, y, softness], [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),
+        "linear_data": (inputs, [ca.densify(ca.jacobian(value, data)) for value in values]),
+        "mode": (of_mode, [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),
+        "mode_data": (of_mode, [ca.densify(ca.gradient(mode, data))]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
 

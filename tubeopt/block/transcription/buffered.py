@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...physics.torsion import section_functions
+from ...physics.torsion import bent_functions, section_functions
 from ...typing import Array
 
 
@@ -68,6 +68,16 @@ def _section(kind: str, count: int, n_tubes: int, eccentric: bool, thread: int) 
 def section_function(kind: str, count: int, n_tubes: int, eccentric: bool) -> Buffered | Empty:
     """`physics.torsion.section_functions` mapped over `count` points, bound to arrays of this thread."""
     return _section(kind, count, n_tubes, eccentric, threading.get_ident())
+
+
+@lru_cache(maxsize=256)
+def _bent(kind: str, count: int, n_tubes: int, thread: int) -> Buffered | Empty:
+    return _bind(bent_functions(n_tubes)[kind], count)
+
+
+def bent_function(kind: str, count: int, n_tubes: int) -> Buffered | Empty:
+    """`physics.torsion.bent_functions` mapped over `count` points, bound to arrays of this thread."""
+    return _bent(kind, count, n_tubes, threading.get_ident())
 
 
 @lru_cache(maxsize=320)

@@ -25,11 +25,10 @@ import numpy as np
 import scipy
 
 from ...errors import SolveError
-from ...physics.torsion import bent_functions
 from ...robots.load import Load
 from ...typing import Array, Index
 from .arm import ArmShape
-from .buffered import mapped
+from .buffered import bent_function
 from .collocated import STEPS
 from .couples import Couples
 from .linear import poses_at_points
@@ -60,11 +59,8 @@ class Burden:
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """Cross-sections at X places, 3 n + 2 columns phase, kb, m, b of the derivatives.
-
-    torque (X, n), curvature (X, 2), energy (X,) of bending per length; by_torque (X, n, 3 n + 2), by_curvature
-    (X, 2, 3 n + 2), by_energy (X, 3 n + 2).
-    """
+    """Cross-sections at X places: torque (X, n) and bending energy (X,) per length, curvature (X, 2), and their
+    derivatives (X, n, c), (X, 2, c), (X, c) by theta and b, c = n + 2."""
 
     torque: Array
     curvature: Array
@@ -77,12 +73,15 @@ class Sections:
 def sections_of(theta: Array, stiffness: Array, moment: Array, bent: Array) -> Sections:
     """Cross-sections of tubes (X, n) that bear bending moments (X, 2)."""
     count, n = theta.shape
-    out = mapped(bent_functions(n)["linear"], count)(theta, stiffness, moment, bent)
+    out = bent_function("linear", count, n)(theta, stiffness, moment, bent)
     torque, curvature, energy = (part.copy() for part in out[:3])
-    # CasADi stores (rows, 3 n + 2) by columns.
-    rows = (n, 2, 1)
-    by = [part.reshape(count, 3 * n + 2, k).swapaxes(1, 2).copy() for part, k in zip(out[3:], rows, strict=True)]
-    return Sections(torque, curvature, energy[:, 0], by[0], by[1], by[2][:, 0])
+    return Sections(torque, curvature, energy[:, 0], *_by_rows(out[3:], n + 2))
+
+
+def _by_rows(parts: list[Array], columns: int) -> tuple[Array, Array, Array]:
+    """Derivatives (X, n, c), (X, 2, c), (X, c), of which CasADi stores (rows, c) by columns."""
+    by = [part.reshape(-1, columns, part.shape[1]).swapaxes(1, 2).copy() for part in parts]
+    return by[0], by[1], by[2][:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +97,18 @@ class Forcing:
     force: Array
     jumps: Array
     side: int
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Linear maps of P pieces: the `matrix` (P, r, r) of the equations of (phi, psi) at the points, r = K (n + 3), the
+    state at the ends `gathered` (P, 2 n + 6, r) from them, and both by the state where the pieces begin, `inner`
+    (P, r, 2 n + 6) and `ends` (P, 2 n + 6, 2 n + 6)."""
+
+    matrix: Array
+    gathered: Array
+    inner: Array
+    ends: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +134,18 @@ class Standing:
         solved: (N, n) elastic rotations at the collocation points of the problem.
         shape: of the arm.
         burden: what acts on it, None for nothing.
+        straight: whether it matters where straight tubes would bend to.
     """
 
     def __init__(
-        self, problem: ReducedProblem, base: Array, solved: Array, shape: ArmShape, burden: Burden | None = None
+        self,
+        problem: ReducedProblem,
+        base: Array,
+        solved: Array,
+        shape: ArmShape,
+        *,
+        burden: Burden | None = None,
+        straight: bool = True,
     ) -> None:
         self.problem, self.base, self.shape = problem, base, shape
         self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
@@ -148,9 +167,13 @@ class Standing:
         self._moments()
         theta = np.zeros((*points, self.n))
         theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
-        self._torques(self._sections(theta))
+        self.theta = theta + self.phase
+        self.at = self._sections()
+        self._torques(self.at)
         # Of tubes that are straight here theta is not solved for, but follows.
-        self.at = self._sections(self.phi)
+        if straight or not self.mesh.collocated.all():
+            self.theta = self.phi + self.phase
+            self.at = self._sections()
 
     # --- what stands --------------------------------------------------------------------------------------------------
 
@@ -202,8 +225,8 @@ class Standing:
         behind = ahead - kicks
         return behind[:-1, None] - self.h * (self.t.adjoint @ fall), behind, ahead
 
-    def _sections(self, phi: Array) -> Sections:
-        tables = phi + self.phase, self.stiffness, self.moments, self.bent
+    def _sections(self) -> Sections:
+        tables = self.theta, self.stiffness, self.moments, self.bent
         return sections_of(*(table.reshape(-1, table.shape[-1]) for table in tables))
 
     def _torques(self, at: Sections) -> None:
@@ -242,12 +265,21 @@ class Standing:
 
     @cached_property
     def _by(self) -> tuple[Array, ...]:
-        """At the points: of M and of u by theta, then by the tubes, then by b."""
-        n, out = self.n, []
-        for table in (self.at.by_torque, self.at.by_curvature):
-            whole = table.reshape(self.pieces, self.degree, *table.shape[1:])
-            out += [whole[..., :n], whole[..., : 3 * n], whole[..., 3 * n :]]
-        return tuple(out)
+        """At the points: of M by theta and by b, of u by theta."""
+        n, points = self.n, (self.pieces, self.degree)
+        at = self.at.by_torque, self.at.by_curvature
+        torque, curvature = (part.reshape(*points, *part.shape[1:]) for part in at)
+        return torque[..., :n], torque[..., n:], curvature[..., :n]
+
+    @cached_property
+    def by_data(self) -> tuple[Array, Array, Array]:
+        """At the points, of M (P, K, n, 3 n), u (P, K, 2, 3 n) and the energy (P, K, 3 n), by phase, kb and m."""
+        n, points = self.n, (self.pieces, self.degree)
+        tables = (table.reshape(-1, table.shape[-1]) for table in (self.theta, self.stiffness, self.moments, self.bent))
+        own = _by_rows(bent_function("linear_data", self.pieces * self.degree, n)(*tables), 2 * n)
+        turned = self.at.by_torque, self.at.by_curvature, self.at.by_energy
+        out = [np.concatenate([a[..., :n], b], axis=-1) for a, b in zip(turned, own, strict=True)]
+        return out[0].reshape(*points, n, -1), out[1].reshape(*points, 2, -1), out[2].reshape(*points, -1)
 
     def _swept(self, matrix: Array, rates: Array) -> Array:
         """(P, K, r, C) integrals of rates (P, K, r, C) by a matrix (K, K) of the tableau."""
@@ -255,59 +287,89 @@ class Standing:
         out *= self.h
         return np.asarray(out.reshape(rates.shape))
 
-    def _rates(
-        self, q: Array, starts: tuple[Array, Array], forcing: tuple[Array, ...] | None, softness: float
-    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Rates of (phi, psi), t and m at the points, and what t, m, b and du there are, by columns (P, K, r, C) of
-        (phi, psi), and of t and m (P, 1, r, C) where the pieces begin."""
+    def _felt(
+        self, q: Array, starts: tuple[Array, Array], forcing: tuple[Array, ...] | None
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """What changes of (phi, psi) at the points, by columns (P, K, n + 3, C), and of t and m where the pieces begin
+        (P or 1, 1, r, C) make there of t, m, b, of t' and m', and of u at fixed b."""
         n, (by_turn, across, twisting, leaning) = self.n, self._slopes
-        torque_by_phi, _, torque_by_bent, u_by_phi, _, u_by_bent = self._by
+        torque_by_phi, torque_by_bent, u_by_phi = self._by
         phi, psi = q[..., :n, :], q[..., n:, :]
         falling = leaning @ psi
         if forcing is not None:
             falling += forcing[3]
-        moment = self._swept(self.t.adjoint, falling) + starts[1]
-        bent = across @ moment + by_turn @ psi
-        twisted = torque_by_phi @ phi + torque_by_bent @ bent
+        moment = self._swept(self.t.adjoint, falling)
+        moment += starts[1]
+        bent = across @ moment
+        bent += by_turn @ psi
+        twisted = torque_by_phi @ phi
+        twisted += torque_by_bent @ bent
         if self.along is not None:
             twisted += twisting @ psi
+        turned = u_by_phi @ phi
         if forcing is not None:
             twisted += forcing[1]
-        torque = self._swept(self.t.adjoint, twisted) + starts[0]
-        bending = u_by_phi @ phi + softness * (u_by_bent @ bent)
-        turned = softness * self.rate[..., None] * torque
-        if forcing is not None:
-            bending += forcing[2]
-            turned += forcing[0]
-        rates = np.concatenate([turned, self.frame[..., :2] @ bending], axis=2)
-        return (rates, twisted, falling), (torque, moment, bent, bending)
+            turned += forcing[2]
+        torque = self._swept(self.t.adjoint, twisted)
+        torque += starts[0]
+        return torque, moment, bent, twisted, falling, turned
 
-    def _maps(self, softness: float, forcing: tuple[Array, ...] | None) -> tuple[Array, Array]:
-        """(P, K (n + 3), C) of (phi, psi) at the points and (P, 2 n + 6, C) of the state at the ends of the pieces, by
-        columns of the state where they begin, then of what is forced."""
-        n, size, k = self.n, self.size, self.degree
-        own = n + 3
-        given = 0 if forcing is None else forcing[0].shape[-1]
-        inner, count = k * own, k * own + size + given
-        q = np.zeros((1, k, own, count))
-        q.reshape(inner, count)[:, :inner] = np.eye(inner)
-        q = np.broadcast_to(q, (self.pieces, k, own, count))
-        begin = np.zeros((size, count))
-        begin[:, inner : inner + size] = np.eye(size)
-        wide = None
-        if forcing is not None:
-            wide = tuple(np.concatenate([np.zeros((*f.shape[:3], inner + size)), f], axis=3) for f in forcing)
-        (rates, twisted, falling), _ = self._rates(q, (begin[own : own + n], begin[own + n :]), wide, softness)
-        there = self._swept(self.t.matrix, rates) + begin[:own]
-        there = there.reshape(self.pieces, inner, count)
+    @cached_property
+    def _unforced(self) -> tuple[Array, ...]:
+        """`_felt` by columns of (phi, psi) at the points, K (n + 3), then of the state where the pieces begin."""
+        inner, size, own = self.degree * (self.n + 3), self.size, self.n + 3
+        table = np.zeros((inner, inner + size))
+        table.ravel()[:: inner + size + 1] = 1.0
+        begin = np.zeros((size, inner + size))
+        begin[:, inner:] = np.eye(size)
+        q = table.reshape(1, self.degree, own, -1)
+        return self._felt(q, (begin[own : own + self.n], begin[own + self.n :]), None)
+
+    def _ended(self, felt: tuple[Array, ...], turned: Array | None, softness: float) -> tuple[Array, Array]:
+        """(P, K (n + 3), C) integrals of the rates of (phi, psi) up to the points and (P, 2 n + 6, C) of those of the
+        state along whole pieces, from `_felt` and what is forced of phi'."""
+        (torque, _, bent, twisted, falling, bending), n, own, k = felt, self.n, self.n + 3, self.degree
+        count = torque.shape[-1]
+        rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, self.size, count))
+        np.multiply(torque, softness * self.rate[..., None], out=rates[..., :n, :])
+        if turned is not None:
+            rates[..., :n, :] += turned
+        np.matmul(self.frame[..., :2], bent * (softness * self._give) + bending, out=rates[..., n:, :])
+        weights = self.weights[:, None]
+        for part, rows in ((rates, slice(own)), (twisted, slice(own, own + n)), (falling, slice(own + n, None))):
+            np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
+        return self._swept(self.t.matrix, rates).reshape(self.pieces, k * own, count), end
+
+    def _maps(self, softness: float) -> Maps:
+        """The linear maps of all pieces."""
+        inner = self.degree * (self.n + 3)
+        there, end = self._ended(self._unforced, None, softness)
+        table = there.reshape(self.pieces, self.degree, self.n + 3, -1)
+        table[..., inner:] += np.eye(self.n + 3, self.size)
         matrix = -there[..., :inner]
         matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
         solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
-        weights, ends = self.t.weights, []
-        for part in (rates, twisted, falling):
-            ends.append((weights @ part.reshape(self.pieces, k, -1)).reshape(self.pieces, -1, count) * self.h)
-        end = np.concatenate(ends, axis=1) + begin
-        return solved, end[..., inner:] + end[..., :inner] @ solved
+        ends = end[..., inner:] + np.eye(self.size) + end[..., :inner] @ solved
+        return Maps(matrix, end[..., :inner], solved, ends)
+
+    @cached_property
+    def _standing_maps(self) -> Maps:
+        """Of the arm as it stands."""
+        return self._maps(1.0)
+
+    def _forced_maps(self, forcing: tuple[Array, ...]) -> tuple[Array, Array]:
+        """(P, K (n + 3), C) of (phi, psi) at the points and (P, 2 n + 6, C) of the state at the ends of the pieces by
+        what is forced."""
+        count, maps = forcing[0].shape[-1], self._standing_maps
+        none = np.zeros((1, self.degree, self.n + 3, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
+        there, end = self._ended(self._felt(*none, forcing), forcing[0], 1.0)
+        solved = np.asarray(np.linalg.solve(maps.matrix, there))
+        return solved, end + maps.gathered @ solved
+
+    @cached_property
+    def _give(self) -> Array:
+        """(P, K, 1, 1) of u by b: one over the bending stiffness of all tubes."""
+        return np.asarray(1 / self.stiffness.sum(2))[..., None, None]
 
     def _kicked(self) -> Array | None:
         """(P + 1, 2 n + 6, 2 n + 6) the state just behind a place by that just ahead of it; None where no moment acts
@@ -319,13 +381,14 @@ class Standing:
             out[k, self.n + 3 + tube, self.n : self.n + 3] -= cross(self.end_frame[k, :, 2], moment)
         return out
 
-    def _system(self, softness: float, ends: Array) -> Array:
-        """The matrix of torques and moment (n + 3) at the plate, and of the states behind the places (P, 2 n + 6)."""
+    def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
+        """The matrix of torques and moment (n + 3) at the plate, and of the states behind the places (P, 2 n + 6);
+        `turns` (P, 2 n + 6, 3) is what a turn of the tip makes of these, with which a force turns."""
         n, size, own, pieces = self.n, self.size, self.n + 3, self.pieces
         total = own + pieces * size
         matrix = np.zeros((total, total))
         kicks = self._kicked()
-        maps = ends[..., :size] if kicks is None else kicks[1:] @ ends[..., :size]
+        maps = ends if kicks is None else kicks[1:] @ ends
         first = np.zeros((size, own))
         first[own:] = np.eye(own)
         first[range(n), range(n)] = softness * self.transmission
@@ -337,12 +400,9 @@ class Standing:
                 matrix[rows, own + (k - 1) * size : own + k * size] = -maps[k]
             else:
                 matrix[rows, :own] = -maps[0] @ first
-        if self.following and self.turning is not None:
-            # What turns with the tip changes by the turn of the tip.
+        if turns is not None:
             turn = slice(total - size + n, total - size + own)
-            for k in range(pieces):
-                by = ends[k, :, size : size + 3] if kicks is None else kicks[k + 1] @ ends[k, :, size : size + 3]
-                matrix[k * size : (k + 1) * size, turn] -= by
+            matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
         last, rows = total - size, slice(pieces * size, total)
         matrix[rows, last + own :] = np.eye(own)
         tip = matrix[rows, last + n : last + own]
@@ -372,19 +432,19 @@ class Standing:
             nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
             return Response(first + forcing.jumps, *nothing)
         forced, columns = self._forced(forcing)
-        inner, ends = self._maps(1.0, forced)
-        matrix = self._system(1.0, ends)
+        maps, turned = self._standing_maps, self._turns
+        inner, gained = (None, None) if forced is None else self._forced_maps(forced)
+        matrix = self._system(1.0, maps.ends, None if gained is None or not turned else gained[..., :turned])
         right, kicks = np.zeros((len(matrix), count)), self._kicked()
-        jumps = forcing.jumps
-        if kicks is not None and forcing.side < 0:
-            jumps = kicks @ jumps
+        jumps = forcing.jumps if kicks is None or forcing.side > 0 else kicks @ forcing.jumps
         start = first + jumps[0]
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
-        gained = ends[..., size + self._turns :]
-        maps = ends[..., :size] if kicks is None else kicks[1:] @ ends[..., :size]
-        table[:] = jumps[1:]
-        table[..., columns] += gained if kicks is None else kicks[1:] @ gained
-        table[0] += maps[0] @ start
+        if gained is not None:
+            table[..., columns] = gained[..., turned:]
+        table[0] += maps.ends[0] @ start
+        if kicks is not None:
+            table[:] = kicks[1:] @ table
+        table += jumps[1:]
         *_, found, singular = scipy.linalg.lapack.dgesv(matrix, right)
         if singular or not np.isfinite(found).all():
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
@@ -393,7 +453,18 @@ class Standing:
         state[0] = start
         state[0, own:] += found[:own]
         state[0, :n] += self.transmission[:, None] * found[:n]
-        return self._along(state, inner, (forced, columns), 1.0)
+        q = maps.inner @ state[:-1]
+        wide = None
+        if forced is not None and inner is not None:
+            q[..., columns] += inner[..., turned:]
+            wide = tuple(np.zeros((*part.shape[:3], count)) for part in forced)
+            for whole, part in zip(wide, forced, strict=True):
+                whole[..., columns] = part[..., turned:]
+            if self.turning is not None:
+                turn = state[-1, n : n + 3]
+                q += inner[..., :turned] @ turn
+                wide[3][:] += self.turning @ turn
+        return self._along(state, q, wide, 1.0)
 
     @property
     def _turns(self) -> int:
@@ -409,35 +480,20 @@ class Standing:
         if not len(columns) and not extra:
             return None, columns
         data, rate, force = (part[..., columns] for part in (forcing.data, forcing.rate, forcing.force))
-        _, torque_by, _, _, u_by, _ = self._by
+        torque_by, u_by, _ = self.by_data
         parts = [rate * self.torque[..., None], torque_by @ data, u_by @ data, -hat(self.axis) @ force]
         if self.turning is not None:
             parts = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in parts]
             parts[3][..., :extra] = self.turning
         return tuple(parts), columns
 
-    def _along(
-        self, state: Array, inner: Array, forced: tuple[tuple[Array, ...] | None, Index], softness: float
-    ) -> Response:
-        """The response at the points, of states (P + 1, 2 n + 6, Q)."""
-        (parts, columns), size, n, count = forced, self.size, self.n, state.shape[2]
-        extra = self._turns
-        q = inner[..., :size] @ state[:-1]
-        wide = None
-        if parts is not None:
-            q[..., columns] += inner[..., size + extra :]
-            wide = tuple(np.zeros((*part.shape[:3], count)) for part in parts)
-            for whole, part in zip(wide, parts, strict=True):
-                whole[..., columns] = part[..., extra:]
-            if self.turning is not None:
-                turn = state[-1, n : n + 3]
-                q += inner[..., size : size + extra] @ turn
-                wide[3][:] += self.turning @ turn
-        q = q.reshape(self.pieces, self.degree, n + 3, count)
-        begin = state[:-1, None]
-        _, (torque, moment, bent, bending) = self._rates(
-            q, (begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]), wide, softness
-        )
+    def _along(self, state: Array, q: Array, forced: tuple[Array, ...] | None, softness: float) -> Response:
+        """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K (n + 3), Q)."""
+        n, begin = self.n, state[:-1, None]
+        q = q.reshape(self.pieces, self.degree, n + 3, -1)
+        starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
+        torque, moment, bent, _, _, turned = self._felt(q, starts, forced)
+        bending = turned + softness * self._give * bent
         return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
 
     def mode(self, margin: float) -> tuple[Response, float] | None:
@@ -448,8 +504,8 @@ class Standing:
             # Beside the eigenvalue itself, where there would be nothing left to divide by.
             beside = margin - ASIDE
             softness = 1 / (1 - beside)
-            inner, ends = self._maps(softness, None)
-            matrix = self._system(softness, ends)
+            maps = self._maps(softness)
+            matrix = self._system(softness, maps.ends)
             angle = np.arange(len(matrix), dtype=float)
             factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
             right = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -458,7 +514,8 @@ class Standing:
             found = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
             found /= np.abs(found).max()
             other = np.abs(grown[:, 1] - found * ((found @ grown[:, 1]) / (found @ found))).max()
-            mode = self._along(self._state(found, softness), inner, (None, np.zeros(0, dtype=np.intp)), softness)
+            state = self._state(found, softness)
+            mode = self._along(state, maps.inner @ state[:-1], None, softness)
             margin = self.quotient(mode, softness)
             # Every mode grows by one over its distance, and is mixed into this one by as much.
             if abs(margin - beside) * size < DOUBLE * other:
