@@ -334,3 +334,16 @@ def test_arms_of_a_plan_are_round_along_their_length(circle: Equilibrium) -> Non
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(1), -1, 1)))
     assert turns.max() < 2.0
+
+
+def test_a_load_per_length_is_a_comb_of_arrows_with_one_number() -> None:
+    """Half as long as that of a force where it is largest, in proportion elsewhere; moments have two heads."""
+    robot = load_robot("configs/robots/thesis_ctr.yaml")
+    arm = forward_kinematics(robot, [0, 1, 2], load=Load(distributed=lambda s: (0, 0, 0, 0, 0.1 * s, 0)))
+    comb = pushes(arm)
+    length = float(arm.arc_length[-1])
+    assert [arrow.told for arrow in comb] == [False] * 9 + [True]
+    sizes = [float(np.linalg.norm(arrow.end - arrow.start)) for arrow in comb]
+    assert sizes == pytest.approx([0.1 * length * (2 * k + 1) / 19 for k in range(10)])
+    assert comb[-1].size == pytest.approx(0.1 * 0.95 * length)
+    assert {arrow.unit for arrow in comb} == {"mN m/m"}

@@ -33,6 +33,12 @@ MOMENT = "#9C5A00"
 FORCE_SHARE = 0.2
 """Length of the arrow of the largest force, as a share of the arm."""
 
+COMB = 10
+"""Arrows of a load per length."""
+
+SECOND_HEAD = 0.8
+"""Where the second head of a moment's arrow lies, as a share of its length."""
+
 PRINTED, CLOSE_UP = Detail(24, 160, even=True), Detail(72, 24, even=True)
 """How finely arms are cut in a scene, and where they are seen from near."""
 
@@ -155,6 +161,8 @@ class Arrow(NamedTuple):
     size: float
     unit: str
     colour: str
+    told: bool = True
+    """Whether its size stands beside it."""
 
 
 def pushes(equilibrium: Equilibrium) -> list[Arrow]:
@@ -176,13 +184,33 @@ def pushes(equilibrium: Equilibrium) -> list[Arrow]:
         for at, push, size in zip((equilibrium.tip_position, *places), acting, sizes, strict=True):
             if size > 0:
                 out.append(Arrow(at, at + scale * push, size, unit, colour))
+    return out + _along(equilibrium)
+
+
+def _along(equilibrium: Equilibrium) -> list[Arrow]:
+    """COMB arrows of the load per length along the arm, the largest half as long as that of a force, with its size."""
+    load, length = equilibrium.load, float(equilibrium.arc_length[-1])
+    if load is None or load.distributed is None:
+        return []
+    s = length * (np.arange(COMB) + 0.5) / COMB
+    per_length, places, out = load.per_length(s), Centreline(equilibrium).position(s), []
+    for part, unit, colour in ((slice(0, 3), "mN/m", FORCE), (slice(3, 6), "mN m/m", MOMENT)):
+        sizes = np.linalg.norm(per_length[:, part], axis=1)
+        largest = int(sizes.argmax())
+        for k in np.flatnonzero(sizes > 0).tolist():
+            end = places[k] + 0.5 * FORCE_SHARE * length * per_length[k, part] / sizes[largest]
+            out.append(Arrow(places[k], end, float(sizes[k]), unit, colour, k == largest))
     return out
 
 
 def _draw_pushes(scene: Axes, equilibrium: Equilibrium, view: View) -> None:
-    """An arrow from where each force and moment acts, with its size."""
+    """An arrow from where each force and moment acts, with its size; that of a moment has two heads."""
     for arrow in pushes(equilibrium):
         draw_arrow(scene, view, arrow.start, arrow.end, arrow.colour)
+        if arrow.unit.startswith("mN m"):
+            draw_arrow(scene, view, arrow.start, arrow.start + SECOND_HEAD * (arrow.end - arrow.start), arrow.colour)
+        if not arrow.told:
+            continue
         tail, end = view.project(np.array([arrow.start, arrow.end]))[:, :2]
         along = (end - tail) / max(float(np.linalg.norm(end - tail)), 1e-9)
         note(scene, f"{arrow.size * TO_MILLI:.4g} {arrow.unit}", end, 4 * along, colour=arrow.colour)
