@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.examples import PIECES, THESIS
+from tests.examples import PIECES, THESIS, TWO_TUBE
 from tubeopt import (
     EccentricRobot,
     Load,
@@ -25,6 +25,7 @@ from tubeopt.planning.clearing import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
 from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
 from tubeopt.planning.passage import Follower
+from tubeopt.planning.speed import HERMITE, fastest_on_cubic
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -160,3 +161,50 @@ def test_a_limit_that_the_bound_does_not_reach_is_not_proved() -> None:
     assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
     assert not proof.holds
     assert any("of the speed of the tip only" in fault for fault in proof.faults)
+
+
+def test_the_cubic_through_both_velocities_leaves_a_31st_of_the_third_derivative() -> None:
+    """The most that |w''| <= 1 leaves of w - q, where q has the ends and the mean of w: the integral of the size of
+    what a unit impulse of w'' leaves, by the midpoint rule."""
+    s = (np.arange(4000) + 0.5) / 4000
+    most = 0.0
+    for x in np.append(np.linspace(0.0, 1.0, 201), 0.2324):
+        impulse = -np.minimum(x, s) * (1 - np.maximum(x, s))
+        mean = -s * (1 - s) / 2
+        most = max(most, float(np.abs(impulse - 6 * x * (1 - x) * mean).mean()))
+    assert 0.999 * HERMITE <= most <= HERMITE
+
+
+def test_the_speed_along_a_cubic_is_bounded_sharply() -> None:
+    rng = np.random.default_rng(3)
+    x = np.linspace(0.0, 1.0, 5001)
+    for bow in (0.0, 0.3, 3.0):
+        begin, end = rng.normal(size=(2, 3))
+        curve = np.polynomial.Polynomial.fit([0, 0.5, 1], [0, 1, 0], 2)(x)  # of mean 2/3
+        velocity = begin + np.outer(x, end - begin) + np.outer(curve, np.array([bow, -bow, bow / 2]))
+        true = np.linalg.norm(velocity, axis=1).max()
+        mean = (begin + end) / 2 + 2 / 3 * np.array([bow, -bow, bow / 2])
+        assert true <= fastest_on_cubic(mean, begin, end) * (1 + 1e-12)
+        assert fastest_on_cubic(mean, begin, end) <= 1.03 * true
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_speed_along_a_cubic_counts_the_bow_of_its_velocity(sign: float) -> None:
+    """From rest to rest, the velocity 6 x (1 - x) is 1.5 in the middle; with the ends 1 and a mean below, it is 1."""
+    along = np.array([1.0, 0.0, 0.0])
+    if sign > 0:
+        assert 1.5 <= fastest_on_cubic(along, 0 * along, 0 * along) <= 1.5 * 1.02
+    else:
+        assert 1.0 <= fastest_on_cubic(0.9 * along, along, along) <= 1.01
+
+
+def test_two_tubes_need_no_more_equilibria_for_the_speed_of_the_tip() -> None:
+    """Velocities at both ends of links suffice; the bound is above the fastest J q' and at most 3 % above."""
+    last = np.radians([60.0, 0.0])
+    proof = verify_trajectory(TWO_TUBE, [0, 3], [[0, 0], last])
+    true = 0.0
+    for x in np.linspace(0, 1, 61):
+        jacobian = forward_kinematics(TWO_TUBE, x * last).jacobian().position
+        true = max(true, float(np.linalg.norm(jacobian[:, 0])) * last[0] / 3)
+    assert proof.equilibria <= 28
+    assert true <= proof.largest_tip_rate <= 1.03 * true

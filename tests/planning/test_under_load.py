@@ -223,3 +223,24 @@ def test_a_plan_under_load_from_the_command_line(run: Run, tmp_path: Path) -> No
     told = json.loads(pushed.out)
     assert "20, 0, 0 mN at the tip; gravity 0, 0, -9.81 m/s^2 and any force of up to 5 mN on the tip" in told["assumed"]
     assert "nothing shows that no force of up to 5 mN" in told["faults"][0]
+
+
+def test_the_moment_of_the_load_is_no_larger_than_its_lever_on_a_straight_arm() -> None:
+    """|m_w| <= L |F| + L^2 / 2 |w|: a straight arm that a force and a load per length push across reaches it."""
+    robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0),))
+    load = Load(force=(1e-5, 0.0, 0.0), distributed=(2e-4, 0.0, 0.0))
+    arms = LoadedArms.of(Constants.of(robot), [forward_kinematics(robot, [0.0], load=load)], pull=Pull.of(robot, load))
+    true = float(np.linalg.norm(arms.moment, axis=1).max())
+    assert true == pytest.approx(0.1 * 1e-5 + 0.1**2 / 2 * 2e-4, rel=1e-4)
+    assert 0.999 * arms._lever[0] <= true <= arms._lever[0] * (1 + 1e-6)
+
+
+def test_bending_stiffness_is_the_sum_of_the_tubes_that_are_there() -> None:
+    """K, N m^2, from the base to the tip, along which tubes end."""
+    arm = forward_kinematics(THESIS, np.zeros(3), HOME, load=SIDEWAYS)
+    arms = LoadedArms.of(Constants.of(THESIS), [arm], pull=Pull.of(THESIS, SIDEWAYS))
+    each = np.array([tube.bending_stiffness for tube in THESIS.tubes])
+    _, stiffness = arms._pulls(arms._values[0])
+    inside = np.abs(arms.arc_length[:, None] - arms.ends[0]).min(1) > 1e-5
+    true = (each * (arms.arc_length[:, None] < arms.ends[0])).sum(1)
+    np.testing.assert_allclose(stiffness[inside], true[inside], rtol=1e-9)

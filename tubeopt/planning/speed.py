@@ -1,7 +1,8 @@
 """How fast the tip is, from above: what its second and third derivatives by time leave it between equilibria.
 
 See "Speed of the tip" in `docs/theory.md`. In the middle of a link the velocity is the mean one but for a 24th of the
-third derivative; between two places where it is known it is linear but for an eighth of that.
+third derivative; between two places where it is known it is linear but for an eighth of that. Where it is known at
+both ends of a link, the cubic through both tips with these velocities leaves a 31st.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..typing import Array, Mask
 from .passage import SHORTEST, Follower, Link, Step, halves, joined
@@ -20,6 +22,13 @@ from .sections import SWAPPED
 
 TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""
+
+HERMITE = 0.03231
+"""The derivative of a function differs at most by this, times a bound of its third derivative and the square of the
+length, from that of the cubic with the same values and slopes at both ends."""
+
+SAMPLES = 8
+"""Parts of a link at the ends of which the speed along that cubic is evaluated."""
 
 STEADY = 1e-9
 """Share of the largest joint rate by which directions of motion may differ where they are the same."""
@@ -43,8 +52,9 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
     """The pace of a motion that takes `span`, s, along links that follow each other, halved where its bound is not
     sharp, or does not show that a `limit`, m/s, is kept."""
     links, most, measured = list(links), 0.0, 0.0
+    slopes: dict[Equilibrium, Array | None] = {}
     for _ in range(FINEST):
-        row = _Row(follower, links, span)
+        row = _Row(follower, links, span, slopes)
         measured = float(row.speed.max(initial=0.0))
         if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
             return Pace(math.inf, measured)
@@ -78,6 +88,8 @@ class _Row:
     follower: Follower
     links: list[Link]
     span: float
+    slopes: dict[Equilibrium, Array | None]
+    """(3, 2n) J of the equilibria where it was asked for; None where there is none."""
 
     @cached_property
     def passed(self) -> Array:
@@ -139,10 +151,13 @@ class _Row:
             meet = np.abs(self._gaps(here.joints[None, n:])[0]) <= 2 * SWAPPED
             if (meet & (moving[:, None] != moving)).any():
                 return None
-        try:
-            return np.asarray(here.equilibrium.jacobian().position @ rate)
-        except SolveError:
-            return None
+        if here.equilibrium not in self.slopes:
+            try:
+                self.slopes[here.equilibrium] = here.equilibrium.jacobian().position
+            except SolveError:
+                self.slopes[here.equilibrium] = None
+        slope = self.slopes[here.equilibrium]
+        return None if slope is None else np.asarray(slope @ rate)
 
     def fastest(self, rates: Array, line: float) -> tuple[Array, float]:
         """(B,) bounds of the speed in links where the second and third derivatives of the tip are at most `rates`
@@ -161,10 +176,26 @@ class _Row:
         inner = np.where(self.alike, np.maximum(slow[1:], slow[:-1]) + both * long**2 / 8, np.inf)
         sides = np.stack([np.append(np.inf, inner), np.append(inner, np.inf)]) * pace
         out, reached = np.minimum(plain, sides.max(0)), 0.0
+        enough = speed + HERMITE * third * h**2 <= line
         for k in np.flatnonzero((out > line) & np.isfinite(third)).tolist():
-            for side in np.flatnonzero(~np.isfinite(sides[:, k])).tolist():
-                end = self.velocity(k + side, k)
-                if end is not None:
-                    there = float(np.linalg.norm(end))
-                    sides[side, k], reached = max(middle[k], there) + third[k] * h[k] ** 2 / 32, max(reached, there)
+            ends: list[Array | None] = [None, None]
+            for side in np.argsort(np.isfinite(sides[:, k]), kind="stable").tolist():
+                missing = not np.isfinite(sides[side, k])
+                if not missing and (not enough[k] or min(plain[k], sides[:, k].max()) <= line):
+                    break
+                ends[side] = end = self.velocity(k + side, k)
+                there = 0.0 if end is None else float(np.linalg.norm(end))
+                reached = max(reached, there)
+                if missing and end is not None:
+                    sides[side, k] = max(middle[k], there) + third[k] * h[k] ** 2 / 32
+            if ends[0] is not None and ends[1] is not None:
+                cubic = fastest_on_cubic(self.chord[k], ends[0], ends[1]) + 1.5 * wrong[k]
+                plain[k] = min(plain[k], cubic + HERMITE * third[k] * h[k] ** 2)
         return np.asarray(np.minimum(plain, sides.max(0))), reached
+
+
+def fastest_on_cubic(mean: Array, begin: Array, end: Array) -> float:
+    """Upper bound of the speed along the cubic with velocities (3,) `begin` and `end` at its ends and this `mean`."""
+    x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (begin + end) / 2
+    velocity = begin + (end - begin) * x + 6 * x * (1 - x) * bow
+    return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(bow) / (8 * SAMPLES**2))
