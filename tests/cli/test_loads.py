@@ -62,11 +62,16 @@ def test_fk_by_flags_and_by_file(run: Run, file: Path) -> None:
     assert "a load along the arm" in text
 
 
-def test_moments_have_no_margin(run: Run) -> None:
-    data = answer(run("fk", THESIS, "--tip-moment-mN-m", "1,2,3", "--json"))
-    assert data["margin"] is None
-    assert not data["stable"]
-    assert "not told" in run("fk", THESIS, "--tip-moment-mN-m", "1,2,3").out
+def test_moments_have_a_margin_and_no_energy(run: Run) -> None:
+    moment = "--tip-moment-mN-m", "0,0,2"
+    data = answer(run("fk", THESIS, *moment, "--json"))
+    assert data["margin"] == pytest.approx(0.905, abs=1e-3)
+    assert data["stable"]
+    assert "0.905, stable" in run("fk", THESIS, *moment).out
+    told = run("snap", THESIS, "--to-deg", "360,0,0", *moment).out
+    assert "snap at rotations" in told
+    assert "nan" not in told
+    assert "energy released" not in told
 
 
 def test_snaps_and_equilibria_under_load(run: Run, tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ class EquilibriumBatch(Displayed):
 
     @property
     def stable(self) -> Mask:
-        """(N,) whether a stable equilibrium was found; not told, so False, where there is no margin."""
+        """(N,) whether a stable equilibrium was found."""
         return np.asarray(self.converged & (self.margin > 0))
 
 

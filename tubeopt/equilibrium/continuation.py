@@ -109,6 +109,11 @@ class Family:
     before: Load | None = None
     """At the start; None is no load."""
 
+    @property
+    def loads(self) -> tuple[Load | None, Load | None]:
+        """At the start and at the end."""
+        return self.before, self.load
+
     @staticmethod
     def growing(member: Loaded) -> Family:
         """The load of a problem grows from nothing where the joints are: t is the factor on it."""
@@ -198,7 +203,7 @@ def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | N
     result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > CONTINUATION.largest_ratio:
         return None
-    if there.moved(near, result.state) > largest_twist(1.0 if np.isnan(near.margin) else near.margin):
+    if there.moved(near, result.state) > largest_twist(near.margin):
         return None
     return Point.of(there, result, t)  # type: ignore[return-value]
 
@@ -212,10 +217,7 @@ def follow(
     shortest: float = CONTINUATION.shortest_step,
 ) -> Iterator[P]:
     """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable),
-    where steps of part `shortest` fail.
-
-    Loads without an energy have no stability: there the branch is only followed.
-    """
+    where steps of part `shortest` fail."""
     here, before = start, None
     step = longest = min(family.path.largest_step(), goal - start.t)
     least, ends, power = shortest * max(1.0, abs(goal)), False, 0
@@ -265,6 +267,5 @@ def bifurcates(family: Family, last: Place) -> bool:
         return False
     one, other = (there.at(last.state.x).gradient for there in near[:2])
     pull = other - one
-    # Of tubes off the centreline, whose matrix is not symmetric, the push that the softest direction does not resist.
-    soft = np.linalg.solve(last.state.hessian.T, last.softest)
+    soft = last.unresisted
     return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(soft) * np.linalg.norm(pull))

@@ -9,6 +9,7 @@ import numpy as np
 from ..block.transcription.arm import CollocationPoints
 from ..block.transcription.loaded import base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
+from ..block.transcription.second_variation import stiffnesses
 from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.newton import loaded_margin, loaded_residual
 from ..solvers.settings import CONTINUATION
@@ -33,7 +34,7 @@ def to_loaded(
         margin=point.margin,
         residual=loaded_residual(problem, state),
         energy=elastic_energy(problem, profile, state),
-        work=state.work if problem.load.has_energy else float("nan"),
+        work=state.work,
         iterations=point.iterations,
         errors=mesh_errors(point) if errors is None else errors,
         # What follows from the solved state at once need not be solved for again.
@@ -41,8 +42,8 @@ def to_loaded(
         base_wrench=base_wrench(problem, state),
         arm=loaded_arm(problem, profile, state),
     )
-    unstable = not (point.margin > 0 or np.isnan(point.margin))
-    index = int((np.linalg.eigvalsh(state.hessian) < 0).sum()) if unstable else 0
+    symmetric = problem.couples is None
+    index = 0 if point.margin > 0 else int((stiffnesses(state.hessian, symmetric=symmetric) < 0).sum())
     return from_answer(member, found, (*how, index))
 
 
@@ -60,7 +61,7 @@ def from_answer(member: Loaded, found: LoadedAnswer, how: tuple[str, float, int]
         index=index,
         energy=found.energy,
         accuracy=Accuracy(found.residual, *found.errors[:2]),
-        status=Status.NO_MARGIN if np.isnan(margin) else Status.STABLE if margin > 0 else Status.UNSTABLE,
+        status=Status.STABLE if margin > 0 else Status.UNSTABLE,
         statistics=Statistics(
             method="newton",
             iterations=found.iterations,
@@ -94,7 +95,7 @@ def mesh_errors(point: LoadedPoint) -> tuple[float, float, float]:
     moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
     moved -= tip_position(member.problem, point.state)
     # Only of arms that loads hardly soften is the margin less sure than the shape.
-    close = point.margin > CONTINUATION.hardly_softened
+    close = point.margin > CONTINUATION.hardly_softened and problem.couples is None
     margin = abs(loaded_margin(problem, state) - point.margin) if close else 0.0
     # Between the points theta is up to 1.6 times as far off as at them (measured).
     return 2 * float(theta), float(np.linalg.norm(moved)), margin

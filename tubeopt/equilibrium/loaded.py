@@ -22,7 +22,7 @@ from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..typing import Array, Mask
 from .continuation import Family, JointPath, Milestone, P, bifurcates, by_kernel, reach, small_motion
 from .load_answer import from_answer, mesh_errors, to_loaded
-from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules
+from .load_problem import LOADED_DISCRETISATION, check_load, loaded_problem, loaded_rules, loading_of
 from .member import Loaded, LoadedPoint, Point, interpolate
 from .result import Equilibrium, Status
 from .solving import Discretisation, discretisation_of, sample_arms, sample_rotation
@@ -47,8 +47,8 @@ def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> L
 
 def ending(family: Family, point: LoadedPoint) -> str:
     """What happens to a branch just after its last stable point, in words."""
-    if not point.member.problem.load.has_energy:
-        return "there is no equilibrium close by"
+    if point.member.flutters(point.state):
+        return "it begins to flutter"
     return "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
 
 
@@ -77,11 +77,19 @@ def loaded_point(equilibrium: Equilibrium) -> LoadedPoint:
 
 def _unsolved(equilibrium: Equilibrium) -> tuple[Loaded, Array]:
     """The problem of a loaded equilibrium, and its unknowns as they were solved for."""
-    assert equilibrium.load is not None
     rotations, shift = equilibrium.rotations, tuple(equilibrium.translations.tolist())
-    member = Loaded.of(equilibrium.robot, rotations, shift, equilibrium.load, discretisation_of(equilibrium))
-    theta = sample_rotation(equilibrium, equilibrium.point)
-    return member, unknowns(member.problem, rotations, theta, equilibrium.point_curvature)
+    problem, theta = _own(equilibrium), sample_rotation(equilibrium, equilibrium.point)
+    member = Loaded(equilibrium.robot, problem, rotations, shift, discretisation_of(equilibrium))
+    return member, unknowns(problem, rotations, theta, equilibrium.point_curvature)
+
+
+def _own(equilibrium: Equilibrium) -> LoadedProblem:
+    """The problem of a loaded equilibrium, on the mesh on which it was solved: perhaps that of a larger load."""
+    robot, shift, load = equilibrium.robot, tuple(equilibrium.translations.tolist()), equilibrium.load
+    assert load is not None
+    start, d = loading_of(robot, shift, load)[0].start, discretisation_of(equilibrium)
+    points = np.bincount(np.searchsorted(start, equilibrium.point, side="right") - 1, minlength=len(start))
+    return loaded_problem(robot, shift, load, d, tuple((points // d.degree).tolist()))
 
 
 def to_tolerance(
@@ -209,9 +217,7 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]
         and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
     ):
         return sample_rotation(start, start.point), start.point_curvature
-    assert start.load is not None
-    own = loaded_problem(start.robot, tuple(start.translations.tolist()), start.load, discretisation_of(start))
-    return sample_rotation(start, s), interpolate(own, start.point_curvature, problem)
+    return sample_rotation(start, s), interpolate(_own(start), start.point_curvature, problem)
 
 
 def _quickly(family: Family, start: Equilibrium, tolerance: float, began: float, settings: Newton) -> Milestone:

@@ -20,7 +20,7 @@ from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.loaded_arm import loaded_profile
 from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, residual, to_unknowns
-from ..block.transcription.second_variation import margin, softest
+from ..block.transcription.second_variation import margin, softest, softest_of, stiffnesses
 from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.load import Load
@@ -49,6 +49,14 @@ class Point(Generic[M, S]):
     def softest(self) -> Array:
         """(U,) direction in which the equilibrium is softest."""
         return np.asarray(self.member.softest(self.state))
+
+    @cached_property
+    def unresisted(self) -> Array:
+        """(U,) push that the softest direction does not resist at a fold: along it, if the equations have an energy."""
+        if self.member.descends:
+            return self.softest
+        push = np.linalg.solve(self.state.hessian.T, self.softest)
+        return np.asarray(push * np.sign(push @ self.softest) / np.linalg.norm(push))
 
     @staticmethod
     def of(member: M, result: NewtonResult[S], t: float) -> Point[M, S]:
@@ -98,6 +106,10 @@ class Member(ABC, Generic[S]):
     def softest(self, state: S) -> Array:
         """(U,) direction in which a solved state is softest."""
 
+    def flutters(self, state: S) -> bool:
+        """Whether a solved state is softest in an oscillation: a pair of complex eigenvalues, which has no fold."""
+        return not self.descends and softest_of(state.hessian)[1]
+
     @abstractmethod
     def beside(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float
@@ -122,9 +134,16 @@ class Member(ABC, Generic[S]):
         return None
 
     def downhill(self, state: S, time: float) -> tuple[Array, bool]:
-        """(U,) step of the gradient flow of the energy in a time, and whether its matrix is not positive."""
-        _, step, failed = scipy.linalg.lapack.dposv(_shifted(state.hessian, 1 / time), -state.gradient)
-        return np.asarray(step), failed != 0
+        """(U,) step of the gradient flow of the energy in a time, and whether its matrix is not positive; without an
+        energy, of the flow against the residual, and whether that grows apart."""
+        matrix = _shifted(state.hessian, 1 / time)
+        if self.descends:
+            _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
+            return np.asarray(step), failed != 0
+        step = scipy.linalg.lapack.dgesv(matrix, -state.gradient)[2]
+        # A positive symmetric part suffices, and costs less.
+        doubtful = scipy.linalg.lapack.dpotrf((matrix + matrix.T) / 2)[1] != 0
+        return np.asarray(step), doubtful and stiffnesses(matrix, symmetric=False).min() <= 0
 
     @property
     def descends(self) -> bool:
@@ -220,14 +239,6 @@ class Unloaded(Member[Evaluation]):
         their energy would be caught."""
         return not self.problem.assembly.eccentric
 
-    def downhill(self, state: Evaluation, time: float) -> tuple[Array, bool]:
-        """Tubes off the centreline flow down what stands for the gradient, their residual."""
-        if self.descends:
-            return super().downhill(state, time)
-        matrix = _shifted(state.hessian, 1 / time)
-        failed = scipy.linalg.lapack.dpotrf((matrix + matrix.T) / 2)[1]
-        return np.asarray(scipy.linalg.lapack.dgesv(matrix, -state.gradient)[2]), failed != 0
-
 
 @dataclass(frozen=True, eq=False)
 class Loaded(Member[LoadedState]):
@@ -273,13 +284,20 @@ class Loaded(Member[LoadedState]):
         return loaded_residual(self.problem, state)
 
     def margin(self, state: LoadedState) -> float:
-        """By the second variation; NaN for loads without an energy."""
+        """By the second variation, or the linearised equations."""
         return loaded_margin(self.problem, state)
 
     def softest(self, state: LoadedState) -> Array:
-        """By the second variation."""
+        """By the second variation, or the linearised equations."""
+        if not self.descends:
+            return softest_of(state.hessian)[0]
         vectors: Array = np.linalg.eigh(state.hessian)[1]
         return vectors[:, 0]
+
+    @property
+    def descends(self) -> bool:
+        """Moments and forces that turn with the tip have no energy."""
+        return self.problem.couples is None
 
     def beside(
         self, rotations: Array, translations: tuple[float, ...], load: Load | None, factor: float

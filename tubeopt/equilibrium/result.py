@@ -29,9 +29,6 @@ class Status(Sentence):
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
     HELD = "an equilibrium was found that friction alone holds: shaken, the robot leaves it"
-    NO_MARGIN = (
-        "an equilibrium was found; moments and forces that turn with the tip have no energy, so it has no margin"
-    )
     NOT_CONVERGED = "no equilibrium was found"
     BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
     BRANCH_ENDED_UNDER_LOAD = "the branch that grows from no load is lost before the whole load is on"
@@ -212,7 +209,7 @@ class Equilibrium(Displayed):
 
     @property
     def stable(self) -> bool:
-        """Whether the robot stays in this equilibrium: margin > 0. Not told, so False, where there is no margin."""
+        """Whether the robot stays in this equilibrium: margin > 0."""
         return self.margin > 0
 
     @property

@@ -18,7 +18,7 @@ from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, grid, remarks
 from .snap_report import JOINTS, STATE
-from .words import counted, margin_in_words, millimetres, row
+from .words import counted, margin_in_words, millimetres, released, row
 
 SHOWN = 20
 """Rows of a recording that a table shows."""
@@ -26,17 +26,21 @@ SHOWN = 20
 HAPPENS = {
     "fold": "the equilibrium vanishes, and the robot snaps",
     "bifurcation": "the equilibrium turns unstable, and the robot leaves it to one of two sides",
+    "flutter": "the equilibrium turns unstable: slow oscillations about it grow",
 }
 
 LIMIT: tuple[Quantity[LoadLimit], ...] = (
     Quantity("factor", "times the load at which the equilibrium is lost", label="lost at",
              words="{factor:.9g} times the load"),
-    Quantity("kind", "fold: it vanishes; bifurcation: it turns unstable", label="there",
-             words=lambda a: HAPPENS[a.kind]),
+    Quantity("kind", "fold: it vanishes; bifurcation: it turns unstable; flutter: slow oscillations grow",
+             label="there", words=lambda a: HAPPENS[a.kind]),
     line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
-    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
-    Quantity("energy_released_mJ", "energy released by tubes and load", form=".4f"),
+    Quantity("tip_jump_mm", "the tip jumps",
+             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
+    Quantity("energy_released_mJ", "energy released by tubes and load; null where the load has none",
+             label="energy released by tubes and load",
+             words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
     line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
     Quantity("before", "the equilibrium at the limit", of=STATE),
     Quantity("after", "the equilibrium in which the robot lands; null where none is found", of=STATE),

@@ -24,7 +24,7 @@ from ..typing import Array
 from .quantities import Quantity, line, record, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
-from .words import counted, degrees, in_a_word, margin_in_words, millimetres, row, tip_number
+from .words import counted, degrees, in_a_word, margin_in_words, millimetres, released, row, tip_number
 
 JOINTS: tuple[Quantity[Any], ...] = (
     Quantity("rotations_deg", "rotation of every tube"),
@@ -69,7 +69,12 @@ SNAP: tuple[Quantity[Snap], ...] = (
     line("tip before", lambda snap: millimetres(snap.before.tip_position, ".4f")),
     line("tip after", lambda snap: millimetres(snap.after.tip_position, ".4f")),
     Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
-    Quantity("energy_released_mJ", "energy released", form=".4f"),
+    Quantity(
+        "energy_released_mJ",
+        "energy released; null where the load has none",
+        label="energy released",
+        words=lambda snap: released(snap.energy_released, "{:.4f} mJ") or None,
+    ),
     line("tubes' tips before", lambda snap: degrees(snap.before.tip_rotations, ".6f")),
     line("tubes' tips after", lambda snap: degrees(snap.after.tip_rotations, ".6f")),
     line("margin after", lambda snap: margin_in_words(snap.after.margin)),
@@ -207,7 +212,7 @@ class PathReport(Report[stability.Path]):
                 row(np.degrees(snap.rotations), ".7g"),
                 row(snap.translations * TO_MM, ".6g"),
                 f"{snap.tip_jump * TO_MM:.3f}",
-                f"{snap.energy_released * TO_MILLI:.4f}",
+                released(snap.energy_released, "{:.4f}"),
             )
             for snap in self.answer.snaps
         ]

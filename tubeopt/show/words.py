@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
-from ..files.units import TO_MM
+from ..files.units import TO_MILLI, TO_MM
 from ..robots.order import EndInside, ends_inside, out_of_order, tip_tube
 from ..robots.robot import Robot
 from ..typing import Array
@@ -24,7 +24,7 @@ AT_A_SNAP = 5e-4
 def in_a_word(margin: float) -> str:
     """What a stability margin means."""
     if np.isnan(margin):
-        return "not told: moments and following forces have no energy"
+        return "unknown"
     if abs(margin) < AT_A_SNAP:
         return "at a snap"
     if margin < 0:
@@ -35,6 +35,11 @@ def in_a_word(margin: float) -> str:
 def margin_in_words(margin: float) -> str:
     """A stability margin with what it means."""
     return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
+
+
+def released(energy: float, words: str) -> str:
+    """Released energy (J) in words that have a place for it in mJ; "" where the load has none."""
+    return "" if np.isnan(energy) else words.format(energy * TO_MILLI)
 
 
 def ends_in_words(inside: Sequence[EndInside]) -> str:

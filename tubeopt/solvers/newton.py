@@ -15,7 +15,7 @@ import scipy
 
 from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
-from ..block.transcription.second_variation import least
+from ..block.transcription.second_variation import least, stiffnesses
 from ..typing import Array
 from .settings import NEWTON, Newton
 from .time_limit import check_time
@@ -161,8 +161,8 @@ def loaded_residual(problem: LoadedProblem, state: LoadedState) -> float:
 
 
 def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; NaN for loads
-    without an energy."""
-    if not problem.load.has_energy:
-        return float("nan")
-    return least(state.hessian)
+    """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; under loads
+    without an energy the least real part of the eigenvalues of the linearised equations."""
+    if problem.couples is None:
+        return least(state.hessian)
+    return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))

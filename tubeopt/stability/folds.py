@@ -91,7 +91,8 @@ def turning_point(
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """Where a stable branch is lost: the equilibrium there, "fold" or "bifurcation", and the softest direction."""
+    """Where a stable branch is lost: the equilibrium there, "fold", "bifurcation" or "flutter", and the softest
+    direction."""
 
     point: Place
     kind: str
@@ -155,7 +156,10 @@ def bifurcation(family: Family, near: Place, goal: float) -> Loss | None:
             return None
         if beyond.margin < 0:
             found = _root(at, near.t, t)
-            return None if found is None else Loss(found, "bifurcation", found.softest)
+            if found is None:
+                return None
+            kind = "flutter" if found.member.flutters(found.state) else "bifurcation"
+            return Loss(found, kind, found.softest)
         if t == goal:
             return None
         ahead *= 10
@@ -183,16 +187,18 @@ def fall(lost: Place, direction: Array) -> Place | None:
     that leads to no stable equilibrium.
 
     Energy falls on the path of steepest descent in the norm of the torsional and bending energy. Of tubes off the
-    centreline that energy leaves out that they are stretched: it only chooses between sides.
+    centreline that energy leaves out that they are stretched: it only chooses between sides. Under loads without an
+    energy the path is that of tubes of a viscous material, x' = -g; of two sides it is the first.
     """
     member, x = lost.member, lost.state.x
     push = CONTINUATION.nudge / member.turn(lost.state, direction) * direction
-    ends = [slide(member, start) for start in downhill(x, push, lambda x: member.at(x).gradient)]
+    along = lost.unresisted
+    ends = [slide(member, start) for start in downhill(x, push, lambda x: (member.at(x).gradient @ along) * direction)]
     points = [Point.of(member, end, lost.t) for end in ends if end.converged]
     rests = [point for point in points if point.margin > -NEUTRAL]
     # Of two that are alike, as beside a bifurcation, the first.
     lowest = min((rest.state.potential for rest in rests), default=0.0)
-    return next((rest for rest in rests if rest.state.potential <= lowest + 1e-12), None)
+    return next((rest for rest in rests if not rest.state.potential > lowest + 1e-12), None)
 
 
 def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:

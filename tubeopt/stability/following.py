@@ -123,7 +123,7 @@ def follow(
         rotations, translations: (T, n) rad and m; translations default to home.
         start: stable equilibrium at the first waypoint; by default the one of `forward_kinematics`. If its joint
             values are others, the robot is first moved from there, and snaps on that way are not recorded.
-        load: forces that keep their direction and stay on the robot; a start without it is first loaded.
+        load: forces and moments that stay on the robot; a start without it is first loaded.
         friction: between the tubes, which makes every state depend on the way to it. A start that bears it goes on with
             its history; one without it has none, as if it had been shaken.
         progress: called with the number of each waypoint that is reached.
@@ -186,7 +186,6 @@ def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> Equilibrium
 
 def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
     """The same under load: the equilibrium of forward kinematics, or on the branch of `start`."""
-    load.require_energy("snaps are not told")
     first = start
     if start is None or start.load != load or not _at(start, joint):
         first = forward_kinematics(robot, *np.split(joint, 2), load=load, guess=start)
@@ -237,7 +236,7 @@ def find_snap(
     Args:
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
         equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
-        load: forces that keep their direction and stay on the robot.
+        load: forces and moments that stay on the robot.
         time_limit: s, on the clock.
 
     Raises:
@@ -292,16 +291,14 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
     between, at fractions of the way.
 
     Args:
-        equilibrium: stable, with a load whose forces keep their direction, or without one.
+        equilibrium: stable, with or without a load.
         load: the new one; `Load()` takes the old one off.
 
     Raises:
-        InputError: an unstable equilibrium, or a load without an energy.
+        InputError: an unstable equilibrium; loads in different frames.
         SolveError: descent from where the branch is lost finds no stable equilibrium.
     """
     robot, before = equilibrium.robot, equilibrium.load or Load()
-    for each in (load, before):
-        each.require_energy("snaps are not told")
     if not equilibrium.stable:
         raise InputError(f"equilibrium has margin {equilibrium.margin:.3g}; it must be stable (margin above 0)")
     alpha, shift = equilibrium.rotations, equilibrium.translations

@@ -32,6 +32,7 @@ class LoadLimitStatus(Sentence):
 
     FOLD = "the equilibrium vanishes in a fold, and the robot snaps"
     BIFURCATION = "the equilibrium becomes unstable at a bifurcation, and the robot buckles"
+    FLUTTER = "the equilibrium becomes unstable, and the robot begins to flutter: it oscillates more and more"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,16 +43,17 @@ class LoadLimit(Displayed):
     """On the load, at which the branch ends or loses stability."""
     kind: str
     """"fold": the equilibrium vanishes, and the robot snaps; or "bifurcation": it goes on, but unstable, and the robot
-    leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses."""
+    leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses. "flutter", only under
+    a load without an energy: it goes on, but slow oscillations about it grow (docs/loads.md)."""
     before: Equilibrium
     """The equilibrium at the limit (margin 0)."""
     after: Equilibrium | None
     """Where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of `Continuation`,
-    where the side is as likely as the other. None where descent finds no equilibrium."""
+    where the side is as likely as the other. None where descent finds no equilibrium, and where the robot flutters."""
     tip_jump: float
     """m, at the load of `after`, from the equilibrium that the robot leaves; NaN without an `after`."""
     energy_released: float
-    """Likewise, of tubes and load together, J."""
+    """Likewise, of tubes and load together, J; NaN under a load without an energy."""
 
     @property
     def value(self) -> float:
@@ -61,7 +63,7 @@ class LoadLimit(Displayed):
     @property
     def status(self) -> LoadLimitStatus:
         """How the branch ends."""
-        return LoadLimitStatus.FOLD if self.kind == "fold" else LoadLimitStatus.BIFURCATION
+        return LoadLimitStatus[self.kind.upper()]
 
     @property
     def statistics(self) -> Statistics:
@@ -82,20 +84,19 @@ def find_load_limit(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """The largest factor on a dead load that the robot bears at given joint values; None if it bears `up_to` times it.
+    """The largest factor on a load that the robot bears at given joint values; None if it bears `up_to` times it.
 
     Folds are roots of a bordered determinant, bifurcations roots of the least eigenvalue on the branch, which goes on.
 
     Args:
         rotations, translations: (n,) rad and m; translations None for home.
-        load: forces that keep their direction.
+        load: forces and moments.
         equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
         up_to: largest factor to look at.
         time_limit: s, on the clock.
 
     Raises:
-        InputError: joint values as in `forward_kinematics`; a load with a moment or one that turns with the tip, which
-            has no energy, so that stability is not told; an equilibrium that is loaded, unstable, or elsewhere.
+        InputError: joint values as in `forward_kinematics`; an equilibrium that is loaded, unstable, or elsewhere.
         SolveError: no stable equilibrium without load; or the branch is lost without a fold or bifurcation close by.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -110,7 +111,6 @@ def find_load_limit(
     shift = tuple(place.tolist())
     check_load(robot, load, shift)
     positive("up_to", up_to)
-    load.require_energy("a limit of stability is not told")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     if first.load is not None or not first.stable:
         raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
@@ -155,9 +155,9 @@ def _restart(point: Place, there: Loaded) -> LoadedPoint:
 def _described(loss: Loss, scale: float) -> LoadLimit:
     before = to_loaded(loss.point)
     left = loss.point
-    if loss.kind != "fold":
+    if loss.kind == "bifurcation":
         left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
-    landed = fall(left, loss.direction)
+    landed = None if loss.kind == "flutter" else fall(left, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
     after = to_loaded(landed)

@@ -51,7 +51,7 @@ class Snap(Displayed):
 
     @property
     def energy_released(self) -> float:
-        """J."""
+        """J; NaN under a load without an energy."""
         return self.before.potential - self.after.potential
 
     @property
@@ -115,7 +115,9 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
     Joints that move along a path and a load that turns into another one are followed alike: by the compiled kernel
     where it is at ease, else by the general follower, until the branch has ended in a snap or is at ease again.
     """
-    here, kernel, scale = Milestone(0.0, origin), kernel_of(family.path.robot), max(family.span(), CLOSE)
+    here, scale = Milestone(0.0, origin), max(family.span(), CLOSE)
+    # The kernel makes an energy least.
+    kernel = kernel_of(family.path.robot) if all(load is None or load.has_energy for load in family.loads) else None
     while here.t < 1.0:
         if kernel is not None:
             for step in by_kernel(family, here, partial(nearby, family)):
@@ -170,6 +172,11 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
     """What happens after the last stable point, where the branch is lost: a snap, or a smooth change to a neighbouring
     branch."""
     lost, direction = (last, last.softest) if loss is None else (loss.point, loss.direction)
+    if lost.member.flutters(lost.state):
+        raise SolveError(
+            f"{100 * lost.t:.3f} % of the way the robot begins to flutter: slow oscillations about the equilibrium "
+            "grow, and in which equilibrium they end is not known"
+        )
     landed = fall(lost, direction)
     turn = 0.0 if landed is None else landed.member.moved(lost, landed.state)
     t = min(goal, lost.t + CONTINUATION.past)

@@ -89,7 +89,7 @@ class LoadedState:
 
     x: (U + 2 N,) unknowns z and q.   factor: of the load.   theta (N, n) and curvature (N, 2) at the points.
     energy: elastic energy, J; under moments without the torsion that z does not see.
-    work: int n.t ds, what the load does on the arm as it comes from the plate's point, J.
+    work: int n.t ds, what the load does on the arm as it comes from the plate's point, J; NaN without an energy.
     gradient, hessian: of energy less work, or the equations and their Jacobian for loads without an energy.
     pull: (U + 2 N,) derivative of the gradient by the factor.
     torque: (N, n) torque per length on each tube, N.   joint_torques: (J,) of the moments at joints, N m.
@@ -234,7 +234,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
         theta=theta,
         curvature=curvature,
         energy=float(x @ x) / 2 + float(weight @ bend[:, 0]),
-        work=factor * float(weight @ (push.force * tangents(along.stage)).sum(1)),
+        work=factor * float(weight @ (push.force * tangents(along.stage)).sum(1)) if couples is None else np.nan,
         gradient=gradient,
         hessian=hessian,
         pull=pull,

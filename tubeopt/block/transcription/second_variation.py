@@ -69,9 +69,21 @@ def softest(problem: ReducedProblem, state: Evaluation) -> Array:
     if not problem.assembly.eccentric:
         vectors: Array = np.linalg.eigh(state.hessian)[1]
         return vectors[:, 0]
-    values, columns = np.linalg.eig(state.hessian)
-    direction = columns[:, int(np.argmin(values.real))].real
-    return np.asarray(direction / np.linalg.norm(direction))
+    return softest_of(state.hessian)[0]
+
+
+def softest_of(matrix: Array) -> tuple[Array, bool]:
+    """Unit direction (U,) of the eigenvalue with the least real part of a matrix that is not symmetric, and whether
+    that is complex: then the direction is one of a plane."""
+    values, columns = np.linalg.eig(matrix)
+    k = int(np.argmin(values.real))
+    direction = columns[:, k].real
+    return np.asarray(direction / np.linalg.norm(direction)), bool(abs(values[k].imag) > REAL)
+
+
+def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
+    """(U,) eigenvalues, of a matrix that is not symmetric their real parts."""
+    return np.asarray(np.linalg.eigvalsh(matrix) if symmetric else np.linalg.eigvals(matrix).real)
 
 
 # --- tubes off the centreline -----------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path
 from ...typing import Array
+from ..words import released
 from .path import Value, draw_broken, place_of, stretches
 from .stage import note
 from .style import Axes, Figure, angle_ticks, new_figure, picture
@@ -103,6 +104,7 @@ def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:
     for snap in way.path.snaps:
         x = place_of(snap, way.angles)
         y = (quantity(snap.before) + quantity(snap.after)) / 2
-        text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm\n{snap.energy_released * TO_MILLI:.2f} mJ released"
+        text = f"{x:.2f}°\ntip jumps {snap.tip_jump * TO_MM:.1f} mm"
+        text += released(snap.energy_released, "\n{:.2f} mJ released")
         words = text.replace("-", "\N{MINUS SIGN}")
         note(axes, words, np.array([x, y]), np.array([7.0 * side, 0.0]), colour=way.colour)

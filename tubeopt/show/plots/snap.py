@@ -7,6 +7,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Snap
+from ..words import released
 from .shape import draw_scenes
 from .stage import View, widest_view
 from .style import INK, Axes, Figure, headed, millimetres, new_figure, picture, rotations_in_words
@@ -49,8 +50,8 @@ def _heading(snap: Snap, title: str) -> str:
     joints = rotations_in_words(snap.rotations, 3)
     if np.any(snap.translations):
         joints += f", translations ({millimetres(snap.translations)}) mm"
-    jump, energy = f"{snap.tip_jump * TO_MM:.1f}", f"{snap.energy_released * TO_MILLI:.2f}"
-    return f"{name}:  snap at {joints}\nthe tip jumps by {jump} mm, {energy} mJ are released"
+    energy = released(snap.energy_released, ", {:.2f} mJ are released")
+    return f"{name}:  snap at {joints}\nthe tip jumps by {snap.tip_jump * TO_MM:.1f} mm{energy}"
 
 
 def _state(equilibrium: Equilibrium, *, at_fold: bool = False) -> str:

@@ -296,9 +296,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     margin = f"margin {round(equilibrium.margin, 3) + 0.0:.3f}".replace("-", "\N{MINUS SIGN}")
     word = in_a_word(equilibrium.margin)
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
-    if np.isnan(equilibrium.margin):
-        bears = equilibrium.load is not None and not equilibrium.load.has_energy
-        verdict = "margin undefined: the load has no energy" if bears else "margin unknown"
+    verdict = "margin unknown" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
     load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
     more = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []

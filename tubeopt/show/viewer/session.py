@@ -21,7 +21,7 @@ from ...inverse.joints import JointSpace, joint_space
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array
-from ..words import degrees, millimetres, row
+from ..words import degrees, millimetres, released, row
 
 CLOSE = 0.25
 """Margin below which a stable robot is said to be close to a snap: for the robot of the thesis that is 1 deg before."""
@@ -242,8 +242,8 @@ def snap_text(snap: Snap) -> str:
     if snap.before.load is not None:
         where += f", force {row(np.array(snap.before.load.force) * TO_MILLI, '.4f')} mN"
     return (
-        f"snap at {where}: the tip jumped by {snap.tip_jump * TO_MM:.4f} mm, "
-        f"{snap.energy_released * TO_MILLI:.4f} mJ were released"
+        f"snap at {where}: the tip jumped by {snap.tip_jump * TO_MM:.4f} mm"
+        f"{released(snap.energy_released, ', {:.4f} mJ were released')}"
     )
 
 
