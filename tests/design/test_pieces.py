@@ -19,6 +19,7 @@ from tubeopt import (
     Load,
     Piece,
     Tube,
+    find_stroke_force,
     forward_kinematics,
     inverse_kinematics,
     optimize_design,
@@ -306,6 +307,23 @@ def test_diameters_of_tubes_of_pieces_are_those_that_a_search_finds() -> None:
     assert tube.pieces[0].bending_stiffness is None
 
 
+def test_pieces_that_no_force_snaps_are_the_arcs_that_none_does() -> None:
+    tubes = Tube(1e-3, 0.7e-3, 0.05, 0.08, 20.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 14.0)
+    found = []
+    for field in ("curvature", "piece_curvature"):
+        task = DesignTask(
+            ConcentricRobot(tubes),
+            [Free(field, (0, 1), 1.0, 25.0)],
+            [SnapFree(0.3, max_force=0.02)],
+            Objective("change"),
+        )
+        found.append(optimize_design(task, turns=0))
+    plain, pieces = found
+    assert pieces.verification.kept
+    assert snap_free_certificate(pieces.robot, max_force=0.02) == pytest.approx(0.3, abs=2e-3)
+    assert [d.after for d in pieces.dimensions] == pytest.approx([d.after for d in plain.dimensions], rel=1e-4)
+
+
 def test_diameters_of_plain_tubes_are_designed_as_those_of_one_piece() -> None:
     """Also where the stiffness of a tube was measured."""
     stiff = replace(THESIS.tubes[1], bending_stiffness=1.2 * THESIS.tubes[1].bending_stiffness)
@@ -422,11 +440,6 @@ def test_an_s_is_held_as_near_as_its_margin_asks() -> None:
         ([PATTERN], {"objective": Objective("tip_curvature")}, "it is not one number"),
         (
             [PATTERN],
-            {"requirements": [SnapFree(max_force=0.01)]},
-            "for tubes made of pieces nothing is proved under one",
-        ),
-        (
-            [PATTERN],
             {"requirements": [Strain((0.01,))]},
             r"piece 1 of tube 1 may be softer than its tube; slots: {sh",
         ),
@@ -506,11 +519,31 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
         assert again[i] == pytest.approx(told, rel=1e-6)
 
 
-def test_an_expression_of_a_stroke_force_is_refused() -> None:
-    task = DesignTask(THESIS, [PATTERN], [Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0),))], Objective("change"))
-    state = State(Layout(task.space, (FixedPose((0.0,) * 3, (0.0,) * 3),), (), ()), task.space.start)
-    with pytest.raises(InputError, match="speaks of the stroke force in a pose"):
-        at_state(state)(Quantity("stroke_force", 0))
+@pytest.mark.parametrize("turned", [0.0, 2.8], ids=["bifurcation", "fold"])
+def test_stroke_forces_change_as_those_of_other_robots(turned: float) -> None:
+    slots = {"bending_stiffness": 2e-3, "torsional_stiffness": 3e-3}
+    inner = Tube.of_pieces(0.9e-3, 0.5e-3, [Piece(0.03, 24.0), Piece(0.03, 12.0)], straight_length=0.05)
+    outer = Tube.of_pieces(1.5e-3, 1.1e-3, [Piece(0.02, 18.0), Piece(0.02, 10.0, **slots)], straight_length=0.02)
+    free = [
+        Free("outer_diameter", (0,), 0.7e-3, 1.05e-3),
+        Free("piece_curvature", (0, 1), -30.0, 30.0),
+        Free("piece_bending_factor", (1,), 0.2, 1.0, tie="equal", torsion_share=0.4),
+    ]
+    space = design_space((inner, outer), free)
+    x = np.array([0.92e-3, 23.0, 13.0, 17.0, 11.0, 0.95])
+
+    def force(at: Array) -> float:
+        limit = find_stroke_force(ConcentricRobot(space.tubes(at)), (turned, 0.0))
+        assert limit is not None
+        assert limit.kind == ("fold" if turned else "bifurcation")
+        return limit.factor
+
+    pose = FixedPose((turned, 0.0), (0.0, 0.0))
+    value, slope = at_state(State(Layout(space, (pose,), (), ()), x))(Quantity("stroke_force", 0))
+    assert value[0] == pytest.approx(force(x), rel=1e-9)
+    steps = np.diag(1e-4 * space.scale)
+    found = np.array([(force(x + d) - force(x - d)) / (2 * d.sum()) for d in steps])
+    assert slope[0] == pytest.approx(found, rel=2e-5, abs=1e-6 * np.abs(found * space.scale).max() / space.scale.max())
 
 
 def test_keys_of_a_file() -> None:

@@ -12,7 +12,6 @@ from tests.equilibrium.test_loads import base_values
 from tests.load_reference import RefLoad, RefTube, Shooting
 from tubeopt import (
     ConcentricRobot,
-    InputError,
     Load,
     Piece,
     Tube,
@@ -109,9 +108,9 @@ def test_varying_tubes_without_load(robot: ConcentricRobot) -> None:
     assert np.allclose(warm.tip_position, cold.tip_position, rtol=0, atol=1e-11)
 
 
-def test_what_is_not_there_for_pieces(robot: ConcentricRobot) -> None:
-    with pytest.raises(InputError, match="made of pieces"):
-        snap_free_certificate(robot, BETA, max_force=0.1)
+def test_what_is_shown_under_any_force_falls_with_it(robot: ConcentricRobot) -> None:
+    bounds = [snap_free_certificate(robot, BETA, max_force=force) for force in (0.0, 0.001, 0.01, 0.1)]
+    assert (np.diff(bounds) < 0).all()
     assert find_load_limit(robot, ROTATIONS, BETA, Load((0.05, 0, 0)), up_to=2.0) is None
 
 

@@ -12,6 +12,7 @@ from tubeopt import (
     ConcentricRobot,
     InputError,
     Load,
+    Piece,
     PlanOptions,
     SolveError,
     Tube,
@@ -21,7 +22,10 @@ from tubeopt import (
     snap_free_certificate,
     verify_trajectory,
 )
+from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.bodies.obstacles import Sphere
+from tubeopt.design.pieces import as_pieces
+from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.stability.deflection import most_borne, under_any_force
 from tubeopt.typing import Array
 
@@ -163,6 +167,33 @@ def test_a_plan_under_a_load_and_any_further_force() -> None:
             assert room >= found.proof.least_clearance
     with pytest.raises(SolveError, match="no plan can be proved: with translations of 0, 0 mm the margin is only"):
         plan_trajectory(FINE, *ends, options=replace(rest, max_force=2.0), load=load)
+
+
+def test_tubes_of_pieces_keep_what_is_shown_under_any_force() -> None:
+    """At equilibria and at any shapes; of one piece that is an arc the bound is that of the plain tube."""
+    arcs = ConcentricRobot(tuple(map(as_pieces, FINE.tubes)))
+    for way in ([[-0.02, -0.01]], [[-0.02, -0.01], [-0.018, -0.01]]):
+        plain, same = (under_any_force(robot, way, 0.02) for robot in (FINE, arcs))
+        assert same.margin == pytest.approx(plain.margin, abs=1e-9)
+        assert same.deflection == pytest.approx(plain.deflection, rel=1e-9)
+    soft = {"bending_stiffness": 1.5e-3, "torsional_stiffness": 1.6e-3}
+    pieces = [Piece(0.03, lambda s: (4 + 100 * s, 3.0, 5.0)), Piece(0.02, -9.0, **soft)]
+    inner = Tube.of_pieces(0.9e-3, 0.6e-3, pieces, straight_length=0.04)
+    outer = Tube.of_pieces(1.5e-3, 1.2e-3, [Piece.helix(0.03, 2e-3, 0.05)], straight_length=0.02)
+    robot, low, high = ConcentricRobot((inner, outer)), np.array([-0.006, -0.004]), np.array([-0.004, -0.002])
+    random, force = np.random.default_rng(3), 0.05
+    bound, box = under_any_force(robot, low, force), under_any_force(robot, [low, high], force)
+    assert 0 < box.margin < bound.margin < snap_free_certificate(robot, low)
+    for push in force * pushes(14):
+        alpha, load = random.uniform(-np.pi, np.pi, 2), Load(tuple(push))
+        bare, e = (forward_kinematics(robot, alpha, low, load=each) for each in (None, load))
+        assert e.margin >= bound.margin
+        assert np.linalg.norm(e.tip_position - bare.tip_position) <= bound.deflection
+        between = low + random.random(2) * (high - low)
+        assert forward_kinematics(robot, alpha, between, load=load).margin >= box.margin
+        problem = loaded_problem(robot, tuple(low.tolist()), load)
+        shape = evaluate(problem, alpha, 0.1 * random.normal(size=problem.size))
+        assert np.linalg.eigvalsh(shape.hessian)[0] >= bound.margin
 
 
 def test_bounds_for_a_box_of_translations_hold_inside() -> None:

@@ -196,7 +196,7 @@ def in_parts(bundle: Bundle, count: int) -> Bundle:
 
 def test_certificate_does_not_depend_on_parts_of_sections() -> None:
     for robot, force in ((slender(0.4), 0.01), (THESIS, 0.02), (THESIS, 1.0)):
-        bundle = bundle_of(robot.assembly(np.zeros(3)))
+        bundle = bundle_of(robot, np.zeros(3))
         for pairs in (True, False):
             whole = bundle.softened(force, pairs=pairs)
             assert in_parts(bundle, 3).softened(force, pairs=pairs) == pytest.approx(whole, rel=1e-12)
@@ -221,7 +221,7 @@ def test_certificate_is_below_every_loaded_margin() -> None:
 
 def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     robot, force = slender(0.5), 0.01
-    bundle = bundle_of(robot.assembly(np.zeros(3)))
+    bundle = bundle_of(robot, np.zeros(3))
     fine = in_parts(bundle, 24)
     # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
     n, count, h = 3, len(fine.length), fine.length

@@ -30,7 +30,7 @@ def test_a_cantilever_moves_by_the_cube_of_its_length_over_three_times_its_stiff
 def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
     """kappa(s)^2 by sums over many points, sections and tubes at once."""
     shift, force = np.array([-0.02, 0.0, 0.0]), 1e-3
-    bundle = bundle_of(CRL.assembly(shift))
+    bundle = bundle_of(CRL, shift)
     length = bundle.total_length
 
     def kappa(s: float) -> float:

@@ -78,7 +78,7 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
         block.bounds.append(Bound(floor, 0.0, TURNED))
         return
     if block.model.along is not None:
-        raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0: there is no proof")
+        raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0 in a block")
     _add_under_force(block, floor, force)
 
 

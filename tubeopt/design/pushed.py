@@ -12,11 +12,10 @@ from ..equilibrium.load_problem import loaded_problem
 from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import discretisation_of, to_equilibrium
-from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
-from ..stability.stroke import stroke_slopes
+from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
 from .state import State
 
@@ -41,11 +40,15 @@ def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, f
 def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
     """The stroke force of a pose, N, at most STRONGEST, and its change (X,); raises SolveError where there is no limit
     close to where the branch is lost, or it has no derivative."""
-    if state.layout.space.pieced:
-        raise InputError("an expression speaks of the stroke force in a pose; a design of pieces has none for it")
     plain, names, rows = _unloaded(state, index)
-    found = stroke_slopes(plain, names, STRONGEST)
-    return (STRONGEST, np.zeros(state.layout.size)) if found is None else (found[0], found[1] @ rows)
+    free = _free_pieces(state)
+    turn = state.pose(index).tip_turn @ state.chain(index)
+    varied = [Varied(step, robots, turn[:, k]) for k, step, robots in free]
+    found = stroke_slopes(plain, names, STRONGEST, varied=varied)
+    if found is None:
+        return STRONGEST, np.zeros(state.layout.size)
+    pieces = np.eye(state.layout.size)[[k for k, _, _ in free]]
+    return found[0], found[1] @ np.concatenate([rows, pieces])
 
 
 def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
@@ -62,20 +65,29 @@ def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], 
     return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
 
 
+def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, ConcentricRobot]]]:
+    """Column of every unknown of pieces, a step of it, and the robots a step further and a step back."""
+    space, designs, out = state.layout.space, state.x[: state.layout.designs], []
+    for k in (k for k, one in enumerate(space.unknowns) if one.pieces):
+        step = STEP * float(space.scale[k])
+        row = step * np.eye(len(designs))[k]
+        out.append(
+            (k, step, (ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))))
+        )
+    return out
+
+
 def _tip_moves(state: State, pushed: Equilibrium) -> Array:
     """(3, X) change of the tip of an equilibrium under load with what is free of pieces.
 
     With H the second variation and g the gradient of the energy, H dx = -dg; the tip is differentiated along both.
     """
-    space, designs = state.layout.space, state.x[: state.layout.designs]
     change, shift = np.zeros((3, state.layout.size)), tuple(pushed.translations.tolist())
-    free = [k for k, one in enumerate(space.unknowns) if one.pieces]
+    free = _free_pieces(state)
     if not free or pushed.load is None:
         return change
     point, d = loaded_point(pushed), discretisation_of(pushed)
-    for k in free:
-        step = STEP * float(space.scale[k])
-        robots = (ConcentricRobot(space.tubes(designs + by * np.eye(len(designs))[k])) for by in (step, -step))
+    for k, step, robots in free:
         both = [loaded_problem(robot, shift, pushed.load, d) for robot in robots]
         ahead, back = (evaluate(problem, pushed.rotations, point.state.x).gradient for problem in both)
         by = np.linalg.solve(point.state.hessian, (back - ahead) / (2 * step))

@@ -177,7 +177,7 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 
 def _check_pieces(task: DesignTask) -> None:
-    """What a design of pieces cannot ask for: what is about boxes or forces, or told by one curvature of a tube."""
+    """What a design of pieces cannot ask for: bounds for errors of tubes, and what one curvature gives."""
     if any(tube.general for tube in task.space.robot_tubes) and any(
         isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements
     ):
@@ -188,14 +188,8 @@ def _check_pieces(task: DesignTask) -> None:
     if not task.space.pieced:
         return
     for one in task.requirements:
-        if isinstance(one, StrokeForce):
-            raise InputError("stroke_force is required; a design of pieces does not take it")
         if isinstance(one, Strain):
             _check_slots(task.space)
-        if isinstance(one, SnapFree) and one.max_force:
-            raise InputError(
-                "snap_free names a force; for tubes made of pieces nothing is proved under one: ask for a larger margin"
-            )
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
             raise InputError(
@@ -204,8 +198,6 @@ def _check_pieces(task: DesignTask) -> None:
             )
         if isinstance(wanted, Objective) and wanted.kind == "strain":
             _check_slots(task.space)
-        if isinstance(wanted, Objective) and wanted.kind == "stroke_force":
-            raise InputError(f"objective is {wanted.kind}; a design of pieces does not take it")
 
 
 def _check_slots(space: DesignSpace) -> None:

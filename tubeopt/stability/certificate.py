@@ -125,17 +125,12 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     """
     shift = shifts(robot, translations)
     assembly = robot.assembly(shift)
-    if positive("max_force", max_force, zero=True):
-        if assembly.eccentric:
-            raise InputError(
-                f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof"
-            )
-        if assembly.general:
-            raise InputError(f"max_force is {max_force:g} N; for tubes made of pieces it must be 0: there is no proof")
-        return loaded_worst_case(assembly, worst_case(_problem(robot, shift))[0], max_force)
+    if positive("max_force", max_force, zero=True) and assembly.eccentric:
+        raise InputError(f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof")
     if assembly.eccentric:
         return proof(assembly)[0]
-    return _of_pieces(robot, shift)[0] if assembly.general else worst_case(_problem(robot, shift))[0]
+    unloaded = _of_pieces(robot, shift)[0] if assembly.general else worst_case(_problem(robot, shift))[0]
+    return loaded_worst_case(robot, shift, unloaded, max_force) if max_force else unloaded
 
 
 def convexity(robot: Robot, translations: Array) -> float:

@@ -73,14 +73,13 @@ def deflection_bound(
     """
     shift = shifts(robot, translations)
     certificate = snap_free_certificate(robot, shift, max_force=max_force)
-    assembly = robot.assembly(shift)
-    length = assembly.total_length
+    length = robot.assembly(shift).total_length
     single = arc_length is not None and np.ndim(np.asarray(arc_length, dtype=object)) == 0
     given: Any = [length] if arc_length is None else [arc_length] if single else arc_length
     places = finite_array("arc_length", given, 1)
     if not np.isfinite(places).all() or places.min(initial=0.0) < 0 or places.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {places.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
-    return _moved(bundle_of(assembly), certificate, max_force, places)
+    return _moved(bundle_of(robot, shift), certificate, max_force, places)
 
 
 def _moved(bundle: Bundle, margin: float, force: float, places: Array) -> Array:
@@ -137,7 +136,7 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, loa
     whole = max_force + (0.0 if load is None else most_borne(robot, way, load))
     first = snap_free_certificate(robot, way[0], max_force=whole)
     if (way == way[0]).all():
-        bundle = bundle_of(robot.assembly(way[0]))
+        bundle = bundle_of(robot, way[0])
         return ForceBound(max_force, first, _farthest(bundle, first, max_force))
     along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way, axis=0)).max(1))])
     edges = np.linspace(0, along[-1], min(MOST_BOXES, math.ceil(along[-1] / BOX)) + 1)
@@ -145,7 +144,7 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, loa
     found = []
     for k in range(len(edges) - 1):
         inside = np.concatenate([corners[k : k + 2], way[(along >= edges[k]) & (along <= edges[k + 1])]])
-        bundle = bundle_of(robot.assembly(inside.min(0)), robot.assembly(inside.max(0)))
+        bundle = bundle_of(robot, inside.min(0), inside.max(0))
         margin = 1.0
         if bundle.total_length:
             margin -= bundle.softened(whole, pairs=True)

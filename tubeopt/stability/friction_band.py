@@ -28,7 +28,6 @@ from ..equilibrium.load_problem import check_load, loading_of
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..robots.friction import Friction
 from ..robots.load import Load
-from ..robots.robot import is_general
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .certificate import convexity, snap_free_certificate
@@ -107,9 +106,7 @@ def _convexity(equilibrium: Equilibrium, load: Load) -> float:
     if not load.tip_force_only:
         return -np.inf
     force = float(np.linalg.norm(load.force))
-    if not force:
-        return convexity(robot, shift)
-    return -np.inf if is_general(robot) else snap_free_certificate(robot, shift, max_force=force)
+    return snap_free_certificate(robot, shift, max_force=force) if force else convexity(robot, shift)
 
 
 def _place_slopes(arc_length: Array, problem: LoadedProblem, state: LoadedState) -> Array:

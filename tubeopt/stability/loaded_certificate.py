@@ -21,7 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physics.loaded_certificate import APART, OPPOSED, largest_eigenvalue
-from ..robots.assembly import Assembly, merge
+from ..robots.assembly import merge
+from ..robots.robot import Robot
+from ..robots.variation import variation
 from ..typing import Array
 
 
@@ -52,44 +54,49 @@ class Bundle:
         return largest_eigenvalue(force, sections, tubes, OPPOSED if pairs else APART)[0]
 
 
-def bundle_of(near: Assembly, far: Assembly | None = None) -> Bundle:
-    """An arm, or no stiffer than the arm at any translations between two: then its bounds hold for all of them.
+def bundle_of(robot: Robot, near: Array, far: Array | None = None) -> Bundle:
+    """An arm of concentric tubes at translations (n,), or no stiffer than the arm at any translations between two: then
+    its bounds hold for all of them.
 
-    A tube counts as curved where it may be, as stiff in bending only where it surely is, its transmission as long and
-    the arm as long as they may be. Fields Y, phi, r of an arm between, with Y constant and r 0 beyond its ends, have no
-    larger T there and no smaller N.
+    A tube counts as curved as it may be in a section, as stiff in bending only as it surely is, in torsion as stiff as
+    where it is least; its transmission as long and the arm as long as they may be. Fields Y, phi, r of an arm between,
+    with Y constant and r 0 beyond its ends, have no larger T there and no smaller N.
     """
-    far = near if far is None else far
-    kb, ends = near.bending_stiffness, np.maximum(np.stack([near.end, far.end]), 0.0)
-    transition = np.maximum(np.stack([near.transition, far.transition]), 0.0)
-    cuts = merge(np.concatenate([[0.0], ends.ravel(), transition.ravel()]))
+    arms = [robot.assembly(near), robot.assembly(near if far is None else far)]
+    cells, held = variation(tuple(robot.tubes)), np.stack([arm.transmission for arm in arms])
+    ends = cells.cuts - held[:, :, None]
+    cuts = merge(np.maximum(np.concatenate([[0.0], ends.ravel()]), 0.0))
     start, length = cuts[:-1], np.diff(cuts)
-    s = (start + length / 2)[:, None]
-    surely, maybe = s < ends.min(0), s < ends.max(0)
+    s = (start + length / 2)[:, None, None]
+    outside = np.full((robot.n_tubes, 1), np.inf)
+    begin, end = np.hstack([-outside, ends.min(0)]), np.hstack([ends.max(0), outside])
+    # (m, n, C + 1) cells that a section may be in; the last is behind the end of a tube, where it has no stiffness.
+    maybe = (begin < s) & (s < end)
+    kb, behind = cells.bending[0], np.isinf(end)
+    surely = np.where(maybe, np.where(behind, 0.0, kb), np.inf).min(2)
     # Beyond the last end that is sure, some tube is there wherever there is an arm.
-    least = np.where(maybe, kb, np.inf).min(1)
-    curved = maybe & (s > transition.min(0))
+    least = np.where(maybe & ~behind, kb, np.inf).min((1, 2))
     return Bundle(
         start,
         length,
-        np.maximum((kb * surely).sum(1), least),
-        np.abs(kb * near.curvature) * curved,
-        near.torsional_stiffness,
-        np.maximum(near.transmission, far.transmission),
+        np.maximum(surely.sum(1), least),
+        np.where(maybe & ~behind, cells.pull[0], 0.0).max(2),
+        cells.torsional.min(1),
+        held.max(0),
     )
 
 
-def loaded_worst_case(assembly: Assembly, unloaded: float, force: float) -> float:
-    """A lower bound of the margin for all rotations and all dead tip forces of at most `force`, N; `unloaded` is that
-    without force.
+def loaded_worst_case(robot: Robot, translations: Array, unloaded: float, force: float) -> float:
+    """A lower bound of the margin for all rotations and all dead tip forces of at most `force`, N, at translations
+    (n,), m; `unloaded` is that without force.
 
     Of two bounds the larger: that of above, and the unloaded one less the eigenvalue of the parts of N by the force
     alone, since a least value of a sum is at least the sum of the least values. The second is the sharper one for weak
     forces on three or more tubes, which cannot oppose one another pairwise as N has it.
     """
-    if not force or not assembly.total_length:
+    bundle = bundle_of(robot, translations)
+    if not force or not bundle.total_length:
         return unloaded
-    bundle = bundle_of(assembly)
     apart = unloaded - bundle.softened(force, pairs=False)
     together = 1 - bundle.softened(force, pairs=True)
     return min(unloaded, max(apart, together))

@@ -22,7 +22,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
@@ -48,7 +48,7 @@ def loaded_equilibria(
     check_load(robot, load, translations)
     load.require_energy("equilibria cannot be counted")
     member = Loaded.of(robot, rotations, translations, load)
-    bounded, force = load.tip_force_only and not is_general(robot), float(np.linalg.norm(load.force))
+    bounded, force = load.tip_force_only, float(np.linalg.norm(load.force))
     if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
         return [forward_kinematics(robot, rotations, translations, load=load)]
     found: list[LoadedPoint] = []

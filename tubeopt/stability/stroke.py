@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,7 +76,7 @@ def find_stroke_force(
 
 def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
     """A force against the tip, N, about that which buckles the weakest part as a column of the whole length."""
-    arm = bundle_of(first.robot.assembly(first.translations))
+    arm = bundle_of(first.robot, first.translations)
     unit = min(up_to, 1.1 * float(arm.stiffness.min()) / arm.total_length**2)
     return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
 
@@ -85,10 +85,24 @@ BREAKS = 1e-6
 """Part of a change of the equations along the direction of buckling above which it breaks the symmetry."""
 
 
+@dataclass(frozen=True, eq=False)
+class Varied:
+    """A robot that changes by a parameter of any unit, at fixed joint values."""
+
+    step: float
+    """In that unit."""
+    robots: tuple[Robot, Robot]
+    """A step further, and a step back."""
+    turn: Array
+    """(3,) turn vector of the tip, per that unit, rad."""
+
+
 @small
-def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -> tuple[float, Array] | None:
+def stroke_slopes(
+    first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0, *, varied: Sequence[Varied] = ()
+) -> tuple[float, Array] | None:
     """The stroke force of a stable equilibrium without load, N, and (Q,) its derivatives by joint values and
-    dimensions, n for each name of `wrt`, per their units; None as `find_stroke_force`.
+    dimensions, n for each name of `wrt`, per their units, then by what is `varied`; None as `find_stroke_force`.
 
     With g the gradient of the energy, H its second variation and v the direction in which H is singular at the limit,
     F the force and p what changes: at a fold v.(g_F dF + g_p dp) = 0; at a bifurcation v'Hv stays 0 along the branch,
@@ -119,6 +133,14 @@ def stroke_slopes(first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0) -
             raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
         rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
         out.append(-rate / by_force)
+    for one in varied:
+        slope, shift = np.cross(one.turn, force), tuple(first.translations.tolist())
+        loads = (Load(tuple((force + sign * one.step * slope).tolist())) for sign in (1, -1))
+        both = [
+            (loaded_problem(robot, shift, load, LOADED_DISCRETISATION), first.rotations)
+            for robot, load in zip(one.robots, loads, strict=True)
+        ]
+        out.append(-_rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], one.step) / by_force)
     return value, np.array(out)
 
 
