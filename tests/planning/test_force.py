@@ -27,6 +27,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.pieces import as_pieces
 from tubeopt.equilibrium.load_problem import loaded_problem
 from tubeopt.stability.deflection import most_borne, under_any_force
+from tubeopt.stability.loaded_certificate import bundle_of
 from tubeopt.typing import Array
 
 FINE = ConcentricRobot((Tube(1e-3, 0.7e-3, 0.05, 0.08, 10.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 8.0)))
@@ -129,6 +130,11 @@ def test_no_cross_section_bears_more_than_the_bound() -> None:
     # To one side all forces add up, and so does their bound.
     along = Load((0.02, 0, 0), points=((0.02, (0.01, 0, 0)),), distributed=(0.3, 0, 0))
     assert most_borne(FINE, way, along) == pytest.approx(0.02 + 0.01 + 0.3 * 0.07, rel=1e-12)
+    hanging = sum(
+        9.81 * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.material.thermal.density * end
+        for t, end in zip(FINE.tubes, (0.07, 0.05), strict=True)
+    )
+    assert most_borne(FINE, way, Load(gravity=(0.0, -9.81, 0.0))) == pytest.approx(hanging, rel=1e-12)
     with pytest.raises(InputError, match="distributed is a function, of which no number of values is a bound"):
         most_borne(FINE, way, Load(distributed=lambda s: (s, 0.0, 0.0)))
     with pytest.raises(InputError, match="nothing bounds the margin under further forces"):
@@ -182,6 +188,14 @@ def test_tubes_of_pieces_keep_what_is_shown_under_any_force() -> None:
     outer = Tube.of_pieces(1.5e-3, 1.2e-3, [Piece.helix(0.03, 2e-3, 0.05)], straight_length=0.02)
     robot, low, high = ConcentricRobot((inner, outer)), np.array([-0.006, -0.004]), np.array([-0.004, -0.002])
     random, force = np.random.default_rng(3), 0.05
+    bundle = bundle_of(robot, low, high)
+    for share in np.linspace(0, 1, 5):
+        arm = robot.assembly(low + share * (high - low))
+        s = np.linspace(1e-6, arm.total_length - 1e-6, 400)
+        there, k = arm.cross_sections(s, s), np.searchsorted(bundle.start, s) - 1
+        assert (there.stiffness.sum(1) >= bundle.stiffness[k] * (1 - 1e-12)).all()
+        assert (there.moment <= bundle.pull[k] * (1 + 1e-12)).all()
+        assert (there.torsional_stiffness >= bundle.torsional * (1 - 1e-12)).all()
     bound, box = under_any_force(robot, low, force), under_any_force(robot, [low, high], force)
     assert 0 < box.margin < bound.margin < snap_free_certificate(robot, low)
     for push in force * pushes(14):
