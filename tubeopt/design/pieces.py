@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
+from ..equilibrium import linearised
 from ..equilibrium.general_derivatives import Change, Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
@@ -199,7 +200,7 @@ def resized_change(here: Linearised, by: Mapping[str, Array]) -> Change:
     )
 
 
-def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
+def change_of(here: Linearised | linearised.Linearised, unknown: Unknown, given: Given) -> Change:
     """What an unknown changes along a solved arm."""
     shape, n = here.shape, here.n
     none, zero = np.zeros((1, n)), np.zeros((1, *shape))
@@ -257,7 +258,7 @@ def _rates(
             return 0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0
 
 
-def _softer(here: Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
+def _softer(here: Linearised | linearised.Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
     """Change of int ds / GJ from the held end to the plate, with GJ of a piece in proportion to it."""
     tube, low, length = piece
     if np.ndim(dkt) == 0:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from ..block.quantities import PoseNumber
-from ..block.transcription.loaded import evaluate, tip_position
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import loaded_problem
-from ..equilibrium.loaded import loaded_point
+from ..equilibrium.linearised import Linearised
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import discretisation_of, to_equilibrium
+from ..equilibrium.solving import to_equilibrium
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
+from .pieces import change_of, given_of
 from .state import State
 
 STRONGEST = 10.0
@@ -31,9 +30,12 @@ def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, f
     does not bear it there."""
     plain, names, rows = _unloaded(state, index)
     pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
-    change = _tip_moves(state, pushed) - state.pose(index).tip_slope @ state.chain(index)
-    if names:
-        change += pushed.jacobian(wrt=names).position @ rows
+    space = state.layout.space
+    given = given_of(space.unknowns, state.x[: state.layout.designs].tolist()) if space.pieced else {}
+    free = [k for k, one in enumerate(space.unknowns) if one.pieces]
+    of = Linearised(pushed, names, more=lambda here: [change_of(here, space.unknowns[k], given) for k in free])
+    moved = np.concatenate([rows, np.eye(state.layout.size)[free]])
+    change = of.tip_position @ moved - state.pose(index).tip_slope @ state.chain(index)
     return pushed.tip_position - plain.tip_position, change
 
 
@@ -75,25 +77,3 @@ def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, 
             (k, step, (ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))))
         )
     return out
-
-
-def _tip_moves(state: State, pushed: Equilibrium) -> Array:
-    """(3, X) change of the tip of an equilibrium under load with what is free of pieces.
-
-    With H the second variation and g the gradient of the energy, H dx = -dg; the tip is differentiated along both.
-    """
-    change, shift = np.zeros((3, state.layout.size)), tuple(pushed.translations.tolist())
-    free = _free_pieces(state)
-    if not free or pushed.load is None:
-        return change
-    point, d = loaded_point(pushed), discretisation_of(pushed)
-    for k, step, robots in free:
-        both = [loaded_problem(robot, shift, pushed.load, d) for robot in robots]
-        ahead, back = (evaluate(problem, pushed.rotations, point.state.x).gradient for problem in both)
-        by = np.linalg.solve(point.state.hessian, (back - ahead) / (2 * step))
-        tips = [
-            tip_position(problem, evaluate(problem, pushed.rotations, point.state.x + sign * step * by))
-            for problem, sign in zip(both, (1, -1), strict=True)
-        ]
-        change[:, k] = (tips[0] - tips[1]) / (2 * step)
-    return change

@@ -16,7 +16,7 @@ since no other change of the mode matters to it. What is continuous where the tu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -29,11 +29,13 @@ from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.standing import Burden, Forcing, Response, Sections, Standing, cross, hat, sections_of
 from ..errors import InputError, SolveError
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.lengthwise import CrossSections
+from ..robots.lengthwise import CrossSections, Lengthwise
 from ..robots.load import FORCE, MOMENT, masses
+from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 from .arm_change import check_wrt
 from .derivatives import FLAT
+from .general_derivatives import Change
 from .load_problem import loaded_problem
 from .result import Equilibrium, refuse_friction
 from .solving import discretisation_of, reduced_problem, sample_rotation
@@ -107,6 +109,7 @@ class Linearised:
         wrt: names of PARAMETERS.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
+        more: changes of the tubes at fixed arc lengths, one further column each.
 
     Raises:
         InputError: a name that is not among PARAMETERS, a side that is neither 1 nor -1; or the tip draws back from
@@ -115,7 +118,11 @@ class Linearised:
     """
 
     def __init__(
-        self, equilibrium: Equilibrium, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1
+        self,
+        equilibrium: Equilibrium,
+        wrt: Sequence[str] = ("rotations", "translations"),
+        side: int = 1,
+        more: Callable[[Linearised], Sequence[Change]] | None = None,
     ) -> None:
         check_wrt(wrt, side)
         refuse_friction(equilibrium)
@@ -126,9 +133,8 @@ class Linearised:
         self.here = standing_of(equilibrium, straight)
         self.assembly = self.here.problem.assembly
         self.n, self.arm, self.cuts = self.here.n, equilibrium.arm, self.here.cuts
-        self.terms = [[(name, i, 1.0)] for name in self.wrt for i in range(self.n)]
-        """What each column changes: parameters of tubes, and by how much."""
-        self.size = len(self.terms)
+        self._more = [] if more is None else list(more(self))
+        self.size = self.n * len(self.wrt) + len(self._more)
 
     # --- what changes -------------------------------------------------------------------------------------------------
 
@@ -148,37 +154,40 @@ class Linearised:
             side=self.side,
         )
         speed = np.zeros((len(self._breakpoints.tube), size))
-        for column, terms in enumerate(self.terms):
-            for name, i, by in terms:
-                self._enter(forcing, (bases[2], speed), (column, name, i, by))
+        for column, (name, i) in enumerate((name, i) for name in self.wrt for i in range(n)):
+            self._enter(forcing, (bases[2], speed), (column, name, i))
+        for column, change in enumerate(self._more, start=n * len(self.wrt)):
+            forcing.base[:, column], forcing.transmission[:, column] = change.base[0], change.transmission[0]
+            forcing.data[..., column], forcing.rate[..., column] = change.columns[0], change.rate[0]
+            bases[2][:, column] = change.wound[0]
         np.add.at(forcing.jumps, self._breakpoints.index, self._strips[0][:, :, None] * speed[:, None])
         return forcing, bases[2], speed
 
-    def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int, float]) -> None:
-        """Add what a parameter of a tube changes, times a factor, to a column."""
-        column, name, i, by = what
+    def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int]) -> None:
+        """Enter what a parameter of a tube changes into a column."""
+        column, name, i = what
         here, n, own, (wound, speed) = self.here, self.n, self.equilibrium.robot.tubes[i], more
         kb, m = (into.data[..., k * n + i, column] for k in (1, 2))
         if name == "rotations":
-            into.base[i, column] += by
+            into.base[i, column] = 1.0
         elif name == "straight_length":
-            into.transmission[i, column] += by * float(_held(self.assembly, 0)[i])
+            into.transmission[i, column] = float(_held(self.assembly, 0)[i])
         elif name == "curvature":
             straight = here.stiffness[..., i] * self._bendable(i)
-            m += by * (here.moments[..., i] / own.curvature if own.curvature else straight)
+            m += here.moments[..., i] / own.curvature if own.curvature else straight
         elif name == "bending_stiffness":
-            kb += by * here.stiffness[..., i] / own.bending_stiffness
-            m += by * here.moments[..., i] / own.bending_stiffness
+            kb += here.stiffness[..., i] / own.bending_stiffness
+            m += here.moments[..., i] / own.bending_stiffness
         elif name == "torsional_stiffness":
-            into.rate[..., i, column] -= by * here.rate[..., i] / own.torsional_stiffness
-            into.transmission[i, column] -= by * here.transmission[i] / own.torsional_stiffness
+            into.rate[..., i, column] -= here.rate[..., i] / own.torsional_stiffness
+            into.transmission[i, column] -= here.transmission[i] / own.torsional_stiffness
         else:
             self._advance(into, (wound, speed), what)
 
-    def _advance(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int, float]) -> None:
+    def _advance(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int]) -> None:
         """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
         place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
-        column, name, i, by = what
+        column, name, i = what
         here, n, own, points = self.here, self.n, self.equilibrium.robot.tubes[i], self._breakpoints
         wound, speed = more
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
@@ -188,31 +197,31 @@ class Linearised:
                 return np.ones_like(place)
             return np.maximum(place - own.straight_length, 0.0) / own.curved_length
 
-        speed[mine, column] += by * moves(points.place[mine] + held)
-        into.transmission[i, column] -= by * float(moves(np.array(held))) * self._softness(i)
+        speed[mine, column] += moves(points.place[mine] + held)
+        into.transmission[i, column] -= float(moves(np.array(held))) * self._softness(i)
         end = float(self.assembly.end[i])
         if self._density[i] and end > -self.side * ROUND_OFF:
-            gained = by * float(moves(np.array(end + held))) * self._density[i]
+            gained = float(moves(np.array(end + held))) * self._density[i]
             into.force[..., column] += (self._arc_length < end)[..., None] * (gained * self._gravity)
         if table is None:
             if name == "curved_length":
                 grown = max(held - own.straight_length, 0.0) / own.curved_length
-                into.transmission[i, column] += by * grown * self._softness(i)
+                into.transmission[i, column] += grown * self._softness(i)
             return
         place = self._arc_length + held
-        moved = by * moves(place)
+        moved = moves(place)
         for k, rate in enumerate(self._passing[:3]):
             into.data[..., k * n + i, column] -= rate[..., i] * moved
         into.rate[..., i, column] -= self._passing[3][..., i] * moved
         if name == "curved_length":
             straight = np.array([tube.straight_length for tube in self.equilibrium.robot.tubes])
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
-            into.transmission[i, column] += by * max(float(up_to), 0.0) / own.curved_length
+            into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
             ends = np.array([tube.length for tube in self.equilibrium.robot.tubes])
             begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
             turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
-            into.data[..., i, column] += by * np.where(moved != 0, turned, 0.0) / own.curved_length
-            wound[i, column] += by * (ended - begun) / own.curved_length
+            into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
+            wound[i, column] += (ended - begun) / own.curved_length
 
     @cached_property
     def _arc_length(self) -> Array:
@@ -242,6 +251,39 @@ class Linearised:
     @property
     def _passing(self) -> tuple[Array, ...]:
         return passing(self.here.problem)
+
+    # --- what a change of pieces needs to know ------------------------------------------------------------------------
+
+    @property
+    def robot(self) -> Robot:
+        """Of which the arm is."""
+        return self.equilibrium.robot
+
+    @property
+    def problem(self) -> ReducedProblem:
+        """Of the rotations."""
+        return self.here.problem
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Pieces, points, tubes."""
+        return self.here.pieces, self.here.degree, self.n
+
+    @property
+    def place(self) -> Array:
+        """(P, K, n) where the points lie on the tubes, m from their held ends."""
+        return self._arc_length[..., None] + self.assembly.transmission
+
+    @property
+    def table(self) -> Lengthwise:
+        """What tubes made of pieces are along them."""
+        assert self.assembly.lengthwise is not None
+        return self.assembly.lengthwise
+
+    @cached_property
+    def values(self) -> Array:
+        """(6, P, K, n) the quantities of the table at the points."""
+        return self.table.values(self.place.reshape(-1, self.n)).reshape(6, *self.shape)
 
     # --- breakpoints --------------------------------------------------------------------------------------------------
 

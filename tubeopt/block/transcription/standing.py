@@ -154,7 +154,7 @@ class Standing:
         self.h = self.length[:, None, None]
         self.weights = self.length[:, None] * self.t.weights
         self.cuts = np.append(self.mesh.start, problem.assembly.total_length)
-        sections = problem.here.sections
+        self.sections = sections = problem.here.sections
         points = self.pieces, self.degree
         self.phase, self.stiffness, self.moments = (
             part.reshape(*points, self.n) for part in (sections.phase, sections.stiffness, sections.moment)
