@@ -25,7 +25,12 @@ from tubeopt.robots.robot import resized
 from tubeopt.typing import Array
 
 HELIX = Piece(0.04, (3.0, 1.0, 8.0))
-WAVE = Piece(0.05, lambda s: (9.0 * np.cos(20 * s), 4.0 * s, 0.0))
+WAVE = Piece(
+    0.05,
+    lambda s: (9.0 * np.cos(20 * s), 4.0 * s, 0.0),
+    bending_stiffness=lambda s: 1.2e-3 + 5e-3 * s,
+    torsional_stiffness=lambda s: 7e-4 - 4e-3 * s,
+)
 
 
 def _tube(k: int, straight: float, curved: float, curvature: float) -> Tube:
@@ -137,6 +142,7 @@ def _one_sided(e: Equilibrium, name: str, step: Array) -> Array:
 ENDS_TOGETHER = np.zeros(3)
 """Stands for translations at which all tubes end together."""
 AT_AN_END = Load((0.02, 0.03, -0.05), points=((0.086 - 0.004, (0.05, -0.04, 0.03)),))
+AT_A_TRANSITION = Load((0.02, 0.03, -0.05), points=((0.009, (0.05, -0.04, 0.03), (0.003, 0.004, 0.008)),))
 
 
 @pytest.mark.parametrize(
@@ -147,8 +153,9 @@ AT_AN_END = Load((0.02, 0.03, -0.05), points=((0.086 - 0.004, (0.05, -0.04, 0.03
         (ENDS_TOGETHER, Load((0.06, -0.04, 0.03), gravity=(2.0, -9.0, 3.0), distributed=(0.4, -0.7, 0.3))),
         (ENDS_TOGETHER, Load((0.06, -0.04, 0.03))),
         ((-0.011, -0.017, -0.004), AT_AN_END),
+        ((0.021, -0.017, 0.009), AT_A_TRANSITION),
     ],
-    ids=["home", "home with moments", "ends together, weight", "ends together", "load at an end"],
+    ids=["home", "home with moments", "ends together, weight", "ends together", "load at an end", "at a transition"],
 )
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("name", ["translations", "curved_length"])
