@@ -13,6 +13,7 @@ from ..robots.assembly import Assembly
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
+from ..typing import Array
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
 from .linearised import Linearised
@@ -111,12 +112,26 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    of: Derivatives | Linearised
+    found = _found(equilibrium, wrt, side)
+    if isinstance(found, Jacobian):
+        return found
+    return Jacobian(found.wrt, found.tip_position, found.tip_rotation, found.tip_rotations, found.margin, found.energy)
+
+
+@small
+def position_slopes(equilibrium: Equilibrium) -> Array:
+    """(3, 2n) derivatives of the tip position of an equilibrium by its joint values, m per rad and per m.
+
+    Raises:
+        SolveError: the equilibrium is a fold, where derivatives are infinite.
+    """
+    found = _found(equilibrium, JOINTS, 1)
+    return found.position if isinstance(found, Jacobian) else found.tip_position
+
+
+def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Derivatives | Linearised:
+    """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
     if equilibrium.load is not None:
-        of = Linearised(equilibrium, wrt, side)
-    else:
-        by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
-        if by_kernel is not None:
-            return by_kernel
-        of = derivatives_of(equilibrium, wrt, side=side)
-    return Jacobian(of.wrt, of.tip_position, of.tip_rotation, of.tip_rotations, of.margin, of.energy)
+        return Linearised(equilibrium, wrt, side)
+    by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
+    return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel

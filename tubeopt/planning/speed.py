@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..typing import Array, Mask
@@ -66,8 +67,9 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
         loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links], dtype=bool)
         if not loose.any() or follower.over:
             break
-        # What the bound gives away falls with the square of the length, and faster near folds.
-        wide = np.maximum(own - reached, TIGHT * reached) / (TIGHT * reached or 1.0)
+        # What the bound gives away falls with the square of the length, and faster near folds; halves get the cubic.
+        best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
+        wide = np.maximum(best - reached, TIGHT * reached) / (TIGHT * reached or 1.0)
         times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MOST_HALVINGS), 0).tolist()
         parts: list[Link] = []
         for link, count, bound in zip(links, times, own.tolist(), strict=True):
@@ -142,10 +144,8 @@ class _Row:
 
     def velocity(self, step: int, link: int) -> Array | None:
         """(3,) m/s of the tip at a step, J q' with the joint rates of a link; None where breakpoints that meet there
-        move apart, or under a load, under which J costs more than steps."""
+        move apart."""
         here, rate, n = self.steps[step], self.rate[link], self.follower.robot.n_tubes
-        if self.follower.load is not None:
-            return None
         if rate[n:].any():
             moving = np.concatenate([[0.0], np.tile(rate[n:], self.follower.constants.ended)])
             meet = np.abs(self._gaps(here.joints[None, n:])[0]) <= 2 * SWAPPED
@@ -153,7 +153,7 @@ class _Row:
                 return None
         if here.equilibrium not in self.slopes:
             try:
-                self.slopes[here.equilibrium] = here.equilibrium.jacobian().position
+                self.slopes[here.equilibrium] = position_slopes(here.equilibrium)
             except SolveError:
                 self.slopes[here.equilibrium] = None
         slope = self.slopes[here.equilibrium]
