@@ -170,16 +170,6 @@ class Linearised:
             return replace(nothing, rate=kt * softer, transmission=one * self.here.transmission * softer)
         return self._stretched(tube, one) if name == "curved_length" else self._moved(tube, one)
 
-    def lengthened(self, straight: Array, curved: Array) -> Change:
-        """What straight parts change that are longer by so much (n,), and curved parts, at the same translations."""
-        grown = [*zip(("straight_length",) * self.n, range(self.n), straight, strict=True)]
-        grown += [*zip(("curved_length",) * self.n, range(self.n), curved, strict=True)]
-        each = [(by, self.change(name, tube)) for name, tube, by in grown if by]
-        none = self.change("straight_length", 0)
-        return Change(
-            *(sum((by * getattr(one, f.name) for by, one in each), 0 * getattr(none, f.name)) for f in fields(Change))
-        )
-
     def _bendable(self, tube: int) -> Array:
         """(P, K, n) where a tube that is straight would be curved if it had a curvature: behind its straight part, but
         straight pieces stay straight."""
