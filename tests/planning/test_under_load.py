@@ -172,8 +172,15 @@ def test_what_is_not_proved_is_said_by_name() -> None:
         "not proved: what lies between equilibria under forces at points along the arm is not bounded",
     )
     assert proof.followed == 1.0
-    with pytest.raises(InputError, match="has a moment or turns with the tip"):
-        verify_trajectory(THESIS, [0, 1], table, load=Load(moment=(0.01, 0, 0)))
+    under = "a moment, or a force that turns with the tip"
+    proof = verify_trajectory(THESIS, [0, 1], table, load=Load(moment=(0.01, 0, 0)))
+    assert proof.faults == (f"not proved: what lies between equilibria under {under} is not bounded",)
+    ends = [forward_kinematics(THESIS, turns, load=Load(moment=(0.01, 0, 0))).margin for turns in table]
+    assert proof.least_margin <= min(ends)
+    turned = [np.zeros(3), np.array([200, 0, 0]) * DEG]
+    proof = verify_trajectory(THESIS, [0, 1], turned, load=Load(moment=(0.003, 0.002, 0.002)))
+    # The fold at 187.578 deg is that of tests/stability/test_moments_along_the_arm.py, by shooting.
+    assert proof.faults[0].startswith("the robot snaps: the branch ends after 93.78")
 
 
 def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,21 @@ def test_other_loads_may_be_known() -> None:
     assert np.allclose(found.force, (0.02, 0.03, 0), atol=1e-6)
 
 
+def test_force_beside_known_moments_is_found_with_the_errors_of_differences() -> None:
+    known = Load(moment=(0.003, 0.002, 0.002), points=((0.06, (0, 0, 0), (0.004, 0, 0.002)),))
+    force, noise = np.array((0.02, -0.01, 0.005)), 1e-7
+
+    def tip(at: Array) -> Array:
+        return forward_kinematics(THESIS, ROTATIONS, load=replace(known, force=tuple(at.tolist()))).tip_position
+
+    found = estimate_force(THESIS, ROTATIONS, tip_position=tip(force), noise=noise, known=known)
+    assert np.allclose(found.force, force, rtol=0, atol=1e-7)
+    slope = np.transpose([(tip(force + d) - tip(force - d)) / 2e-4 for d in 1e-4 * np.eye(3)])
+    assert np.abs(slope - slope.T).max() > 1e-5
+    expected = noise**2 * np.linalg.inv(slope.T @ slope)
+    assert np.allclose(found.covariance, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+
+
 def test_what_makes_no_sense_says_so() -> None:
     with pytest.raises(InputError, match="neither tip_position nor points"):
         estimate_force(THESIS, ROTATIONS)
@@ -105,8 +122,8 @@ def test_what_makes_no_sense_says_so() -> None:
         estimate_force(THESIS, ROTATIONS, points=[(1.0, (0, 0, 0))])
     with pytest.raises(InputError, match="noise is 0"):
         estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), noise=0)
-    with pytest.raises(InputError, match="known has a moment"):
-        estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), known=Load(moment=(1, 0, 0)))
+    with pytest.raises(InputError, match="known has a force or moment that turns with the tip"):
+        estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), known=Load(moment=(1, 0, 0), frame="tip"))
 
 
 def test_standard_errors_of_a_record_are_roots_of_variances() -> None:

@@ -143,7 +143,9 @@ class Aiming(Settings):
     stalled: float = 1e-7
     """Share of the arm, or angle, up to which round-off may end the aiming."""
     gain: float = 0.9
-    """Part of the last miss to which a shot must bring it; beyond, aiming does not converge."""
+    """Part of the last miss to which a shot must bring it, or it is a poor one."""
+    poor: int = 4
+    """Poor shots beyond which aiming does not converge."""
     room: float = 1e-3
     """Margin, and share of the arm's length as clearance, asked for beyond what was found missing."""
 

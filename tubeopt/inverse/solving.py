@@ -175,8 +175,6 @@ def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: boo
 
     Where the loaded arm falls short of the margin or the clearance, the unloaded one is asked for so much more.
     """
-    if not load.has_energy:
-        raise InputError("load has a moment or turns with the tip, so no margin: no answer is known to be stable")
     if goal.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is held or left free")
     wanted, last, room = goal, seed, goal.solver.aim.room
@@ -208,8 +206,11 @@ def _without_load(seed: Configuration | None) -> Configuration | None:
 
 
 def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> tuple[InverseSolution, Equilibrium]:
-    """An answer without load whose loaded equilibrium is on target."""
-    at, missed, solver = goal, np.inf, goal.solver.aim
+    """An answer without load whose loaded equilibrium is on target: by Broyden's method in where the unloaded tip is
+    and, where it is wanted, in its direction, from as if the load moved all tips alike."""
+    at, missed, poor, solver = goal, np.inf, 0, goal.solver.aim
+    slope: Array = np.eye(3 if goal.direction is None else 6)
+    before, step = None, np.zeros(len(slope))
     for _ in range(solver.shots):
         if isinstance(last, InverseSolution) and not held:
             here = goal.space.join(last.rotations, last.translations)
@@ -220,16 +221,23 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
         )
         gap = goal.position - e.tip_position
         turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
-        before, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
+        last_miss, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
         if max(float(np.linalg.norm(gap)), turn) <= solver.tolerance:
             return last, e
-        if missed > solver.gain * before:
-            if missed <= solver.stalled:
-                return last, e
+        poor += missed > solver.gain * last_miss
+        if poor and missed <= solver.stalled:
+            return last, e
+        if poor > solver.poor:
             break
-        at = replace(at, position=at.position + gap)
-        if goal.direction is not None and at.direction is not None:
-            along = at.direction + goal.direction - e.tip_rotation[:, 2]
+        length, off = float(e.arc_length[-1]), gap
+        if goal.direction is not None:
+            off = np.concatenate([gap, length * (goal.direction - e.tip_rotation[:, 2])])
+        if before is not None:
+            slope = slope + np.outer(before - off - slope @ step, step) / (step @ step)
+        before, step = off, np.linalg.solve(slope, off)
+        at = replace(at, position=at.position + step[:3])
+        if at.direction is not None:
+            along = at.direction + step[3:] / length
             at = replace(at, direction=along / np.linalg.norm(along))
     raise SolveError(
         f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm, and aiming does not help"

@@ -233,7 +233,6 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
     """The stable equilibrium at the first joint values, under the load."""
     if load is not None:
         check_load(robot, load, tuple(joints[1].tolist()))
-        load.require_energy("nothing is told of snaps")
     first = forward_kinematics(robot, *joints, load=load) if start is None else start
     if not first.stable:
         raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")

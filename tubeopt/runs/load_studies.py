@@ -99,9 +99,9 @@ class ForceStudy(LoadedStudy, Timed):
         """The forces, rows that cannot be told marked; in the frame of the plate, as the measurements must be.
 
         Raises:
-            InputError: a load that is known has a moment or turns with the tip.
+            InputError: a load that is known turns with the tip.
         """
         known = self.pushing()
-        if known is not None and not known.has_energy:
-            raise InputError("the known load has a moment or turns with the tip; it must keep its direction")
+        if known is not None and known.frame != "world":
+            raise InputError("the known load turns with the tip; its frame must be 'world'")
         return estimate_forces(self.robot, self.measurements, known=known, progress=progress, **self.in_si("noise_mm"))

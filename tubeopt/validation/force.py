@@ -322,7 +322,7 @@ def estimate_force(  # noqa: PLR0913
 
     Raises:
         InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
-            load with a moment or one that turns with the tip.
+            load that turns with the tip.
         SolveError: no equilibrium without the force, or the fit does not settle.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -337,8 +337,8 @@ def estimate_force(  # noqa: PLR0913
     instance("solver", solver, ForceSolver)
     alpha, shift = joint_values(robot, rotations, translations)
     base = known if known is not None else Load()
-    if not base.has_energy:
-        raise InputError("known has a moment or turns with the tip; it must be forces that keep their direction")
+    if base.frame != "world" and (any(base.force) or any(base.moment)):
+        raise InputError("known has a force or moment that turns with the tip; its frame must be 'world'")
     first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
     start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
     measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
