@@ -4,8 +4,8 @@ A port 60 mm from the plate acts on the outermost tube there. Across the arm its
 it twists the outer tube alone, whose curve then lies in another direction.
 
 One learns: a moment across the arm moves the tip twice as far as the same moment along it, which turns the outer tube
-by 30 deg instead. Neither has an energy; a margin, the least real part of an eigenvalue, there is all the same. With the
-inner tube turned by a moment along its tip, a motion that is safe without the moment snaps earlier.
+by 30 deg instead. Neither has an energy; the margin is the least real part of an eigenvalue. A moment along the tip
+makes the robot snap earlier as its inner tube turns.
 """
 
 from __future__ import annotations

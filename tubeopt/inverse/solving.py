@@ -23,6 +23,7 @@ from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
+from ..typing import Array
 from .answer import InverseSolution
 from .clock import Clock
 from .configurations import Configuration
@@ -210,7 +211,8 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
     and, where it is wanted, in its direction, from as if the load moved all tips alike."""
     at, missed, poor, solver = goal, np.inf, 0, goal.solver.aim
     slope: Array = np.eye(3 if goal.direction is None else 6)
-    before, step = None, np.zeros(len(slope))
+    before: Array | None = None
+    step = slope[0]
     for _ in range(solver.shots):
         if isinstance(last, InverseSolution) and not held:
             here = goal.space.join(last.rotations, last.translations)
