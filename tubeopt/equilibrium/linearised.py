@@ -451,13 +451,15 @@ class Linearised:
 
     @cached_property
     def margin(self) -> Array:
-        """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without one."""
+        """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without an energy."""
         value = self.equilibrium.margin
         if not self.here.pieces:
             return np.asarray(-self._softened @ self._given[2])
         if value >= FLAT:
             return np.zeros(self.size)
-        mode = None if np.isnan(value) else mode_of(self.here, value)
+        load = self.equilibrium.load
+        known = load is None or load.has_energy
+        mode = mode_of(self.here, value) if known and not np.isnan(value) else None
         return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
 
     @property
