@@ -248,6 +248,26 @@ def test_the_branch_is_followed_up_to_the_snap_and_no_farther(thesis: CRobot) ->
     assert again.tip_position == pytest.approx(last.tip_position, abs=1e-12)
 
 
+def test_a_call_follows_at_most_64_steps_of_ordinary_length(thesis: CRobot) -> None:
+    """TUBEOPT_TOO_FAR of the header: 64 of 0.3 rad. All tubes turned alike turn the robot as it is."""
+    for share in (0.999, 1.001):
+        first, turn = thesis.solve(*START), share * 64 * 0.3
+        if share > 1:
+            with pytest.raises(SolveError, match="longer"):
+                thesis.follow(np.add(START[0], turn), START[1])
+        else:
+            known = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+            there = thesis.follow(np.add(START[0], turn), START[1])
+            assert there.tip_position == pytest.approx(known @ first.tip_position, abs=1e-10)
+
+
+def test_the_shape_of_the_arm_is_that_of_python_from_the_plate_to_the_tip(thesis: CRobot) -> None:
+    found, known = thesis.solve(*START), forward_kinematics(THESIS, *START)
+    assert found.arc_length == pytest.approx(np.linspace(0, known.arc_length[-1], len(found.arc_length)), abs=1e-12)
+    assert found.position == pytest.approx(Outline(known).centreline(found.arc_length), abs=1e-7)
+    assert found.position[-1] == pytest.approx(found.tip_position, abs=1e-15)
+
+
 def test_a_long_motion_into_a_snap_leaves_the_robot_where_it_began(thesis: CRobot) -> None:
     first = thesis.solve(np.zeros(3), np.zeros(3))
     with pytest.raises(SolveError, match="snap"):
@@ -277,6 +297,27 @@ def test_the_servo_reaches_its_target_within_rates_and_slides_along_the_floor(th
     assert known.tip_position == pytest.approx(pose.tip_position, abs=1e-9)
 
 
+def test_the_tip_turns_into_a_direction_as_by_the_servo_of_python(thesis: CRobot) -> None:
+    """No faster than it would turn at its speed about a tenth of the robot."""
+    seed = forward_kinematics(THESIS, *START)
+    options = ServoOptions(speed=0.02, turn_rate=3.0, shift_rate=0.1, min_margin=0.2)
+    servo, wanted = Servo(THESIS, thesis_start(thesis), options=options), seed.tip_rotation @ [0.06, -0.04, 1.0]
+    target, before = seed.tip_position + np.array([1e-3, 1e-3, 0.0]), np.inf
+    most = 0.02 * 1e-3 / (0.1 * max(tube.length for tube in THESIS.tubes))
+    for _ in range(170):
+        known = servo.step(Command(position=target, direction=wanted), 1e-3)
+        row = command(target, speed=0.02)
+        row[4:7] = wanted
+        pose, distance, angle, why = thesis.servo(row)
+        assert pose.tip_position == pytest.approx(known.equilibrium.tip_position, abs=1e-9)
+        assert pose.tip_rotation == pytest.approx(known.equilibrium.tip_rotation, abs=1e-8)
+        assert (distance, angle) == pytest.approx((known.distance, known.angle), abs=1e-8)
+        assert why == known.why
+        assert before - angle < 1.01 * most or before == np.inf
+        before = angle
+    assert angle < 1e-6
+
+
 def contacts_of(arm: Equilibrium, bodies: Sequence[Obstacle]) -> np.ndarray:
     scene = scene_of(tuple(bodies))
     found = Outline(arm).contacts(scene, 4e-3)
@@ -303,6 +344,20 @@ def test_among_bodies_the_servo_does_what_that_of_python_does(thesis: CRobot) ->
     assert Why.OBSTACLE in reasons
     with pytest.raises(InputError, match="more than it can take"):
         thesis.servo(command(target), np.zeros((100, 5)))
+
+
+def test_a_contact_a_hair_before_the_end_of_a_tube_moves_with_the_end(thesis: CRobot) -> None:
+    """To less than a nanometre it is the same contact, wherever round-off puts it."""
+    seed = forward_kinematics(THESIS, *START)
+    end, target = float(seed.tube_end[1]), seed.tip_position + np.array([8e-3, 0.0, 0.0])
+    along = seed.frame[np.argmin(np.abs(seed.arc_length - end))][:, 2]
+    found = []
+    for off in (0.0, -5e-10):
+        thesis.solve(*START)
+        # A wall whose normal is the tangent there: what brings it closer is that the end advances.
+        contact = np.array([[end + off, *-along, 5.2e-4]])
+        found.append(thesis.servo(command(target), contact, 5e-4)[0].tip_position)
+    assert found[1] == pytest.approx(found[0], abs=1e-9)
 
 
 def thesis_start(library: CRobot) -> tuple[np.ndarray, np.ndarray]:
@@ -492,6 +547,7 @@ def test_the_library_leaves_the_plate_and_comes_back(thesis: CRobot) -> None:
     at = thesis.solve(START[0], shift)
     assert not at.tip_position.any()
     assert not at.position.any()
+    assert not at.arc_length.any()
     assert at.margin == 1.0
     known = forward_kinematics(THESIS, START[0], shift).jacobian()
     slopes = thesis.slopes()

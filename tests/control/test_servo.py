@@ -163,6 +163,20 @@ def test_what_the_tip_leaves_free_goes_to_an_objective(objective: str) -> None:
         assert soft[0] < soft[1] * (1 - 1e-3)
 
 
+def test_a_free_robot_close_to_the_middle_of_its_ranges_is_there_in_one_step() -> None:
+    """As far as the objective may push, and no farther than the middle."""
+    space, push = joint_space(THESIS), 0.5
+    middle = np.where(np.isfinite(space.lower + space.upper), (space.lower + space.upper) / 2, 0.0)
+    away = np.array([0.3, -0.2, 0.1, 0.4, 0.2, -0.1])
+    options, most = ServoOptions(turn_rate=3.0, shift_rate=1.0, objective="centre", push=push), push * 3.0 * DT
+    for size in (0.9 * most, 3 * most):
+        start = middle + size * away / np.linalg.norm(away) * space.scale
+        servo = Servo(THESIS, space.split(start), options=options)
+        after = space.join(*joints(servo.step(Command(), DT).equilibrium))
+        left = (after - middle) / space.scale
+        assert left == pytest.approx(max(size - most, 0.0) * away / np.linalg.norm(away), abs=1e-9)
+
+
 def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) -> None:
     with pytest.raises(InputError, match="both given"):
         Command(position=(0, 0, 0), velocity=(0, 0, 0))

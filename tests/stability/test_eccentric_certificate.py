@@ -20,9 +20,11 @@ from tubeopt import (
     certify,
     find_snap,
     forward_kinematics,
+    forward_kinematics_batch,
     judge,
     snap_free_certificate,
     worst_certificate,
+    worst_margin,
 )
 from tubeopt.block.transcription.second_variation import softenings
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
@@ -317,6 +319,14 @@ def test_nothing_is_proved_of_other_arrangements(kind: type[EccentricRobot]) -> 
     assert not certify(robot).snap_free
     assert forward_kinematics(robot, np.zeros(3)).margin > 0.9
     assert judge(robot).finding is Finding.OPEN
+
+
+@pytest.mark.parametrize("kind", [Uneven, Unequal])
+def test_the_search_of_other_arrangements_turns_all_their_tubes(kind: type[EccentricRobot]) -> None:
+    """Brute force over turns of all three: no pose of a grid has a margin that is smaller by 1e-4."""
+    robot = kind(Tube(1.92 * MM, 1.57 * MM, 0.0, 60 * MM, 1 / 0.12))
+    turns = np.stack(np.meshgrid(*[np.linspace(0, 2 * np.pi, 6, endpoint=False)] * 3), axis=-1).reshape(-1, 3)
+    assert worst_margin(robot).margin <= forward_kinematics_batch(robot, turns).margin.min() + 1e-4
 
 
 def test_the_command_says_that_the_robot_snaps(run: Run, tmp_path: object) -> None:

@@ -38,6 +38,15 @@ def test_no_margin_of_a_pair_bends_more_than_the_bound(coupling: float, reach: f
         assert most == pytest.approx(greatest_bend(pair), rel=1e-9)
 
 
+def test_a_strong_pair_is_solved_for_each_tip_alone() -> None:
+    """D = x + 0.99 sin D, whose iteration has not settled after 60 passes: Newton's method does the rest, on both
+    sides of the aligned pose."""
+    pair = lever(0.396, 2.5, 0.6)
+    for x in np.linspace(-0.01, 0.01, 11):
+        d = brentq(lambda d, x=x: d - 0.99 * np.sin(d) - x, -1.0, 1.0, xtol=1e-14)
+        assert margins(pair, np.array([x]))[0] == pytest.approx(1 + 0.396 * 0.36 * np.cos(d), abs=1e-10)
+
+
 def test_what_a_finer_mesh_differs_by_is_taken_off_the_certificate_of_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     turned = [(0.05, (15.0, 0.0, 0.0)), (0.05, (0.0, 15.0, 0.0))]
     robot = Case((turned, [(0.09, (12.0, 0.0, 0.0))])).robot

@@ -68,8 +68,10 @@ class CPose:
     """Estimated, m."""
     residual: float
     """rad."""
+    arc_length: Array
+    """(POINTS,) of points of the arm, m."""
     position: Array
-    """(POINTS, 3) of the arm, m."""
+    """(POINTS, 3) of these points, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +161,8 @@ class CRobot:
         n, p = self._n, self._pose.copy()
         self._shape(*self._shape_at)
         frame, (margin, energy, error, residual) = p[2 * n + 3 : 2 * n + 12].reshape(3, 3), p[3 * n + 12 :].tolist()
-        tip, turned, arm = p[2 * n : 2 * n + 3], p[2 * n + 12 : 3 * n + 12], self._points.copy()
-        return CPose(p[:n], p[n : 2 * n], tip, frame, turned, margin, energy, error, residual, arm)
+        tip, turned, arm = p[2 * n : 2 * n + 3], p[2 * n + 12 : 3 * n + 12], (self._length.copy(), self._points.copy())
+        return CPose(p[:n], p[n : 2 * n], tip, frame, turned, margin, energy, error, residual, *arm)
 
     def solve(self, rotations: ArrayLike, translations: ArrayLike) -> CPose:
         """The stable equilibrium from tubes without torsion; raises SolveError where there is none."""
