@@ -23,6 +23,9 @@ NARROW = 0.1
 MIRRORED = 0.7
 """A mirror image whose residual is below this part of the registration's is worth a remark."""
 
+EXACT = 1e-6
+"""Residual over the spread of the points, below which it is round-off, and tells nothing about a mirror image."""
+
 OPEN = 1e-9
 """Least eigenvalue of H over its trace, below which the turn is open."""
 
@@ -81,8 +84,8 @@ def mirrored(here: Array, there: Array, left: float) -> float | None:
     size = np.linalg.svd(u.T @ v)[1]
     sign = np.sign(np.linalg.det(u.T @ v))
     best = (u**2).sum() + (v**2).sum() - 2 * (size[0] + size[1] - sign * size[2])
-    apart = math.sqrt(max(float(best), 0.0) / len(u))
-    return apart if apart < MIRRORED * left else None
+    apart, spread = math.sqrt(max(float(best), 0.0) / len(u)), math.sqrt(float((u**2).sum()) / len(u))
+    return apart if apart < MIRRORED * left and left > EXACT * spread else None
 
 
 def landmark_error(here: Array, there: Array, noise: float | None = None) -> RegistrationError:

@@ -30,6 +30,9 @@ FLAT = 1e-3
 DOUBT = 0.5e-3
 """Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it."""
 
+NEGLIGIBLE = 1e-6
+"""Uncertainty of a place (m) that no clearance need cover."""
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -110,6 +113,11 @@ class Registration:
     def rms(self) -> float:
         """Root of the mean square of the errors, m: the fiducial registration error."""
         return float(np.sqrt(np.mean(np.square(list(self.errors.values())))))
+
+    @property
+    def exact(self) -> bool:
+        """Whether landmarks away from a line fit so well that nothing need be said of what is left."""
+        return self.known.reach < NEGLIGIBLE and self.known.narrow > NARROW
 
     @property
     def statement(self) -> str:

@@ -301,7 +301,8 @@ class AnatomyPart(Entry):
                     f"registration leaves landmarks {error * 1e3:.3g} mm off (root of the mean square; {worst!r} by "
                     f"{found.errors[worst] * 1e3:.3g} mm); most_error_mm is {self.registration.most_error_mm}"
                 )
-            LOGGER.warning(found.statement)
+            if not found.exact:
+                LOGGER.warning(found.statement)
         fields, target = self._of_image()
         fields += [part.build() for part in self.structures if part.keep != "target"]
         regions = [centres(part.file, part.file.values) for part in self.structures if part.keep == "target"]

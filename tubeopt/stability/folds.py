@@ -192,8 +192,13 @@ def fall(lost: Place, direction: Array) -> Place | None:
     """
     member, x = lost.member, lost.state.x
     push = CONTINUATION.nudge / member.turn(lost.state, direction) * direction
-    along = lost.unresisted
-    ends = [slide(member, start) for start in downhill(x, push, lambda x: (member.at(x).gradient @ along) * direction)]
+    along = lost.unresisted * np.copysign(1.0, lost.unresisted @ direction)
+
+    def uphill(x: Array) -> Array:
+        gradient = member.at(x).gradient
+        return np.asarray(gradient if member.descends else (gradient @ along) * direction)
+
+    ends = [slide(member, start) for start in downhill(x, push, uphill)]
     points = [Point.of(member, end, lost.t) for end in ends if end.converged]
     rests = [point for point in points if point.margin > -NEUTRAL]
     # Of two that are alike, as beside a bifurcation, the first.
