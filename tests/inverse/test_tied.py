@@ -47,18 +47,23 @@ def test_a_plan_without_play_moves_both_carriages_as_one() -> None:
     np.testing.assert_array_equal(plan.translations[:, 0], plan.translations[:, 1])
 
 
+@pytest.mark.parametrize(("relative", "straight"), [(0.8, True), (3.2, False)])
 @pytest.mark.parametrize("shift", [(-0.02, -0.005), (-0.04, 0.0), (-0.05, -0.01)])
-def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(shift: tuple[float, float]) -> None:
-    target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 3.0], (-0.01, -0.01)).tip_position
-    seed = (np.array([0.0, 3.2]), np.array(shift))
+def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(
+    shift: tuple[float, float], relative: float, straight: bool
+) -> None:
+    """Straight where the tubes are turned little against each other, around where they oppose each other."""
+    target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, relative - 0.2], (-0.01, -0.01)).tip_position
+    seed = (np.array([0.0, relative]), np.array(shift))
     found = tubeopt.inverse_kinematics(TWO_TUBE, target, seed=seed, reachable=True)
     assert found.reached
-    if found.straight_from_seed:
+    assert found.straight_from_seed == straight
+    if straight:
         assert tubeopt.find_snap(TWO_TUBE, seed, (found.rotations, found.translations)) is None
-    if found.way is not None:
-        np.testing.assert_array_equal(found.way.rotations[0], seed[0])
-        np.testing.assert_array_equal(found.way.translations[0], seed[1])
-        assert not tubeopt.follow(TWO_TUBE, found.way.rotations, found.way.translations).snaps
+    assert found.way is not None
+    np.testing.assert_array_equal(found.way.rotations[0], seed[0])
+    np.testing.assert_array_equal(found.way.translations[0], seed[1])
+    assert not tubeopt.follow(TWO_TUBE, found.way.rotations, found.way.translations).snaps
 
 
 def test_a_step_of_a_servo_is_no_longer_than_its_rates_allow() -> None:
