@@ -13,7 +13,7 @@ import yaml
 
 from tubeopt import InputError
 from tubeopt.bodies.axes import stated_axes
-from tubeopt.bodies.corridors import load_mesh
+from tubeopt.bodies.corridors import load_mesh, load_points
 from tubeopt.bodies.images import read_image
 from tubeopt.runs.anatomy_file import load_anatomy, load_landmarks, load_pose
 from tubeopt.runs.obstacle_file import load_obstacles
@@ -115,8 +115,39 @@ def test_vtk_has_the_surface_that_was_written(tmp_path: Path, name: str) -> None
     content = (tmp_path / name).read_bytes()
     for broken in (content[: len(content) // 3], b"# vtk DataFile Version 4.2\n\nASCII\nDATASET UNSTRUCTURED_GRID\n"):
         (tmp_path / name).write_bytes(broken)
-        with pytest.raises(InputError, match=r"no legacy VTK file of polygons|has no|corners that are no points"):
+        with pytest.raises(
+            InputError,
+            match=r"no legacy VTK file|has no|no points of it|GRID, which is not read",
+        ):
             load_mesh(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.glb", b"glTF", "its format is '.glb'; it must be STL, PLY, OBJ, OFF or legacy VTK"),
+        ("a.obj", b"v 0 0 0\nv 60 0 0\nv 0 60 0\nl 1 2\n", "it has lines between points, which are not read"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nelement edge 1\n", "it has lines between points"),
+        (
+            "a.vtk",
+            b"# vtk DataFile Version 4.2\n\nASCII\nDATASET POLYDATA\nPOINTS 2 float\n0 0 0 60 0 0\nLINES 1 3\n2 0 1\n",
+            "it has LINES, which are not read; save its surface as polygons",
+        ),
+        (
+            "b.vtk",
+            b"# vtk DataFile Version 4.2\n\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 60 0 0 0 60 0\n"
+            b"TRIANGLE_STRIPS 1 4\n3 0 1 2\n",
+            "it has TRIANGLE_STRIPS, which are not read; save its surface as polygons",
+        ),
+    ],
+)
+def test_what_would_be_read_in_part_or_in_another_unit_is_refused(
+    tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    for read in (load_mesh, load_points):
+        with pytest.raises(InputError, match=words):
+            read(tmp_path / name)
 
 
 def test_an_obstacle_is_read_in_the_axes_that_its_file_states(tmp_path: Path) -> None:

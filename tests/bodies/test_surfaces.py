@@ -164,9 +164,13 @@ def test_what_is_proved_about_a_cloud_is_said(run: Run, tmp_path: Path, caplog: 
         "proved between points"
     )
     assert load_anatomy(tmp_path / "a.yaml").bodies[0].stands_for == words  # type: ignore[attr-defined]
-    assert "give a file with faces, or radius_mm of 6 at least" in caplog.text
+    assert "neighbouring points are up to 12 mm apart" in caplog.text
     caplog.clear()
-    field_of_points(grid * 1e-3, 6.1e-3)
+    # Balls of half the gap touch, and leave holes of 2.5 mm in the middle of squares.
+    assert field_of_points(grid * 1e-3, 6e-3).signed_distance([[26e-3, 26e-3, 60e-3]])[0] > 2e-3
+    assert "the arm may pass between balls of radius 6 mm" in caplog.text
+    caplog.clear()
+    field_of_points(grid * 1e-3, 12e-3)
     assert not caplog.text
     anatomy = str(tmp_path / "a.yaml")
     rows = "0,0,0,0,-33,-92,-96\n1,5,0,0,-30,-89,-93\n"

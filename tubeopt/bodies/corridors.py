@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, extra, instance, positive, triple
 from ..files.csv_file import read_csv
+from ..files.files import read_bytes
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
 from ..typing import Array
@@ -219,14 +221,14 @@ def open_surface(name: str, count: int) -> str:
 
 
 def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
-    """The surface in an STL, PLY, OBJ, legacy VTK (or other mesh) file, whose unit is `scale` m: by default mm.
+    """The surface in an STL, PLY, OBJ, OFF or legacy VTK file, whose unit is `scale` m: by default mm.
 
     Args:
         axes: RAS or LPS, of the file; where it states its own they must agree. Without either they are not changed.
 
     Raises:
-        InputError: no such file, one without triangles, or of a size that no body has, axes that contradict the file's;
-            trimesh is not installed.
+        InputError: no such file, one of another format, with lines, without triangles, or of a size that no body has,
+            axes that contradict the file's; trimesh is not installed.
     """
     body = read_mesh(path, scale=scale, axes=axes)
     warn_of_open(path, body)
@@ -287,14 +289,24 @@ def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObst
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 
+LINES = {".obj": rb"(?m)^\s*l\s+-?\d", ".ply": rb"(?m)^element edge\s+[1-9]"}
+"""Lines in files of surfaces: they have no thickness, and what reads the rest leaves them out."""
+
 SMALLEST, LARGEST = 2e-4, 5.0
 """Sizes (m) between which bodies are."""
 
 
 def _loaded(path: str | PathLike[str], force: str | None) -> Any:
     """What trimesh reads."""
-    trimesh = extra("trimesh", "anatomy", "meshes")
-    if Path(path).suffix.lower() == ".vtk":
+    trimesh, kind = extra("trimesh", "anatomy", "meshes"), Path(path).suffix.lower()
+    if kind not in (*LINES, ".stl", ".off", ".vtk"):
+        # Others have a unit and axes of their own, as glTF has metres and y upwards.
+        raise InputError(
+            f"{path}: its format is {kind!r}; it must be STL, PLY, OBJ, OFF or legacy VTK, as of a mesh in mm"
+        )
+    if kind in LINES and re.search(LINES[kind], read_bytes(path)):
+        raise InputError(f"{path}: it has lines between points, which are not read; give faces, or points along them")
+    if kind == ".vtk":
         points, faces = read_vtk(path)
         return trimesh.Trimesh(points, faces, process=force is not None)
     try:

@@ -25,15 +25,21 @@ def read_vtk(path: str | PathLike[str]) -> tuple[Array, Index]:
     """Points (N, 3) in the unit of the file, and the triangles (f, 3) of its polygons, from 0.
 
     Raises:
-        InputError: no such file, one that is no legacy VTK file of a surface, or one with strips of triangles.
+        InputError: no such file, one that is no legacy VTK file of a surface, or one with lines or strips of triangles.
     """
     try:
         points, faces = _Reader(read_bytes(path)).surface()
+    except UnreadError as error:
+        raise InputError(f"{path}: it has {error}; save its surface as polygons (triangle filter)") from None
     except (ValueError, IndexError, KeyError, UnicodeDecodeError):
         raise InputError(f"{path}: no mesh can be read from it: it is no legacy VTK file of polygons") from None
     if faces.max(initial=-1) >= len(points) or faces.min(initial=0) < 0:
         raise InputError(f"{path}: it has polygons with corners that are no points of it")
     return points, faces
+
+
+class UnreadError(Exception):
+    """A file has cells that are not read; its text names them."""
 
 
 class _Reader:
@@ -42,8 +48,11 @@ class _Reader:
     def __init__(self, content: bytes) -> None:
         self.content, self.at = content, 0
         head = [self.line() for _ in range(4)]
-        if not head[0].startswith("# vtk DataFile") or head[3].upper().split() != ["DATASET", "POLYDATA"]:
+        kind = head[3].upper().split()
+        if not head[0].startswith("# vtk DataFile") or len(kind) != 2 or kind[0] != "DATASET":
             raise ValueError(head)
+        if kind[1] != "POLYDATA":
+            raise UnreadError(f"a data set of kind {kind[1]}, which is not read")
         self.binary = {"ASCII": False, "BINARY": True}[head[2].upper()]
 
     def line(self) -> str:
@@ -88,8 +97,8 @@ class _Reader:
                 points = self.numbers(3 * int(words[1]), words[2]).reshape(-1, 3)
                 continue
             cells = self.cells(int(words[1]), int(words[2]))
-            if words[0] == "TRIANGLE_STRIPS" and cells:
-                raise ValueError("strips")
+            if words[0] in ("LINES", "TRIANGLE_STRIPS") and cells:
+                raise UnreadError(f"{words[0]}, which are not read")
             if words[0] == "POLYGONS":
                 fans = [[[cell[0], cell[k], cell[k + 1]] for k in range(1, len(cell) - 1)] for cell in cells]
                 faces += [np.array(fan, dtype=int).reshape(-1, 3) for fan in fans]

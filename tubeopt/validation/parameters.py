@@ -110,7 +110,7 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     kind, number = (match[1], match[2]) if match else (name, None)
     if not _known(kind, number):
         known = [word for word in KINDS if "_I" not in word]
-        known += [word.replace("_I", f"_{number or 1}").replace("_J", "_1") for word in KINDS if "_I" in word]
+        known += [f"{each}_{k}" for each, effect in EFFECTS.items() for k in numbers_of(context, effect) if effect.each]
         raise InputError(f"parameter {name!r} is not known{nearest(name, known)}; choose from {', '.join(KINDS)}")
     effect = EFFECTS[kind]
     _check_number(context, effect, name, number)
