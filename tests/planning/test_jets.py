@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
 from tubeopt.planning.clearing import Sizes
-from tubeopt.planning.cross_sections import Drift, Jet
+from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet
 from tubeopt.planning.loaded_branch import _Bounds
+from tubeopt.typing import Array
 
 
 def exponential(rate: float) -> Jet:
@@ -31,6 +33,45 @@ def test_the_product_of_exponentials_is_that_of_the_sum_of_their_rates(a: float,
     short = Jet(*(np.array([a**order]) for order in range(3)))
     assert parts(short * exponential(b)) == pytest.approx([(a + b) ** k for k in range(3)])
     assert parts(exponential(a).map(lambda x: 3 * x)) == pytest.approx([3 * a**k for k in range(4)])
+
+
+def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations() -> None:
+    """u k(u) = sum m e(theta), k = sum kb / (1 + d u.a), solved for many rotations and differentiated by differences.
+    Tubes that all bend to one side nearly reach the bounds; |grad k| is half of its own, as the a share the plane."""
+    tube = Tube(1.92e-3, 1.6e-3, 0.0, 60e-3, 70.0)
+    robot = EccentricRobot(tube)
+    constants = Constants.of(robot)
+    inside = constants.stretch(np.array(0.01), constants.breakpoints(robot.home_translations))
+    bound, kb, m = Bending.of(constants, inside), tube.bending_stiffness, tube.bending_stiffness * tube.curvature
+    places = 2 * np.pi / 3 * np.arange(3)
+    lever = robot.distance * np.stack([np.sin(places), -np.cos(places)], axis=-1)  # d a
+
+    def stiffness(u: Array) -> Array:
+        return np.asarray((kb / (1 + u @ lever.T)).sum(-1))
+
+    def bend(theta: Array) -> Array:
+        pull = m * np.stack([np.cos(theta).sum(-1), np.sin(theta).sum(-1)], axis=-1)
+        u = pull / (3 * kb)
+        for _ in range(60):
+            u = pull / stiffness(u)[..., None]
+        return np.asarray(u)
+
+    random, step = np.random.default_rng(0), 1e-4
+    aligned = np.linspace(0, 2 * np.pi, 60, endpoint=False)[:, None] + np.zeros(3)
+    theta = np.concatenate([random.uniform(0, 2 * np.pi, (400, 3)), aligned])
+    turn = np.concatenate([random.normal(size=(400, 3)), np.ones((60, 3))])
+    u, ahead, behind = bend(theta), bend(theta + step * turn), bend(theta - step * turn)
+    sloped = -(kb * lever / (1 + u @ lever.T)[..., None] ** 2).sum(1)
+    size = np.abs(turn)
+    for true, most, share in (
+        (np.linalg.norm(u, axis=-1), bound.most, 0.99),
+        (bound.stiffness / stiffness(u), 1.0, 0.99),
+        (np.linalg.norm(sloped, axis=-1), bound.slope, 0.4),
+        (np.linalg.norm(ahead - behind, axis=-1) / (2 * step), bound.change(size), 0.95),
+        (np.linalg.norm(ahead - 2 * u + behind, axis=-1) / step**2, bound.second(size, size), 0.95),
+    ):
+        assert (true <= most * (1 + 1e-6)).all()
+        assert (true / most).max() >= share
 
 
 @pytest.mark.parametrize(("along", "time", "sagitta", "radius"), [(0.0, 0.0, 3e-4, 5e-4), (4e-6, 9e-6, 2e-4, 1e-3)])
