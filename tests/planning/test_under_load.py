@@ -74,13 +74,13 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
             assert off <= found.off[k, section] + 3 * inside.shape_error.max()
 
 
-@pytest.mark.parametrize("moved", [0.0, 2e-3])
+@pytest.mark.parametrize(("turned", "moved"), [(0.05, 0.0), (0.05, 2e-3), (0.01, 5e-3)])
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
-def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, moved: float) -> None:
-    """Of rotations, torques and moments, against differences along both arms."""
-    n = robot.n_tubes
-    begin = np.linspace(0.4, -0.8, n), robot.home_translations - 0.01
-    end = begin[0] + 0.05 * np.linspace(0.7, -0.4, n), begin[1] + moved
+def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, turned: float, moved: float) -> None:
+    """Of rotations, which change by torque over stiffness; of torques and moments by differences along both arms."""
+    n, kt = robot.n_tubes, np.array([tube.torsional_stiffness for tube in robot.tubes])
+    begin = np.linspace(0.4, -0.8, n), robot.home_translations - 0.03
+    end = begin[0] + turned * np.linspace(0.7, -0.4, n), begin[1] + moved
     arms = [forward_kinematics(robot, *joints, load=SIDEWAYS) for joints in (begin, end)]
     intervals, _ = intervals_of(arms, SIDEWAYS)
     bounds = _Bounds(intervals)
@@ -88,12 +88,13 @@ def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot
     x, sharp = np.linspace(0.0, 1.0, 401)[1:-1], 1 - 1e-3
     for k in np.flatnonzero(intervals.length[0][0] > 1e-9):
         rows = []
-        for e, equilibrium, cuts in zip((0, 1), arms, (intervals.begin[0], intervals.end[0]), strict=True):
-            s = cuts[k] + x * (cuts[k + 1] - cuts[k])
-            turned = np.column_stack([np.interp(s, equilibrium.arc_length, theta) for theta in equilibrium.rotation])
-            rows.append((turned, *intervals.arms.sampled(np.full(len(s), e), s)))
+        for e, cuts in enumerate((intervals.begin[0], intervals.end[0])):
+            length = cuts[k + 1] - cuts[k]
+            torque, moment = intervals.arms.sampled(np.full(len(x), e), cuts[k] + x * length)
+            rows.append((length * torque / kt, torque, moment))
         present = intervals.stretch[0, k] < intervals.arms.constants.ended
-        turn, torque, moment = (np.gradient(each[1] - each[0], x, axis=0)[2:-2] for each in zip(*rows, strict=True))
+        turn, *others = (each[1] - each[0] for each in zip(*rows, strict=True))
+        torque, moment = (np.gradient(each, x, axis=0)[2:-2] for each in others)
         true = np.abs(turn).max(0)
         assert (between[0][k] >= sharp * true)[present].all()
         assert between[0][k].max() <= 2 * true.max() or true.max() < 1e-4
