@@ -231,12 +231,11 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
         (["--tolerance", "x"], "--tolerance-rad is 'x'; it must be a number"),
         (
             ["--translations-mm", "201,0,0"],
-            "--translations-mm: translation of tube 1 is 201 mm, which pulls it out of its actuator; it must be at "
-            "most its straight_length, 200 mm",
+            "--translations-mm has 201 for tube 1; it must be at most its straight length, 200: it is held there",
         ),
         (
             ["--rotations-deg", "1e9,0,0"],
-            "--rotations-deg has 1e+09 deg; it must be at most 57295.8 deg (159 turns) to either side",
+            "--rotations-deg has 1E+9 for tube 1; it must be at most 57296 (159 turns) to either side",
         ),
         (
             ["--rotation-deg", "1,2,3"],

@@ -154,7 +154,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (("--window-degC", "500"), "--window-degC has 1 item; it must have at least 2"),
+        (("--window-degC", "500"), "--window-degC has 1 number; it must have 2"),
         (("--window-degC", "500,x"), "--window-degC[1] is 'x'; it must be a number"),
         (("--limit-degC", "520"), "--window-degC is 500 to 550 degC; it must end below the limit of 520 degC"),
         (("--objective", "speed"), "--objective is 'speed'; it must be time, energy or margin"),

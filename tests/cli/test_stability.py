@@ -443,8 +443,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         ),
         (
             ["snap", THESIS, "--to-mm", "300,0,0"],
-            "translation of tube 1 is 0.3 m, which pulls it out of its actuator; it must be at most its "
-            "straight_length, 0.2 m",
+            "--to-mm has 300 for tube 1; it must be at most its straight length, 200: it is held there",
         ),
         (["follow", THESIS, "none.csv"], "none.csv: there is no such file"),
         (

@@ -366,7 +366,7 @@ def check_same_loaded(one: Equilibrium, other: Equilibrium) -> None:
 @compiler
 def test_loads_beyond_the_kernel_are_left_to_the_general_solver() -> None:
     """As moments are; for lost equilibria see cli/test_loads.py."""
-    assert np.isnan(forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0.01, 0, 0))).margin)
+    assert 0 < forward_kinematics(THESIS, [0.0, 1.0, 2.0], load=Load(moment=(0.01, 0, 0))).margin < 1
 
 
 @compiler
