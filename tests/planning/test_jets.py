@@ -128,6 +128,18 @@ def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_t
                 assert second.item() == pytest.approx(abs(true))
 
 
+def test_what_drift_adds_to_a_bend_is_the_sum_over_the_tubes_of_a_cross_section() -> None:
+    none = Jet(*np.zeros((3, 1, 1)))
+    v, d, dd, turn, bow = np.random.default_rng(1).uniform(0.0, 2.0, (5, 2, 3))
+
+    def added(tubes: slice) -> Array:
+        pulls = Jet(v[:, tubes], d[:, tubes], dd[:, tubes])
+        drift = Drift(False, pulls, pulls, none, none, none, none, none)
+        return np.array(drift.bend(turn[:, tubes], bow[:, tubes]))
+
+    assert added(slice(3)) == pytest.approx(sum(added(slice(i, i + 1)) for i in range(3)))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.4999, 0.5001, 0.8, 1.0, 3.0])
 def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share: float) -> None:
     """x = own + share x has x = own / (1 - share): twice the first term is as much up to a share of a half."""
