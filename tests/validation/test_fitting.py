@@ -232,7 +232,7 @@ def test_parameters_at_their_start_change_nothing() -> None:
         ([], "no parameters are named; choose from latency, translation_I"),
         ("curvature", "no parameters are named"),
         (["curvatur"], "parameter 'curvatur' is not known; did you mean 'curvature'"),
-        (["stiffness_ratio"], "parameter 'stiffness_ratio' is not known; did you mean 'stiffness_ratio_1'"),
+        (["stiffness_ratio"], "parameter 'stiffness_ratio' is not known; did you mean 'stiffness_ratio_2'"),
         (["plate_shift_1"], "parameter 'plate_shift_1' is not known; did you mean 'plate_shift_z'"),
         (["stiffness_ratio_1"], "the robot has 2 tubes; the number must be 2 to 2"),
         (["rotation_3"], "the robot has 2 tubes; the number must be 1 to 2"),
