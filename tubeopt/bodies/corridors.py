@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -19,11 +18,12 @@ from ..files.csv_file import read_csv
 from ..files.files import read_bytes
 from ..files.marks import POSITIVE, unit
 from ..files.units import MM
-from ..typing import Array
+from ..typing import Array, Index
 from .axes import agreed
 from .distance_field import DistanceField
 from .frames import Frame, ras
 from .obstacles import Point3, RoundCone, as_points, distance_of_numbers, greater
+from .polygon_files import read_polygons
 from .scene import Scene
 from .triangles import Triangles, oriented
 from .vtk_file import read_vtk
@@ -237,14 +237,17 @@ def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
 
 def read_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
     """As `load_mesh`, without its warning: for what may refuse an open surface."""
-    mesh = _loaded(path, "mesh")
-    vertices = ras(_lengths(path, mesh.vertices, scale), agreed(path, axes) or "RAS")
-    if not len(mesh.faces):
+    own = agreed(path, axes) or "RAS"
+    points, faces = _loaded(path, scale)
+    if not len(faces):
         raise InputError(
             f"{path}: it has no triangles; give a file with faces, or the points under the key points of an anatomy, "
             "each as a ball"
         )
-    return _surface(path, vertices, mesh.faces)
+    # STL has corners in place of points; points of no face are left out.
+    _, first, number = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    used, corners = np.unique(first[number.ravel()][faces], return_inverse=True)
+    return _surface(path, ras(points[used], own), corners.reshape(-1, 3))
 
 
 def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
@@ -270,8 +273,8 @@ def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | N
         points = table.numbers(PLACE, MM)
         table.check()
         return ras(points, own)
-    found = _loaded(path, None)
-    points, faces = ras(_lengths(path, found.vertices, scale), own), np.asarray(getattr(found, "faces", ()), dtype=int)
+    places, faces = _loaded(path, scale)
+    points = ras(places, own)
     if not len(faces):
         return points
     alone = np.setdiff1d(np.arange(len(points)), faces)
@@ -289,42 +292,39 @@ def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObst
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 
-LINES = {".obj": rb"(?m)^\s*l\s+-?\d", ".ply": rb"(?m)^element edge\s+[1-9]"}
-"""Lines in files of surfaces: they have no thickness, and what reads the rest leaves them out."""
-
 SMALLEST, LARGEST = 2e-4, 5.0
 """Sizes (m) between which bodies are."""
 
 
-def _loaded(path: str | PathLike[str], force: str | None) -> Any:
-    """What trimesh reads."""
+def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:
+    """(N, 3) all points of a file, m, and (f, 3) the triangles of its faces."""
     trimesh, kind = extra("trimesh", "anatomy", "meshes"), Path(path).suffix.lower()
-    if kind not in (*LINES, ".stl", ".off", ".vtk"):
+    if kind not in (".stl", ".vtk", ".obj", ".off", ".ply"):
         # Others have a unit and axes of their own, as glTF has metres and y upwards.
         raise InputError(
             f"{path}: its format is {kind!r}; it must be STL, PLY, OBJ, OFF or legacy VTK, as of a mesh in mm"
         )
-    if kind in LINES and re.search(LINES[kind], read_bytes(path)):
-        raise InputError(f"{path}: it has lines between points, which are not read; give faces, or points along them")
-    if kind == ".vtk":
-        points, faces = read_vtk(path)
-        return trimesh.Trimesh(points, faces, process=force is not None)
+    if kind != ".stl":
+        polygons = read_vtk(path) if kind == ".vtk" else read_polygons(path)
+        points = _lengths(path, polygons.points, scale)
+        try:
+            return points, polygons.triangles(scale)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    read_bytes(path)
     try:
-        # Of what is no mesh alone every point counts, also one that is of no triangle.
-        found: Any = trimesh.load(str(path), force=force, process=force is not None)
-        if force is None and hasattr(found, "to_geometry"):
-            found = found.to_geometry()
+        found = trimesh.load(str(path), force="mesh", process=False)
     except Exception as error:  # whatever it raises of a file that is not what it says
         words = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no mesh can be read from it: {words}") from None
-    if not hasattr(found, "vertices") or not len(found.vertices):
-        raise InputError(f"{path}: it has no points")
-    return found
+    return _lengths(path, found.vertices, scale), np.asarray(found.faces)
 
 
 def _lengths(path: str | PathLike[str], vertices: Any, scale: float) -> Array:
-    """(N, 3) m; raises InputError for numbers that are not finite, and a size that no body has."""
+    """(N, 3) m; raises InputError for no points, numbers that are not finite, and a size that no body has."""
     points = np.asarray(vertices, dtype=float) * positive("scale", scale)
+    if not len(points):
+        raise InputError(f"{path}: it has no points")
     if not np.isfinite(points).all():
         raise InputError(f"{path}: it has points that are NaN or infinite; every number must be finite")
     size = float(np.ptp(points, axis=0).max())

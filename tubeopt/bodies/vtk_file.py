@@ -9,7 +9,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..files.files import read_bytes
-from ..typing import Array, Index
+from ..typing import Array
+from .polygons import Polygons
 
 NUMBERS = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint32": ">i4", "vtktypeint64": ">i8"}
 """Kinds of numbers, and how a binary file writes them."""
@@ -21,21 +22,18 @@ CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 """What a surface may be made of."""
 
 
-def read_vtk(path: str | PathLike[str]) -> tuple[Array, Index]:
-    """Points (N, 3) in the unit of the file, and the triangles (f, 3) of its polygons, from 0.
+def read_vtk(path: str | PathLike[str]) -> Polygons:
+    """The points and polygons of a file.
 
     Raises:
         InputError: no such file, one that is no legacy VTK file of a surface, or one with lines or strips of triangles.
     """
     try:
-        points, faces = _Reader(read_bytes(path)).surface()
+        return _Reader(read_bytes(path)).surface()
     except UnreadError as error:
         raise InputError(f"{path}: it has {error}; save its surface as polygons (triangle filter)") from None
     except (ValueError, IndexError, KeyError, UnicodeDecodeError):
         raise InputError(f"{path}: no mesh can be read from it: it is no legacy VTK file of polygons") from None
-    if faces.max(initial=-1) >= len(points) or faces.min(initial=0) < 0:
-        raise InputError(f"{path}: it has polygons with corners that are no points of it")
-    return points, faces
 
 
 class UnreadError(Exception):
@@ -84,9 +82,9 @@ class _Reader:
         numbers: list[int] = found.astype(int).tolist()
         return numbers
 
-    def surface(self) -> tuple[Array, Index]:
-        """Its points, and its polygons as triangles about their first corners."""
-        points, faces = np.zeros((0, 3)), [np.zeros((0, 3), dtype=int)]
+    def surface(self) -> Polygons:
+        """Its points and polygons."""
+        points, faces = np.zeros((0, 3)), list[list[int]]()
         while self.at < len(self.content):
             words = self.line().split()
             if not words or words[0] not in (*CELLS, "POINTS", "POINT_DATA", "CELL_DATA"):
@@ -100,9 +98,8 @@ class _Reader:
             if words[0] in ("LINES", "TRIANGLE_STRIPS") and cells:
                 raise UnreadError(f"{words[0]}, which are not read")
             if words[0] == "POLYGONS":
-                fans = [[[cell[0], cell[k], cell[k + 1]] for k in range(1, len(cell) - 1)] for cell in cells]
-                faces += [np.array(fan, dtype=int).reshape(-1, 3) for fan in fans]
-        return points, np.concatenate(faces)
+                faces += cells
+        return Polygons.of_faces(points, faces)
 
     def cells(self, first: int, second: int) -> list[list[int]]:
         """Corners of cells: each behind their number, or, from version 5 on, all of them behind where each begins."""

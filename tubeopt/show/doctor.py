@@ -29,7 +29,7 @@ EXTRAS = {
     "planning": ("ompl", "trimesh", "rtree", "manifold3d"),
     "fabrication": ("ezdxf", "trimesh", "manifold3d"),
     "view": ("viser", "trimesh", "manifold3d"),
-    "anatomy": ("nibabel", "nrrd", "trimesh"),
+    "anatomy": ("nibabel", "nrrd", "trimesh", "manifold3d"),
     "control": ("websockets",),
     "cluster": ("dask", "distributed"),
     "data": ("pandas", "pyarrow", "xarray"),
