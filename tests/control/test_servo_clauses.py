@@ -84,6 +84,21 @@ def test_tubes_that_touch_stay_in_order_while_the_tip_goes_on(seed: Equilibrium)
     assert tips[1] - tips[0] == pytest.approx(-speed * DT * (219 - touching[0]), rel=1e-2)
 
 
+def test_the_arm_comes_to_a_pivot_with_the_speed_of_the_tip(seed: Equilibrium) -> None:
+    speed, k = 1e-3, 8
+    pivot = seed.position[k] + 2e-4 * seed.frame[k][:, 0]
+    servo = Servo(THESIS, seed, options=ServoOptions(speed=speed, turn_rate=50.0, shift_rate=1.0))
+    gaps = []
+    for step in run(servo, Command(pivot=pivot), 150):
+        arm = step.equilibrium.position
+        way = np.diff(arm, axis=0)
+        along = np.clip(((pivot - arm[:-1]) * way).sum(1) / (way**2).sum(1), 0, 1)
+        gaps.append(float(np.linalg.norm(arm[:-1] + along[:, None] * way - pivot, axis=1).min()))
+    assert gaps[0] == pytest.approx(2e-4 - speed * DT, rel=0.02)
+    assert np.diff(gaps[:80]) == pytest.approx(-speed * DT, rel=0.1)
+    assert gaps[-1] < 1e-7
+
+
 def test_joints_go_straight_as_fast_as_the_slowest_of_them_allows(seed: Equilibrium) -> None:
     turned, shifted = np.array([0.3, -0.1, 0.2]), np.array([1e-3, 0.0, -2e-3])
     goal = seed.rotations + turned, seed.translations + shifted

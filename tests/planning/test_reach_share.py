@@ -7,7 +7,7 @@ import pytest
 
 import tubeopt
 from tests.command_line import ROOT
-from tubeopt import InputError, PlanOptions
+from tubeopt import InputError, PlanOptions, RegionReach
 from tubeopt.bodies.obstacles import HalfSpace
 from tubeopt.planning import evaluate_reach, plan_trajectory
 from tubeopt.stability import find_equilibria
@@ -76,3 +76,11 @@ def test_time_ends_the_search() -> None:
     )
     assert found.examined == 0
     assert np.isfinite(found.miss).all()
+
+
+@pytest.mark.parametrize("name", ["shift", "tilt"])
+def test_a_plate_is_moved_by_no_less_than_nothing(name: str) -> None:
+    region = RegionReach(WITHDRAWN, [[0.0, 0.0, 0.1]], **{name: 0.0})  # type: ignore[arg-type]
+    assert region.ranges.shape == (0, 2)
+    with pytest.raises(InputError, match=f"{name} of the plate is -0.01; it must be at least 0"):
+        RegionReach(WITHDRAWN, [[0.0, 0.0, 0.1]], **{name: -0.01})  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from tubeopt import forward_kinematics, verify_trajectory
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.guard import Guard
-from tubeopt.planning.branch import least_root, whirled
+from tubeopt.planning.branch import branch, least_root, whirled
 from tubeopt.planning.clearing import Sizes
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.sections import Arms, Intervals
@@ -45,6 +45,21 @@ def test_sagitta_of_an_arc_is_an_eighth_of_curvature_times_length_squared() -> N
     assert true == pytest.approx(found, rel=5e-3)
 
 
+def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle() -> None:
+    """Two tubes that are bent alike: every point runs on a circle about z, with derivatives radius turn^2 and so on."""
+    curvature, length, turn = 8.0, 0.02, 0.1
+    robot = nested((0.0, length, curvature), (0.0, length, curvature))
+    arms = [forward_kinematics(robot, [angle, angle]) for angle in (0.3, 0.3 + turn)]
+    found = branch(Intervals.of(Arms.of(Constants.of(robot), arms), np.array([0]), np.array([1])), np.ones(2))
+    radius = (1 - np.cos(curvature * length)) / curvature
+    sagitta = radius * (1 - np.cos(turn / 2))
+    assert found.unbroken.all()
+    assert sagitta <= found.off.max() <= 1.25 * sagitta
+    second, third = found.rates[:, 0] / [radius * turn**2, radius * turn**3]
+    assert 1 <= second <= 1.3
+    assert 1 <= third <= 2
+
+
 def test_newton_and_kantorovich_take_the_least_root() -> None:
     """r = first + q r + bow r^2 / 2, and a fixed-point iteration from 0 ends there; none where no root is."""
     first, q, bow = np.array([1e-3, 0.1, 0.2]), np.array([0.3, 0.1, 0.5]), np.array([2.0, 3.0, 1.0])
@@ -69,6 +84,15 @@ def test_the_margin_that_is_asked_for_is_kept_to_the_last_digit() -> None:
     short = verify_trajectory(THESIS, *table, min_margin=least + 1e-4)
     assert any(f"the margin falls to {least:.4g}" in fault for fault in short.faults)
     assert not short.holds
+
+
+def test_the_least_margin_of_a_turn_is_that_of_opposed_tubes_between_its_ends() -> None:
+    """By symmetry two tubes are softest where they are opposed; no end of the motion, and no sample, is there."""
+    robot, turn = nested((0.0, 0.05, 8.0), (0.0, 0.05, 8.0)), np.array([[100 * DEG, 0.0], [247 * DEG, 0.0]])
+    least = forward_kinematics(robot, [np.pi, 0.0]).margin
+    proof = verify_trajectory(robot, [0.0, 1.0], turn)
+    assert least < min(forward_kinematics(robot, angles).margin for angles in turn) - 0.01
+    assert proof.least_margin == pytest.approx(least, abs=1e-6)
 
 
 def test_the_guard_makes_no_step_towards_a_body() -> None:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from tests.command_line import ROOT, Run
 from tests.command_line import THESIS as THESIS_FILE
-from tests.examples import CRL, DEG, THESIS, TWO_TUBE
+from tests.examples import CRL, DEG, THESIS, TWO_TUBE, nested
 from tubeopt import (
     ConcentricRobot,
     Equilibrium,
@@ -43,7 +43,7 @@ from tubeopt.inverse.task import Task
 from tubeopt.planning import building
 from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.question import asked
-from tubeopt.planning.reach import step_constraints, way_around
+from tubeopt.planning.reach import least_miss, step_constraints, way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -378,3 +378,10 @@ def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot:
             assert (rows @ step >= bounds).all() == allowed
             seen.add(bool(allowed))
     assert seen == {True, False}
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.08), (0.02, 0.0, 0.04), (0.0, -0.03, 0.09), (0.0, 0.0, 0.03)])
+def test_a_place_is_missed_by_its_distance_from_the_axis_of_a_straight_tube(place: tuple[float, float, float]) -> None:
+    rod = nested((0.05, 0.0, 0.0))
+    reached = np.array([0.0, 0.0, np.clip(place[2], 0.0, 0.05)])
+    assert least_miss(asked(rod, []), np.array(place)) == pytest.approx(np.linalg.norm(place - reached), abs=1e-9)

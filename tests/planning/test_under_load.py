@@ -29,7 +29,7 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.outline import Outline
 from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.loaded_branch import _Bounds, loaded_branch
+from tubeopt.planning.loaded_branch import _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR
 from tubeopt.robots.robot import Robot
@@ -100,6 +100,65 @@ def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot
         assert between[0][k].max() <= 2 * true.max() or true.max() < 1e-4
         assert (between[1][k] >= sharp * np.abs(torque).max(0))[present].all()
         assert between[2][k] >= sharp * np.linalg.norm(moment, axis=1).max()
+
+
+def test_the_second_variation_changes_by_the_moment_of_the_load_about_the_own_bend_of_a_tube() -> None:
+    """A long transmission turns a short tube as one by y: a force F across it takes the energy F kappa y^2 int (L - s).
+
+    This is so where the tube bends along the force, and 0 where it bends across. The bound has F L for F (L - s), so
+    that it is twice as much, and what the turned tube bends.
+    """
+    length, transmission, curvature, force, turn = 5e-3, 1.0, 4.0, 0.01, 0.01
+    robot = ConcentricRobot((Tube(1e-3, 0.8e-3, transmission, length, curvature),))
+    load = Load(force=(force, 0, 0))
+    arm = forward_kinematics(robot, [np.pi / 2], load=load)
+    bounds = _Bounds(intervals_of([arm, arm], load)[0])
+    sections = bounds.long.v.shape
+    none = np.zeros(sections)
+    turned = _Moved((np.full((*sections, 1), turn), np.zeros((*sections, 1, 1))), none, none)
+    compliance = transmission / robot.tubes[0].torsional_stiffness
+    true = force * curvature * length**2 / 2 * compliance * np.sin(turn)
+    assert true <= bounds.variation(turned, stretched=False).item() <= 2.6 * true
+
+
+def test_the_second_variation_of_a_longer_column_is_lower_by_what_the_square_of_its_length_grows() -> None:
+    """A column of length h under a force F has 1 - 4 F h^2 / (pi^2 K) of its elastic form left (Euler)."""
+    force, withdrawn = 1.0, np.array([-0.010, -0.008])
+    robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, 0.05, 0.0),))
+    load = Load(force=(0.0, 0.0, -force))
+    arms = [forward_kinematics(robot, [0.0], [shift], load=load) for shift in withdrawn]
+    bounds = _Bounds(intervals_of(arms, load)[0])
+    none = np.zeros(bounds.long.v.shape)
+    still = _Moved((none[..., None], none[..., None, None]), none, none)
+    first, last = 0.05 + withdrawn
+    change = 4 * force / (np.pi**2 * robot.tubes[0].bending_stiffness)
+    true = change * (((first + last) / 2) ** 2 - first**2)
+    assert true <= bounds.variation(still, stretched=True).item() <= 4.5 * true
+    assert bounds.variation(still, stretched=False).item() == 0.0
+
+
+@pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
+def test_sections_differ_most_from_those_at_the_nearer_end_in_the_middle_of_the_time(robot: Robot) -> None:
+    """Lengths h, and what coordinates of length 1 make of rotations and bends by sqrt(h / kt) and sqrt(h / K)."""
+    n = robot.n_tubes
+    joints = [(np.zeros(n), robot.home_translations - 0.01 * (1 + e * np.linspace(0.2, 0.9, n))) for e in (0, 1)]
+    intervals, _ = intervals_of([forward_kinematics(robot, *q, load=SIDEWAYS) for q in joints], SIDEWAYS)
+    bounds = _Bounds(intervals)
+    kt, stiffness = bounds.kt, bounds.stiffness
+    held = [intervals.arms.constants.along.compliant(-intervals.arms.constants.held(q[1])) for q in joints]
+    most = [np.zeros(1)] * 3
+    for near, far in ((0, 1), (1, 0)):
+        first = intervals.length[near]
+        for t in np.linspace(0.0, 0.5, 11):
+            there = first + t * (intervals.length[far] - first)
+            root = np.sqrt(there) - np.sqrt(first)
+            spring = np.sqrt(held[near] + t * (held[far] - held[near])) - np.sqrt(held[near])
+            turn = np.sqrt(np.cumsum(root[..., None] ** 2 / kt, axis=1) + spring**2)
+            bend = np.sqrt(np.cumsum(root**2 / stiffness, axis=1))
+            most = [np.maximum(a, b) for a, b in zip(most, (np.abs(there - first), turn, bend), strict=True)]
+    for bound, true in zip(bounds._stretched(), most, strict=False):
+        assert (bound >= true * (1 - 1e-9)).all()
+        assert bound.max() <= 1.01 * true.max()
 
 
 @pytest.mark.parametrize("curvature", [0.0, 5.0])
