@@ -103,7 +103,7 @@ def _check_places(load: Load, length: float) -> None:
 
 @lru_cache(maxsize=64)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
-    assembly = robot.assembly(np.array(translations))
+    assembly = _cut(robot, translations, ())
     if assembly.eccentric:
         raise InputError(
             "the tubes of this robot run beside one another; the model of eccentric robots has no forces on it, "
@@ -153,8 +153,7 @@ def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refi
 
 @lru_cache(maxsize=64)
 def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...]) -> Assembly:
-    assembly = robot.assembly(np.array(translations))
-    return cut(assembly, np.array(cuts)) if cuts else assembly
+    return cut(_cut(robot, translations, ()), np.array(cuts)) if cuts else robot.assembly(np.array(translations))
 
 
 @lru_cache(maxsize=64)
@@ -168,9 +167,10 @@ def _torsion(
 
 def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
     """Bounds of the force on any cross-section, N, and of the moment of what is not a force, N m."""
-    places = np.linspace(0, assembly.total_length, 33)[1:-1]
-    per_length = load.per_length(places)
-    along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
+    along = turning = 0.0
+    if load.distributed is not None:
+        per_length = load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1])
+        along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
     weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
     points = sum(float(np.linalg.norm(part.force)) for part in load.points)
     force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length

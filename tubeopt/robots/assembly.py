@@ -122,7 +122,7 @@ class Assembly:
         angle = self.offset_angle
         return np.asarray(self.offset[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
 
-    @property
+    @cached_property
     def coupled(self) -> Mask:
         """(m,) sections in which torsion is not simply linear: two curved tubes, or one where tubes run off-centre."""
         return np.asarray(self.curved.sum(1) >= (1 if self.eccentric else 2))

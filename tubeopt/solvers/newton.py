@@ -163,6 +163,6 @@ def loaded_residual(problem: LoadedProblem, state: LoadedState) -> float:
 def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
     """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; under loads
     without an energy the least real part of the eigenvalues of the linearised equations."""
-    if problem.couples is None:
+    if problem.couples is None or not state.factor:  # without load the equations have an energy
         return least(state.hessian)
     return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))

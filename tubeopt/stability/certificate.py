@@ -202,7 +202,8 @@ def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
     """(U, U) the second variation less its torsional part, which is the identity, where all curved tubes oppose each
     other; of `opposition` see `_at_worst`."""
     second = np.zeros(problem.size**2)
-    second[problem.places] = _at_worst(problem, opposition)[0].ravel()[problem.entries] * problem.entry_weight
+    pairs = problem.pairs
+    second[pairs.places] = _at_worst(problem, opposition)[0].ravel()[pairs.entries] * pairs.weight
     return np.asarray(problem.factor.T @ second.reshape(problem.size, -1) @ problem.factor)
 
 

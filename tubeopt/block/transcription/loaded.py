@@ -43,11 +43,6 @@ class LoadedProblem:
         torsion: the problem of the rotations, on a mesh all of whose pieces have collocation points.
         load: what pushes.
         force: (N, 3) n at the points by the loads in world axes, N.   base_force: (3,) all of them.
-        spread: (N, n, U) rows of L, 0 for tubes that are not unknown at a point.
-        softness: (N,) 1 / sqrt(B K).
-        tip_tube: the tube that ends last, of several the innermost.
-        tip_row: (U,) its rotation at its end by z.   tip_rest: rotation there by a unit torque that z does not see.
-        tip_lever: its whole compliance, rotation at its end by a unit torque there, rad/(N m).
         couples: the moments, where the load has no energy.
     """
 
@@ -55,17 +50,37 @@ class LoadedProblem:
     load: Load
     force: Array
     base_force: Array
-    spread: Array
-    softness: Array
-    tip_tube: int
-    tip_row: Array
-    tip_lever: float
     couples: Couples | None
 
     @property
+    def spread(self) -> Array:
+        """(N, n, U) rows of L, 0 for tubes that are not unknown at a point."""
+        return self.torsion.spread
+
+    @property
+    def softness(self) -> Array:
+        """(N,) 1 / sqrt(B K)."""
+        return self.torsion.bending_softness
+
+    @property
+    def tip_tube(self) -> int:
+        """The tube that ends last, of several the innermost."""
+        return int(last_tube(self.torsion.assembly.end))
+
+    @property
+    def tip_row(self) -> Array:
+        """(U,) its rotation at its end by z."""
+        return _tip_tube(self.torsion)[0]
+
+    @property
     def tip_rest(self) -> float:
-        """Compliance of the tip tube that z does not see, rad/(N m)."""
+        """Rotation at its end by a unit torque there that z does not see, rad/(N m)."""
         return self.tip_lever - float(self.tip_row @ self.tip_row)
+
+    @property
+    def tip_lever(self) -> float:
+        """Its whole compliance: rotation at its end by a unit torque there, rad/(N m)."""
+        return _tip_tube(self.torsion)[1]
 
     @property
     def mesh(self) -> Mesh:
@@ -133,24 +148,19 @@ class Loading:
 
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
     """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
-    spread, soft, tip, row, lever = _unloaded(torsion)
     along = _per_length(torsion.mesh, load, torsion.assembly.present @ density)
     force, base = _forces(torsion.mesh, load, along[..., FORCE])
-    couples = None if load.has_energy else couples_of(torsion, load, along[..., MOMENT].reshape(-1, 3), spread)
-    return LoadedProblem(torsion, load, force, base, spread, soft, tip, row, lever, couples)
+    couples = None if load.has_energy else couples_of(torsion, load, along[..., MOMENT].reshape(-1, 3), torsion.spread)
+    return LoadedProblem(torsion, load, force, base, couples)
 
 
 @lru_cache(maxsize=64)
-def _unloaded(torsion: ReducedProblem) -> tuple[Array, Array, int, Array, float]:
-    """What no load changes: spread, softness, and tube, row and lever of the tip."""
-    count, n = torsion.stiffness.shape
-    spread = np.zeros((count * n, torsion.size))
-    spread[torsion.flat] = torsion.factor
+def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
+    """Rotation of the tube that ends last at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
     tip = int(last_tube(torsion.assembly.end))
     lever, ends = softness(torsion)
     row = whitened(torsion, np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0))
-    soft = 1 / np.sqrt(torsion.weight * torsion.stiffness.sum(1))
-    return spread.reshape(count, n, -1), soft, tip, row, float(ends[-1, tip])
+    return row, float(ends[-1, tip])
 
 
 def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:
@@ -293,7 +303,7 @@ def _unsymmetric(problem: LoadedProblem, along: Orientation, push: _Push, turned
     joints = len(couples.joint)
     slopes = along.begin_slope[couples.joint] @ turned
     turning = 2 * np.tensordot(push.moment[:joints], world_turns(), 1)
-    out = np.einsum("cri,crs,csj->ij", slopes, turning, slopes, optimize=True)
+    out = slopes.reshape(4 * joints, -1).T @ (turning @ slopes).reshape(4 * joints, -1)
     twisting = couples.torque_slopes(along, push.moment, turned)
     if problem.load.frame == "tip":
         reach, turn = _tip(problem, along, turned)

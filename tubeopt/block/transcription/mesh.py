@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +127,8 @@ def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
     """Mesh whose pieces all have collocation points: what is loaded bends, be it curved or straight."""
-    mesh = make_mesh(assembly, pieces, family=family, degree=degree)
-    return replace(mesh, collocated=np.ones(len(mesh.length), dtype=bool))
+    everywhere = np.ones(assembly.n_sections, dtype=bool)
+    return _mesh(assembly, pieces, everywhere, tableau(family, degree))
 
 
 def make_mesh(
@@ -136,7 +136,12 @@ def make_mesh(
 ) -> Mesh:
     """Mesh with the given number of pieces per section (by default `piece_counts`)."""
     counts = piece_counts(assembly) if pieces is None else pieces
-    unknown = int(counts[assembly.coupled].sum()) * degree * assembly.n_tubes
+    return _mesh(assembly, counts, assembly.coupled, tableau(family, degree))
+
+
+def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: Tableau) -> Mesh:
+    """Mesh with numbers of pieces (m,) in the sections, of which those that are `collocated` (m,) have points."""
+    unknown = int(counts[assembly.coupled].sum()) * rule.degree * assembly.n_tubes
     if max(unknown, int(counts.sum())) > MOST_ROTATIONS:
         raise InputError(
             f"the tubes vary so quickly along them that {counts.sum()} pieces of the arm with {unknown} unknown "
@@ -146,9 +151,9 @@ def make_mesh(
     rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
     length = (assembly.length / counts)[section]
     return Mesh(
-        tableau=tableau(family, degree),
+        tableau=rule,
         start=assembly.start[section] + rank * length,
         length=length,
         section=section,
-        collocated=assembly.coupled[section],
+        collocated=collocated[section],
     )

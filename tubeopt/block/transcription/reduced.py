@@ -52,47 +52,150 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Where the second variation (N, n, n) goes in a (U, U) matrix: `entries` of the one and `places` in the other,
+    both flat, and the `weight` of each."""
+
+    entries: Index
+    places: Index
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
 class ReducedProblem:
     """Numbers of one assembly on one mesh, ready for any rotations; N collocation points, U unknowns.
 
+    What only NumPy needs is computed when it is asked for: the compiled kernels have most of it by themselves.
+
     Attributes:
         assembly, mesh: what is solved.
-        stiffness, moment: (N, n) kb_i of the tubes present and m_i of the tubes curved at the points.
-        phase: (N, n) angle to be added to the elastic rotation for the direction of a tube's pull.
+        unknown: (m, n) tubes whose rotations are unknown, of each section.
         here: the tubes at the points that all pieces would have.
-        arc_length, weight: (N,) place and quadrature weight of the points, m.
-        point, tube: (U,) of which point and tube each unknown is the rotation; by tube, then by point.
-        factor: (U, U) L, rad per sqrt(J).
-        flat, flat_weight: (U,) entry of each unknown in a flat (N, n) array, and its quadrature weight.
-        entries, places: of the second variation (N, n, n) and of the (U, U) matrix where it goes, both flat.
-        entry_weight: weight of each entry.
-        stretch: (P, W, inverse of L) for tubes off the centreline.
-        blocks: tubes off the centreline that are curved together, for their margin.
     """
 
     assembly: Assembly
     mesh: Mesh
+    unknown: Mask
     here: Compliant
-    stiffness: Array
-    moment: Array
-    phase: Array
-    arc_length: Array
-    weight: Array
-    point: Index
-    tube: Index
-    factor: Array
-    flat: Index
-    flat_weight: Array
-    entries: Index
-    places: Index
-    entry_weight: Array
-    stretch: tuple[Array, Array, Array] | None
-    blocks: tuple[Block, ...] = ()
+
+    @cached_property
+    def elements(self) -> Index:
+        """The pieces that have collocation points."""
+        return np.flatnonzero(self.mesh.collocated)
+
+    def _chosen(self, table: Array) -> Array:
+        """Rows (N,) of the collocation points, of those of the points that all pieces would have."""
+        if len(self.elements) == len(self.mesh.length):
+            return table
+        degree = self.mesh.tableau.degree
+        return np.asarray(table[(self.elements[:, None] * degree + np.arange(degree)).ravel()])
+
+    @cached_property
+    def section(self) -> Index:
+        """(N,) of the points."""
+        return np.repeat(self.mesh.section[self.elements], self.mesh.tableau.degree)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """(N, n) kb_i of the tubes present at the points."""
+        return self._chosen(self.here.sections.stiffness)
+
+    @cached_property
+    def moment(self) -> Array:
+        """(N, n) m_i of the tubes curved at the points."""
+        return self._chosen(self.here.sections.moment)
+
+    @cached_property
+    def phase(self) -> Array:
+        """(N, n) angle to be added to the elastic rotation for the direction of a tube's pull."""
+        return self._chosen(self.here.sections.phase)
+
+    @cached_property
+    def arc_length(self) -> Array:
+        """(N,) place of the points, m."""
+        mesh, elements = self.mesh, self.elements
+        return np.asarray((mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel())
+
+    @cached_property
+    def weight(self) -> Array:
+        """(N,) quadrature weight of the points, m."""
+        return np.outer(self.mesh.length[self.elements], self.mesh.tableau.weights).ravel()
+
+    @cached_property
+    def _place(self) -> tuple[Index, Index]:
+        tube, point = np.nonzero(self.unknown[self.section].T)
+        return point, tube
+
+    @property
+    def point(self) -> Index:
+        """(U,) of which point each unknown is the rotation; by tube, then by point."""
+        return self._place[0]
+
+    @property
+    def tube(self) -> Index:
+        """(U,) of which tube each unknown is the rotation."""
+        return self._place[1]
+
+    @cached_property
+    def factor(self) -> Array:
+        """(U, U) L, rad per sqrt(J)."""
+        return _factor(self.mesh, self.here, self._place)
+
+    @cached_property
+    def flat(self) -> Index:
+        """(U,) entry of each unknown in a flat (N, n) array."""
+        return np.asarray(self.point * self.assembly.n_tubes + self.tube)
+
+    @cached_property
+    def flat_weight(self) -> Array:
+        """(U,) its quadrature weight."""
+        return self.weight[self.point]
+
+    @cached_property
+    def pairs(self) -> _Pairs:
+        """Of unknowns at the same point."""
+        (point, tube), n, count = self._place, self.assembly.n_tubes, len(self.weight)
+        index = np.full((count, n), -1)
+        index[point, tube] = np.arange(len(point))
+        both = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
+        at, row, column = np.unravel_index(both, (count, n, n))
+        # CasADi stores dM_i/dtheta_j by columns, (point, j, i); `row` is i.
+        places = index[at, row] * len(point) + index[at, column]
+        return _Pairs((at * n + column) * n + row, places, self.weight[at])
+
+    @cached_property
+    def stretch(self) -> tuple[Array, Array, Array] | None:
+        """(P, W, inverse of L) for tubes off the centreline."""
+        if not self.assembly.eccentric:
+            return None
+        return *integrals(self.mesh, self.elements), np.asarray(np.linalg.inv(self.factor), dtype=float)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Tubes off the centreline that are curved together, for their margin."""
+        if self.stretch is None:
+            return ()
+        mesh, elements = self.mesh, self.elements
+        green = green_of(mesh.tableau, mesh.start[elements], mesh.length[elements])
+        return tuple(_make_blocks(self.assembly, green, self.section, (*self.stretch[:2], self.weight)))
 
     @property
     def size(self) -> int:
         """Number of unknowns U."""
         return len(self.point)
+
+    @cached_property
+    def spread(self) -> Array:
+        """(N, n, U) rows of L, 0 for tubes that are not unknown at a point."""
+        count, n = self.stiffness.shape
+        spread = np.zeros((count * n, self.size))
+        spread[self.flat] = self.factor
+        return spread.reshape(count, n, -1)
+
+    @cached_property
+    def bending_softness(self) -> Array:
+        """(N,) 1 / sqrt(B K)."""
+        return np.asarray(1 / np.sqrt(self.weight * self.stiffness.sum(1)))
 
     @cached_property
     def by_tube(self) -> tuple[slice, ...]:
@@ -145,48 +248,10 @@ class Evaluation:
 def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
     """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
     `unknown` (m, n), section by section."""
-    elements = np.flatnonzero(mesh.collocated)
-    degree, n = mesh.tableau.degree, assembly.n_tubes
-    section = np.repeat(mesh.section[elements], degree)
-    # Concentric straight tubes are carried along; tubes off the centreline are stretched wherever the arm is curved.
-    usual = assembly.present if assembly.eccentric else assembly.curved
-    unknown = (usual if unknown is None else unknown)[section]
-    tube, point = np.nonzero(unknown.T)
-    weight = np.outer(mesh.length[elements], mesh.tableau.weights).ravel()
-    index = np.full(unknown.shape, -1)
-    index[point, tube] = np.arange(len(point))
-    pair = np.flatnonzero((index[:, :, None] >= 0) & (index[:, None, :] >= 0))
-    at, row, column = np.unravel_index(pair, (len(section), n, n))
-    here, chosen = compliant(assembly, mesh), (elements[:, None] * degree + np.arange(degree)).ravel()
-    factor = _factor(mesh, here, (point, tube))
-    stretch: tuple[Array, Array, Array] | None = None
-    blocks: tuple[Block, ...] = ()
-    if assembly.eccentric:
-        up_to, beyond = integrals(mesh, elements)
-        stretch = up_to, beyond, np.asarray(np.linalg.inv(factor), dtype=float)
-        green = green_of(mesh.tableau, mesh.start[elements], mesh.length[elements])
-        blocks = tuple(_make_blocks(assembly, green, section, (up_to, beyond, weight)))
-    return ReducedProblem(
-        assembly=assembly,
-        mesh=mesh,
-        here=here,
-        stiffness=here.sections.stiffness[chosen],
-        moment=here.sections.moment[chosen],
-        phase=here.sections.phase[chosen],
-        arc_length=(mesh.start[elements, None] + mesh.length[elements, None] * mesh.tableau.nodes).ravel(),
-        weight=weight,
-        point=point,
-        tube=tube,
-        factor=factor,
-        flat=point * n + tube,
-        flat_weight=weight[point],
-        # CasADi stores dM_i/dtheta_j by columns, (point, j, i); `row` is i.
-        entries=(at * n + column) * n + row,
-        places=index[at, row] * len(point) + index[at, column],
-        entry_weight=weight[at],
-        stretch=stretch,
-        blocks=blocks,
-    )
+    if unknown is None:
+        # Concentric straight tubes are carried along; tubes off the centreline are stretched where the arm is curved.
+        unknown = assembly.present if assembly.eccentric else assembly.curved
+    return ReducedProblem(assembly, mesh, unknown, compliant(assembly, mesh))
 
 
 def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
@@ -269,7 +334,8 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
 def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
     """1 + L' B (dM/dtheta) L from the output dM/dtheta of `balance`."""
     second = np.zeros(problem.size**2)
-    second[problem.places] = stiffness.ravel()[problem.entries] * problem.entry_weight
+    pairs = problem.pairs
+    second[pairs.places] = stiffness.ravel()[pairs.entries] * pairs.weight
     table = second.reshape(problem.size, problem.size)
     if problem.size < LARGE:
         hessian = problem.factor.T @ table @ problem.factor

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -19,7 +20,6 @@ from ...block.transcription.arm import ArmShape
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.green import sections_at
 from ...block.transcription.loaded import LoadedProblem
-from ...block.transcription.reduced import ReducedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
@@ -92,6 +92,10 @@ _POINTERS = (
 )
 
 
+_OWN = ("stiffness", "moment", "phase", "rate", "force", "base_force")
+"""What differs from rule to rule."""
+
+
 class _Problem(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_longlong) for name in ("pieces", "tip_tube")),
@@ -161,24 +165,19 @@ def _kernel(n: int) -> Kernel | None:
 
 
 @lru_cache(maxsize=64)
-def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
-    """The C struct Problem without forces, which keeps the arrays that it points to."""
-    mesh, assembly = torsion.mesh, torsion.assembly
-    t, pieces, n = mesh.tableau, len(mesh.length), assembly.n_tubes
-    ends = sections_at(assembly, mesh, ENDS)
-    bent = np.zeros((len(torsion.weight), n))
-    bent.ravel()[torsion.flat] = 1.0
-    bent = bent.reshape(pieces, t.degree, n)[:, 0]
+def _structure(rules: LoadedRules) -> Any:
+    """The C struct Rules, and the memory that it points into as `keep`."""
+    problems, tip = (rules.problem, rules.rough, rules.check), rules.problem.tip_tube
+    torsion, length = rules.problem.torsion, rules.problem.torsion.assembly.total_length
+    mesh, ends = torsion.mesh, sections_at(torsion.assembly, torsion.mesh, ENDS)
+    bent = torsion.unknown[mesh.section]
     # The twist of a tube matters up to where it is bent for the last time, and to where it ends the arm.
-    felt = np.cumsum(bent[::-1], axis=0)[::-1] > 0
-    felt[:, tip_tube] = True
-    arrays = {
+    felt = np.logical_or.accumulate(bent[::-1], axis=0)[::-1]
+    felt[:, tip] = True
+    # What all rules share, then each rule's own.
+    shared = {
         "start": mesh.start,
         "length": mesh.length,
-        "stiffness": torsion.stiffness,
-        "moment": torsion.moment,
-        "phase": torsion.phase,
-        "rate": torsion.here.rate,
         "bent": bent,
         "felt": felt,
         "held": torsion.here.transmission,
@@ -189,24 +188,20 @@ def _template(torsion: ReducedProblem, tip_tube: int, length: float) -> Any:
         "ends_twist": ends.twist,
         "ends_wound": ends.wound,
     }
-    kept = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
-    out: Any = _Problem(pieces, tip_tube, length, **{name: address(array) for name, array in kept.items()})
-    out.keep = kept
-    return out
-
-
-@lru_cache(maxsize=64)
-def _structure(rules: LoadedRules) -> Any:
-    """The C struct Rules."""
-    parts, kept = [], []
-    for problem in (rules.problem, rules.rough, rules.check):
-        template = _template(problem.torsion, problem.tip_tube, problem.torsion.assembly.total_length)
-        part = _Problem.from_buffer_copy(template)
-        part.force, part.base_force = address(problem.force), address(problem.base_force)
-        parts.append(part)
-        kept.append((template, problem))
+    arrays = list(shared.values())
+    for one in problems:
+        own = one.torsion
+        arrays += [own.stiffness, own.moment, own.phase, own.here.rate, one.force, one.base_force]
+    # In one piece of memory, since asking NumPy for an address takes a microsecond.
+    memory = np.concatenate(arrays, axis=None, dtype=float)
+    sizes = [8 * array.size for array in arrays]
+    places = accumulate(sizes[:-1], initial=address(memory))
+    common = dict(zip(shared, places, strict=False))
+    parts = [
+        _Problem(len(mesh.length), tip, length, **common, **dict(zip(_OWN, places, strict=False))) for _ in problems
+    ]
     out: Any = _Rules(*parts)
-    out.keep = kept  # the structure points into them
+    out.keep = memory
     return out
 
 
@@ -246,7 +241,7 @@ def solve_loaded_compiled(
         margin,
         *room.at,
     )
-    shape = len(problem.softness), STEPS * len(problem.mesh.length) + 1
+    shape = len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
     return _answered(room.fields, *shape) if status == SOLVED else None
 
 
