@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 import pytest
 
 from tests.examples import DEG, THESIS, nested
 from tubeopt import forward_kinematics, verify_trajectory
+from tubeopt.block.transcription.standing import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.guard import Guard
 from tubeopt.planning.branch import branch, least_root, whirled
 from tubeopt.planning.clearing import Sizes
 from tubeopt.planning.cross_sections import Constants
+from tubeopt.planning.cross_sections import part as part_of
+from tubeopt.planning.loaded_branch import SIXTH
 from tubeopt.planning.sections import Arms, Intervals
 
 
@@ -74,6 +79,46 @@ def test_newton_and_kantorovich_take_the_least_root() -> None:
     assert least_root(edge * 0.999, 1 - q, bow)[1].all()
     assert not least_root(edge * 1.001, 1 - q, bow)[1].any()
     assert not least_root(first, -(1 - q), bow)[1].any()
+
+
+def test_a_sixth_of_what_bends_a_function_leaves_it_on_its_chord() -> None:
+    """Of functions with f'' = -T, T linear and nowhere negative: by their closed form, at all times."""
+    t = np.linspace(0, 1, 100_001)[1:-1]
+    shares = []
+    for first, last in ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.2, 1.0)):
+        above = t * (1 - t) * (first * (2 - t) + last * (1 + t)) / 6
+        bend = np.diff(above, 2) / (t[1] - t[0]) ** 2
+        size = first + (last - first) * t
+        assert bend == pytest.approx(-size[1:-1], abs=1e-4)
+        shares.append((above / size).max())
+    assert max(shares) <= SIXTH
+    assert max(shares) >= 0.999 * SIXTH
+
+
+@pytest.mark.parametrize("plane", [True, False])
+def test_the_moment_of_a_load_changes_no_faster_than_the_arm_ahead_turns(plane: bool) -> None:
+    """In the frame of a place of the arm: rigid parts turn at fixed rates, all derivatives by the exponential."""
+    rng, most = np.random.default_rng(4), np.zeros(3)
+    for _ in range(300):
+        own, ahead, force = (part / np.linalg.norm(part) for part in rng.normal(size=(3, 3)))
+        tangent = np.array([0.0, 0.0, 1.0])
+        if plane:
+            own = ahead = np.array([1.0, 0.0, 0.0])
+            angle = rng.uniform(0, 2 * np.pi)
+            force = np.array([0.0, np.sin(angle), np.cos(angle)])
+        own, ahead = own * rng.uniform(0, 1), ahead * rng.uniform(0, 1)
+        # R' t = exp(A) e3, R' n = exp(-W) n; derivatives at time 0, product rule.
+        turns = [
+            [np.linalg.matrix_power(hat(w), k) @ v for k in range(4)] for w, v in ((ahead, tangent), (-own, force))
+        ]
+        rate, none = np.linalg.norm(own) + np.linalg.norm(ahead), np.zeros(())
+        bound = whirled(np.asarray(rate), none, none)
+        for order in (1, 2, 3):
+            parts = [comb(order, k) * np.cross(turns[0][k], turns[1][order - k]) for k in range(order + 1)]
+            size = np.linalg.norm(np.sum(parts, axis=0))
+            assert size <= part_of(bound, order) * (1 + 1e-12)
+            most[order - 1] = max(most[order - 1], size / part_of(bound, order))
+    assert not plane or (most > 0.999).all()
 
 
 def test_the_margin_that_is_asked_for_is_kept_to_the_last_digit() -> None:

@@ -74,6 +74,24 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
             assert off <= found.off[k, section] + 3 * inside.shape_error.max()
 
 
+@pytest.mark.parametrize("load", [SIDEWAYS, EVERYTHING], ids=["force", "everything"])
+def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load) -> None:
+    """And what they may lose falls by four where a step is half as long, while nothing varies along the tubes."""
+    begin, step = np.append([0.9, 0.3, 0.1], np.array(HOME) - 0.03), np.append([0.06, -0.02, 0.01], [1e-3, 2e-3, 2e-3])
+    lost = []
+    for part in (1.0, 0.5):
+        chain = [forward_kinematics(THESIS, *np.split(begin, 2), load=load)]
+        for x in np.linspace(0, part, 9)[1:]:
+            chain.append(forward_kinematics(THESIS, *np.split(begin + x * step, 2), load=load, guess=chain[-1]))
+        intervals, margins = intervals_of([chain[0], chain[-1]], load)
+        bounds = _Bounds(intervals)
+        _, convex, kept = bounds.ball(margins[:1])
+        assert kept.all()
+        assert min(e.margin for e in chain) >= convex[0] >= margins.min() - 0.2
+        lost.append(bounds.curving()[0])
+    assert lost[0] / lost[1] == pytest.approx(4, rel=0.25)
+
+
 @pytest.mark.parametrize(("turned", "moved"), [(0.05, 0.0), (0.05, 2e-3), (0.01, 5e-3)])
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
 def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, turned: float, moved: float) -> None:

@@ -8,14 +8,15 @@ energy of a dead load has the gradient
 
 Along what goes linearly from the torques and moments of the one equilibrium to those of the other, at fixed fractions
 of the sections, it vanishes at both ends, so that |g| <= max |g_tt| / 8 in between. With mu the lesser margin of both,
-and q0 + q1 r a bound of how far the second variation, relative to T, is from that at the end nearer in time, in a ball
-of radius r around the chord,
+and q0 + q1 r a bound of how far the second variation, relative to T, is from one with margin mu, in a ball of radius r
+around the chord,
 
     (mu - q0)^2 > 2 q1 |g|
 
 makes the energy strictly convex in a ball around the chord at all times, with exactly one equilibrium in it, a stable
-one (Newton and Kantorovich). All bounds are in closed form, of what is known of both equilibria. Where tubes vary,
-places at fixed fractions of sections move along them, which changes |a_i|, K and kt: by `Drift`, as in `branch`.
+one (Newton and Kantorovich). Along the chord it is compared with that at the end nearer in time, or with what is linear
+between both ends, whichever shows more. All bounds are in closed form, of what is known of both equilibria. Where tubes
+vary, places at fixed fractions of sections move along them, which changes |a_i|, K and kt: by `Drift`, as in `branch`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,10 @@ from .branch import Branch, Turn, least_root, tip_of, whirled
 from .cross_sections import Jet, linear, part, turned
 from .loaded_sections import LoadedIntervals
 from .sections import PARTS
+
+SIXTH = 1 / 6
+"""Share of T by which a function of time may be off a straight line, where its second derivative is at most T, and T is
+linear in time and nowhere negative."""
 
 FACTORS = 1.0, 1.0, 1.0, 2.0
 """What changes between samples as it follows from what is known already; at last doubled, which must suffice."""
@@ -60,7 +65,7 @@ class _Changes:
 
 @dataclass(frozen=True, eq=False)
 class _Moved:
-    """How far a configuration is from another at most: theta, the frames (B, K), rad, m_w (B, K), N m."""
+    """How far a configuration is from another at most: theta, the frames (B, K), rad, m_w and M (B, K), N m."""
 
     turn: Turn
     frame: Array
@@ -155,14 +160,14 @@ class _Bounds:
         by_tubes = (self.pull * turned(theta)).map(lambda bound: bound.sum(2))
         return self.long * replace(by_tubes + moment * self.drift.give, v=self.u)
 
-    def _answer(self, theta: Jet, pair: Jet, tangent: Jet) -> tuple[Jet, Jet, Jet]:
-        """T_i (B, K, n) and M (B, K); and m_w (B, K)."""
-        ahead = (self.long * tangent * self.force).map(_ahead)
-        moment = tangent * ahead
+    def _answer(self, theta: Jet, pair: Jet, tangent: Jet) -> tuple[Jet, Jet]:
+        """T_i (B, K, n); and M, as m_w (B, K)."""
+        # M(s) = int_s^L (R't) x (R'n), R of s. How far t turns against R, and R against n, makes how far t turns.
+        moment = (self.long * tangent * self.force).map(_ahead)
         by_load = turned(theta) * moment.map(lambda bound: bound[..., None])
         by_tubes = (self.pairing * turned(pair)).map(lambda bound: bound.sum(3))
         each = self.long.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes)
-        return each.map(_ahead), moment, ahead
+        return each.map(_ahead), moment
 
     def _size(self, torque: Array, moment: Array) -> Array:
         """(B,) root of T of torques (B, K, n) and moments (B, K)."""
@@ -170,7 +175,7 @@ class _Bounds:
         held = (self.spring.v * torque[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
 
-    def _chord(self, c: _Changes, torque: Array) -> tuple[Jet, Jet, Jet, tuple[Jet, Jet, Jet]]:
+    def _chord(self, c: _Changes, torque: Array) -> tuple[Jet, Jet, Jet, tuple[Jet, Jet]]:
         """What goes linearly in torques, of at most `torque`, and moments, which change by c: theta, differences of
         theta, tangents, and the answer to it."""
         bow = self._wound(Jet(torque, c.torque, np.zeros_like(c.torque))).dd
@@ -183,14 +188,14 @@ class _Bounds:
 
     def gradient(self) -> Array:
         """(B,) bound of |g| along the chord."""
-        torque, moment, _ = self.answer
+        torque, moment = self.answer
         return self._size(torque.dd / 8, moment.dd / 8)
 
     def _response(self, size: Array) -> _Changes:
         """What torques and moments of a root of T of `size` (B,) turn, and how much T_i and M differ by that."""
         own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.long.v
         frame = self.swing * size[:, None]
-        moment = frame * self.lever + _ahead(h * frame * self.force.v)
+        moment = _ahead(h * frame * self.force.v)
         by_load = self.slope * (own * self.lever[..., None] + moment[..., None])
         torque = _ahead(h[..., None] * ((self.pairs * pair).sum(3) + by_load))
         return _Changes((own, pair), torque, moment, np.ones(len(size), dtype=bool))
@@ -202,7 +207,7 @@ class _Bounds:
         With e what they are off the chord, g_y e' = -d/dt g(chord + e), e at rest, and g(chord) is 0 at both ends. What
         g_y makes of y'' and y''' is what lower derivatives make of -g.
         """
-        c, (torque, moment, _) = self.changes, self.answer
+        c, (torque, moment) = self.changes, self.answer
         ball = self._response(radius)
         off = ball.torque + torque.dd / 8
         wide = _Changes(
@@ -251,10 +256,9 @@ class _Bounds:
         dh, own, bend, dn = b._stretched() if stretched else (zero, np.zeros_like(w[0]), zero, zero)
         dc, da = (b.pairing.d / 2, b.pull.d / 2) if stretched else (np.zeros(()), np.zeros(()))
         pair = np.hypot(own[..., :, None], own[..., None, :])
-        m = moved.moment + lever * moved.frame
         each = h[..., None, None] * (b.pairs * moved.turn[1] + dc) + dh[..., None, None] * b.pairs
         by_tubes = (each * w[1] ** 2 + 2 * h[..., None, None] * b.pairs * w[1] * pair).sum((1, 2, 3)) / 2
-        size = h[..., None] * (m[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
+        size = h[..., None] * (moved.moment[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
         size = b.slope * size + da * (h * lever)[..., None]
         by_load = (size * w[0] ** 2 + 2 * b.slope * (h * lever)[..., None] * w[0] * own).sum((1, 2))
         # By how much psi differs, and all of its way: frames, the directions of a_i, and lengths.
@@ -265,6 +269,31 @@ class _Bounds:
         n = b.force.v
         form = (h * (dn + n * moved.frame) + dh * n) * b.swing**2 + 2 * h * n * b.swing * differs
         return np.asarray(by_tubes + by_load + by_turns + form.sum(1))
+
+    def curving(self) -> Array:
+        """(B,) bound of how far the second variation relative to T is, along the chord, below what is linear in time
+        between both ends: `SIXTH` of a bound of its second derivative by time, at fixed torques and moments. Infinite
+        where tubes vary, whose T is not linear in time. See "Between loaded equilibria" in docs/theory.md."""
+        if not self.drift.still:
+            return np.full(len(self.lever), np.inf)
+        h, none = self.long, np.zeros_like(self.long.v)
+        begin, end = self.intervals.length
+        # Squares of the changes of y, of int h r and of the transmissions where T = 1.
+        grown, held = _over(h.d, np.minimum(begin, end)), _over(self.spring.d, self.spring.v - self.spring.d)
+        own = np.sqrt(np.cumsum(grown[..., None] / self.kt, axis=1) + held[:, None])
+        bent = np.cumsum(h.v / self.stiffness, axis=1), np.cumsum(grown / self.stiffness, axis=1)
+        y = Jet(self.weight[0], own, np.zeros_like(own))
+        pair = Jet(self.weight[1], np.hypot(own[..., :, None], own[..., None, :]), np.zeros_like(self.weight[1]))
+        theta, both, tangent, moment = self.theta, self.pair, self.tangent, self.answer[1]
+        by_tubes = (self.pairing * turned(both) * pair * pair).map(lambda bound: bound.sum((2, 3)) / 2)
+        pulled = self.pull * turned(theta)
+        by_load = (pulled * moment.map(lambda bound: bound[..., None]) * y * y).map(lambda bound: bound.sum(2))
+        # Of psi: by the turns of the tubes, and by the moments.
+        swing = (tangent * h * (pulled * y).map(lambda bound: bound.sum(2))).map(lambda b: np.cumsum(b, axis=1))
+        swing = replace(swing + tangent * Jet(np.sqrt(bent[0]), np.sqrt(bent[1]), none), v=self.swing)
+        # By parts m_w.(psi x psi') is half of what n makes of |psi|^2, beside n.(psi x (psi x e)).
+        by_turns = (tangent * self.force * swing * swing).map(lambda bound: 1.5 * bound)
+        return np.asarray(SIXTH * (h * (by_tubes + by_load + by_turns)).dd.sum(1))
 
     def _stretched(self) -> tuple[Array, Array, Array, Array]:
         """Between the chord and its nearer end: h (B, K), y_i (B, K, n) and int h r (B, K) at equal coordinates, n."""
@@ -289,10 +318,11 @@ class _Bounds:
         """(B,) radius of the ball in which the equilibria are, the least of the second variation over T in it, and
         whether that is more than 0."""
         # How far the chord is from its nearer end; and what is in a ball from its centre, per its radius.
-        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.answer[2].d / 2)
+        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.answer[1].d / 2)
         each = self.long.v * self.force.v * self.swing
         by_ball = _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
-        q, bow = self.variation(by_time, stretched=True), self.variation(by_ball, stretched=False)
+        q = np.fmin(self.variation(by_time, stretched=True), self.curving())
+        bow = self.variation(by_ball, stretched=False)
         first, left = self.gradient(), margin - q
         radius, kept = least_root(first, left, bow)
         return radius, np.asarray(left - bow * radius), kept
@@ -324,6 +354,11 @@ class _Course:
     def jet(self, name: str) -> Jet:
         """One of them."""
         return Jet(*getattr(self, name))
+
+
+def _over(change: Array, least: Array) -> Array:
+    """Squares of changes over what there is at least, which may be nothing; 0 where nothing changes."""
+    return np.asarray(change**2 / np.maximum(least, 1e-300))
 
 
 def _ahead(bound: Array) -> Array:
