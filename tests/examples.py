@@ -9,11 +9,9 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tubeopt import ConcentricRobot, Material, Tube, load_robot
-from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
+from tubeopt.equilibrium.member import PlainPoint, Point, Unloaded
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.eccentric import EccentricRobot
-from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 
 CONFIGS = Path(__file__).parents[1] / "configs" / "robots"
@@ -59,12 +57,12 @@ def configurations(robot: ConcentricRobot, count: int, seed: int) -> Iterator[tu
         yield random.uniform(-np.pi, np.pi, robot.n_tubes), random.uniform(low, high)
 
 
-def unstable_home(robot: ConcentricRobot, rotations: Array) -> Solution:
+def unstable_home(robot: ConcentricRobot, rotations: Array) -> PlainPoint:
     """The saddle that Newton finds from tubes without torsion, where symmetry holds them."""
-    problem = reduced_problem(robot, (0.0,) * robot.n_tubes, DEFAULT_DISCRETISATION)
-    result = newton(problem, rotations, np.zeros(problem.size))
+    member = Unloaded.of(robot, rotations, (0.0,) * robot.n_tubes)
+    result = member.solve(np.zeros(member.problem.size))
     assert result.converged
-    return Solution(problem, rotations, result, margin(problem, result.state))
+    return Point.of(member, result)
 
 
 def eccentric_assembly(offset: float = 1.92 * MM / np.sqrt(3)) -> Assembly:

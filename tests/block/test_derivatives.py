@@ -29,8 +29,8 @@ from tubeopt import (
     SolveError,
     forward_kinematics,
 )
+from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.result import Jacobian
-from tubeopt.equilibrium.solving import to_equilibrium
 from tubeopt.robots.breakpoints import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.robots.robot import Robot
@@ -197,7 +197,7 @@ def test_close_to_the_snap_derivatives_grow_without_bound() -> None:
 
 def test_an_unstable_equilibrium() -> None:
     solution = unstable_home(THESIS, np.array([np.pi, 0.0, 0.0]))
-    saddle = to_equilibrium(THESIS, solution, (0.0, 0.0, 0.0), ("newton", "tubes without torsion", 0.0))
+    saddle = to_equilibrium(solution, "tubes without torsion")
     assert saddle.margin < 0
     check(saddle, 1)
     check(saddle, -1)

@@ -27,13 +27,12 @@ from tests.examples import (
     unstable_home,
 )
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, SolveError, Status, Tube
+from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS
 from tubeopt.equilibrium.kinematics import forward_kinematics
 from tubeopt.equilibrium.method import METHODS
-from tubeopt.equilibrium.solving import to_equilibrium
 from tubeopt.typing import Array
 
-DESCRIBED = ("newton", "tubes without torsion", 0.0)
 SOME_POSES = settings(max_examples=40)
 
 Pose = tuple[ConcentricRobot, Array, Array]
@@ -66,7 +65,7 @@ def test_rotations_at_the_plate() -> None:
 
 def test_the_unstable_equilibrium_is_there_but_never_the_answer() -> None:
     rotations = np.array([np.pi, 0.0, 0.0])
-    saddle = to_equilibrium(THESIS, unstable_home(THESIS, rotations), (0.0, 0.0, 0.0), DESCRIBED)
+    saddle = to_equilibrium(unstable_home(THESIS, rotations), "tubes without torsion")
     assert saddle.tip_position == pytest.approx(np.array([0.0, -15.1956103, 198.104534]) * MM, abs=1e-8)
     assert saddle.margin == pytest.approx(-0.95567, abs=1e-4)
     assert not saddle.stable
@@ -320,8 +319,7 @@ def test_adaptive_integration_confirms_random_robots(pose: Pose) -> None:
 
 def test_two_opposed_tubes_lie_straight() -> None:
     robot = opposed()
-    solution = unstable_home(robot, np.array([0.0, np.pi]))
-    solved = to_equilibrium(robot, solution, (0.0, 0.0), DESCRIBED)
+    solved = to_equilibrium(unstable_home(robot, np.array([0.0, np.pi])), "tubes without torsion")
     assert solved.rotation == pytest.approx(np.tile([[0.0], [np.pi]], len(solved.arc_length)), abs=1e-12)
     assert solved.position == pytest.approx(solved.arc_length[:, None] * [0, 0, 1], abs=1e-12)
     # All the energy that bending the tubes straight takes: kb kappa^2 / 2 per length.
@@ -335,7 +333,7 @@ def test_equal_tubes_twisted_by_half_a_turn_find_a_lower_energy_if_they_can() ->
     solved = forward_kinematics(strong, (0.0, np.pi))
     saddle = unstable_home(strong, np.array([0.0, np.pi]))
     assert saddle.margin < 0 < solved.margin
-    assert solved.energy < saddle.result.state.energy
+    assert solved.energy < saddle.state.energy
     # sqrt(c) L < pi/2: it stays.
     weak = pair(2.0, 0.0)
     assert forward_kinematics(weak, (0.0, np.pi)).rotation[0] == pytest.approx(0.0, abs=1e-12)

@@ -27,8 +27,8 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.loaded import evaluate, unknowns
+from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.load_problem import loaded_problem
-from tubeopt.equilibrium.loaded import loaded_point
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.compiled.binding import kernel_of
@@ -59,7 +59,7 @@ def rod(length: float, stiffness: float, shear: float | None = None, curvature: 
 
 def base_values(e: Equilibrium) -> Array:
     """(n + 2,) torques and bending moment at the plate, where shooting may start."""
-    point = loaded_point(e)
+    point = point_of(e)
     torque = -(point.member.problem.torsion.weight @ point.state.torque)
     if point.member.problem.couples is not None:
         torque[point.member.problem.tip_tube] += point.state.joint_torques[0]
@@ -374,29 +374,29 @@ def test_random_robots_against_shooting(seed: int) -> None:
 
 def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -> None:
     from tubeopt import Discretisation
-    from tubeopt.equilibrium.load_answer import to_loaded
-    from tubeopt.equilibrium.loaded import ramp
+    from tubeopt.equilibrium.answer import to_equilibrium
+    from tubeopt.equilibrium.kinematics import ramp
 
     load = Load((0.3, 0.1, -0.1))
     plain = forward_kinematics(thesis, ROTATIONS)
     exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-11)
     for degree in (2, 3, 4):
         d = Discretisation(degree=degree)
-        e = to_loaded(ramp(plain, load, d))
+        e = to_equilibrium(ramp(plain, load, d), "the load before")
         error = float(np.linalg.norm(e.tip_position - exact.tip_position))
         assert error / 2 < e.tip_error < 2 * error
 
 
 def test_the_estimated_error_of_rotations_is_not_below_the_true_one(thesis: ConcentricRobot) -> None:
     from tubeopt import Discretisation
-    from tubeopt.equilibrium.load_answer import to_loaded
-    from tubeopt.equilibrium.loaded import ramp
+    from tubeopt.equilibrium.answer import to_equilibrium
+    from tubeopt.equilibrium.kinematics import ramp
 
     plain = forward_kinematics(thesis, ROTATIONS)
     for load in (Load((0.3, 0.1, -0.1)), Load(gravity=(0.0, -9.81, 0.0))):
         exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-12)
         for degree in (2, 3, 4):
-            e = to_loaded(ramp(plain, load, Discretisation(degree=degree)))
+            e = to_equilibrium(ramp(plain, load, Discretisation(degree=degree)), "the load before")
             at = np.abs(exact.arc_length[:, None] - e.arc_length)
             mine, its = at.min(0) < 1e-12, at.argmin(0)
             true = np.abs(e.rotation[:, mine] - exact.rotation[:, its[mine]]).max()
@@ -424,17 +424,18 @@ def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pyte
     here = forward_kinematics(robot, alpha, shift, load=load)
     elsewhere = forward_kinematics(robot, alpha + 0.4, shift)
     turned = alpha + np.linspace(1, -0.5, len(alpha))
-    ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere)
+    ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere), (turned, None, elsewhere)
     ends = [forward_kinematics(robot, a, shift, load=q, guess=g) for a, q, g in ways]
     with monkeypatch.context() as patch:
-        patch.setattr("tubeopt.equilibrium.loaded.compiled", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.kinematics.compiled", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.kinematics._compiled", lambda *arguments: None)
         for end, (a, q, g) in zip(ends, ways, strict=True):
             general = forward_kinematics(robot, a, shift, load=q, guess=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)
             assert end.margin == pytest.approx(general.margin, abs=1e-9)
     if kernel_of(robot) is None:
         return
-    monkeypatch.setattr("tubeopt.equilibrium.loaded.to_tolerance", None)  # the kernel goes all of the way
+    monkeypatch.setattr("tubeopt.equilibrium.kinematics._to_tolerance", None)  # the kernel goes all of the way
     for a, q, g in ways:
         forward_kinematics(robot, a, shift, load=q, guess=g)
 

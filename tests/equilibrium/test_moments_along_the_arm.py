@@ -22,7 +22,7 @@ from tubeopt import (
     load_equilibrium,
     load_robot,
 )
-from tubeopt.equilibrium.loaded import loaded_point
+from tubeopt.equilibrium.answer import point_of
 from tubeopt.robots.load import between
 from tubeopt.robots.pieces import Piece
 from tubeopt.runs.load_file import load_entry
@@ -43,7 +43,7 @@ def thesis() -> ConcentricRobot:
 
 def base_values(e: Equilibrium) -> Array:
     """(n + 2,) torques and bending moment at the plate, where shooting may start."""
-    point = loaded_point(e)
+    point = point_of(e)
     torque = -(point.member.problem.torsion.weight @ point.state.torque)
     couples = point.member.problem.couples
     assert couples is not None
@@ -119,7 +119,7 @@ def test_soft_rod_with_weight_and_wrenches_in_the_middle_and_at_the_tip(length: 
         *tip, points=((length / 2, middle[0]),), couples=((length / 2, middle[1]),), gravity=(0.0, -9.81, 0.0)
     )
     e = forward_kinematics(robot, [0.0], load=load)
-    point = loaded_point(e)
+    point = point_of(e)
     assert point.member.problem.couples is not None
     torque = point.state.joint_torques.sum() - point.member.problem.torsion.weight @ point.state.torque
     reference = Shooting(of_robot(robot, [mass]), [0.0], [0.0], same).solve(np.append(torque, e.base_wrench[3:5]))

@@ -10,7 +10,8 @@ from scipy.interpolate import make_interp_spline
 
 from tests.general_reference import Bundle, Stretch, shoot, straight
 from tubeopt import ConcentricRobot, Piece, Tube, forward_kinematics
-from tubeopt.equilibrium.solving import discretisation_of, polish
+from tubeopt.equilibrium.answer import point_of
+from tubeopt.equilibrium.solving import discretisation_of
 
 
 def random_piece(random: np.random.Generator, length: float, stiffness: tuple[float, float]) -> tuple[Piece, Stretch]:
@@ -73,7 +74,7 @@ def test_random_robots_are_where_shooting_puts_them() -> None:
         turned = random.uniform(-math.pi, math.pi, robot.n_tubes)
         found = forward_kinematics(robot, turned, shift)
         beta = shift - np.array([tube.straight_length for tube in robot.tubes])
-        torque = polish(found, discretisation_of(found)).arm.twist[0]
+        torque = point_of(found, discretisation=discretisation_of(found)).torsion.twist[0]
         shot = shoot(bundle, turned.tolist(), beta.tolist(), torque.tolist())
         assert np.linalg.norm(shot.tip - found.tip_position) < 1e-10
         assert shot.stable == found.stable

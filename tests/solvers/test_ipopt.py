@@ -56,7 +56,7 @@ def test_equations_of_tubes_beside_the_centreline() -> None:
 def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
     rotations = np.array([np.pi, 0.0, 0.0])
     saddle = unstable_home(THESIS, rotations)
-    problem = saddle.problem
+    problem = saddle.member.problem
     # The equations are content with the saddle; the energy, started a little beside it, is not.
     found = solve_ipopt(problem, rotations, untwisted(problem, rotations))
     assert margin(problem, found.state) == pytest.approx(saddle.margin, abs=1e-9)
@@ -64,7 +64,7 @@ def test_energy_has_its_minima_where_the_equations_also_have_saddles() -> None:
     beside.rotation[:, 0] += 0.1
     found = solve_ipopt(problem, rotations, beside, "energy")
     assert margin(problem, found.state) > 0
-    assert found.state.energy < saddle.result.state.energy
+    assert found.state.energy < saddle.state.energy
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

@@ -119,16 +119,16 @@ def test_energy_falls_at_every_step(family: str) -> None:
 def test_newton_stays_on_the_saddle_that_descent_leaves() -> None:
     rotations = np.array([np.pi, 0.0, 0.0])
     saddle = unstable_home(THESIS, rotations)
-    problem = saddle.problem
+    problem = saddle.member.problem
     assert saddle.margin < 0
     ends = []
-    for start in leave_saddle(problem, saddle.result.state):
-        assert np.abs(problem.factor @ (start - saddle.result.state.z)).max() == pytest.approx(0.05)
-        assert evaluate(problem, rotations, start).energy < saddle.result.state.energy
+    for start in leave_saddle(problem, saddle.state):
+        assert np.abs(problem.factor @ (start - saddle.state.z)).max() == pytest.approx(0.05)
+        assert evaluate(problem, rotations, start).energy < saddle.state.energy
         end = descend(problem, rotations, start)
         assert end.converged
         assert margin(problem, end.state) > 0
-        assert end.state.energy < saddle.result.state.energy
+        assert end.state.energy < saddle.state.energy
         ends.append(end.state)
     # The two sides are mirror images: theta -> -theta turns (pi, 0, 0) into (-pi, 0, 0), a turn less.
     assert ends[0].energy == pytest.approx(ends[1].energy, rel=1e-10)

@@ -29,9 +29,9 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
+from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
 from tubeopt.equilibrium.load_problem import loaded_problem
-from tubeopt.equilibrium.loaded import unloaded_point
 from tubeopt.solvers.newton import loaded_margin
 from tubeopt.stability.folds import slide
 from tubeopt.stability.loaded_certificate import Bundle, bundle_of
@@ -96,7 +96,7 @@ def test_the_thesis_robot_snaps_under_twenty_two_millinewton() -> None:
     assert limit.after is not None
     assert limit.after.stable
     assert limit.energy_released > 1e-3
-    start = unloaded_point(turned, Load((-0.02, 0, 0)))
+    start = point_of(turned, Load((-0.02, 0, 0)))
     problem = start.member.problem
     near = reach(Family.growing(start.member), start, 1.09)
     other = largest_factor(problem, turned.rotations, near.state.x, 1.09)
@@ -275,7 +275,7 @@ def test_what_makes_no_sense_says_so() -> None:
 
 def test_a_fall_ends_in_a_minimum_below() -> None:
     column = rod(0.2, 1e-3)
-    start = unloaded_point(forward_kinematics(column, [0.0]), Load((1e-6, 0, -3 * UNIT)))
+    start = point_of(forward_kinematics(column, [0.0]), Load((1e-6, 0, -3 * UNIT)))
     problem, member = start.member.problem, replace(start.member, factor=1.0)
     result = slide(member, start.state.x)
     assert result.converged

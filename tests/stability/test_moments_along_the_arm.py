@@ -23,7 +23,7 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
-from tubeopt.equilibrium.loaded import loaded_point
+from tubeopt.equilibrium.answer import point_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
 from tubeopt.typing import Array
@@ -43,7 +43,7 @@ def thesis() -> ConcentricRobot:
 
 def whitened(e: Equilibrium) -> Array:
     """The matrix (U, U) of the linearised equations."""
-    return loaded_point(e).state.hessian
+    return point_of(e).state.hessian
 
 
 def at_plate(e: Equilibrium) -> Array:

@@ -8,28 +8,29 @@ and the strain of a tube, are smooth in all lengths.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription.collocated import ENDS
-from ..block.transcription.mesh import Mesh, make_mesh
-from ..block.transcription.reduced import evaluate, reduce, to_unknowns
+from ..block.transcription.mesh import Mesh
+from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.general_derivatives import Change, Linearised, together
 from ..equilibrium.general_motion import GeneralMotion
 from ..equilibrium.margin import AtSolution, AtWorst
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import Solution, to_equilibrium
+from ..equilibrium.solving import reduced_assembly
 from ..equilibrium.state import arm_of
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF, Assembly, assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
-from ..solvers.newton import NewtonResult, descend, newton
+from ..solvers.newton import descend
 from ..stability.certificate import worst_case
 from ..stability.pair import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
@@ -44,34 +45,46 @@ class Twist:
     twist: Array
 
 
-def twist_at(solved: Solution) -> Twist:
+def twist_at(solved: PlainPoint) -> Twist:
     """Guess for a pose close by."""
-    length = max(solved.problem.assembly.total_length, 1e-300)
-    return Twist(solved.problem.arc_length / length, solved.result.state.theta - solved.rotations)
+    problem = solved.member.problem
+    length = max(problem.assembly.total_length, 1e-300)
+    return Twist(problem.arc_length / length, solved.state.theta - solved.member.rotations)
 
 
-def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> Solution:
+class _Draft(ConcentricRobot):
+    """Tubes that a design tries, which need not nest yet."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
+def _placed(tubes: Sequence[Tube], rotations: Array, translations: Array) -> Unloaded:
+    """The problem of tubes at joint values, which is not kept: a design tries others every time."""
+    problem = reduced_assembly(assemble(tubes, translations))
+    return Unloaded(_Draft(tuple(tubes)), problem, rotations, tuple(translations.tolist()))
+
+
+def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, guess: Twist | None = None) -> PlainPoint:
     """The equilibrium near `guess`, or the one that descent reaches from tubes without torsion."""
-    assembly = assemble(tubes, translations)
-    problem = reduce(assembly, make_mesh(assembly))
+    member = _placed(tubes, rotations, translations)
+    problem = member.problem
     if guess is not None and len(guess.fraction) and problem.size:
-        fraction = problem.arc_length / max(assembly.total_length, 1e-300)
+        fraction = problem.arc_length / max(problem.assembly.total_length, 1e-300)
         twist = np.column_stack([np.interp(fraction, guess.fraction, column) for column in guess.twist.T])
-        result = newton(problem, rotations, to_unknowns(problem, rotations, rotations + twist), iterations=12)
+        result = member.solve(member.unknowns(rotations + twist), iterations=12)
         if result.converged:
-            return Solution.of(problem, rotations, result)
+            return Point.of(member, result)
     result = descend(problem, rotations, np.zeros(problem.size))
     if not result.converged:
         raise SolveError("no equilibrium was found at a pose of the design")
-    return Solution.of(problem, rotations, result)
+    return Point.of(member, result)
 
 
-def without_solving(tubes: Sequence[Tube], translations: Array) -> Solution:
+def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
     """The problem at given translations, for what does not depend on the rotations: the certificate."""
-    assembly = assemble(tubes, translations)
-    problem = reduce(assembly, make_mesh(assembly))
-    state = evaluate(problem, np.zeros(len(tubes)), np.zeros(problem.size))
-    return Solution(problem, np.zeros(len(tubes)), NewtonResult(state, True, 0, 0.0), 1.0)
+    member = _placed(tubes, np.zeros(len(tubes)), translations)
+    return Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
 
 
 def mesh_slopes(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
@@ -96,11 +109,9 @@ class Pose:
     n tubes, P pieces, m = 4 P + 1 shape points.
     """
 
-    def __init__(self, solved: Solution) -> None:
-        self.solved = solved
-        self.problem = solved.problem
-        self.margin = solved.margin
-        self.arc_length = arms.arc_lengths(solved.problem.mesh)
+    def __init__(self, solved: PlainPoint) -> None:
+        self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
+        self.arc_length = arms.arc_lengths(self.problem.mesh)
 
     @cached_property
     def derivatives(self) -> Derivatives:
@@ -184,19 +195,16 @@ class PiecePose:
     `changes` lists."""
 
     def __init__(
-        self, solved: Solution, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
+        self, solved: PlainPoint, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
     ) -> None:
-        self.solved, self.problem, self.margin = solved, solved.problem, solved.margin
+        self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
         self._tubes, self._changes = tuple(tubes), changes
 
     position, frame, arc_length = Of[Array]("_equilibrium"), Of[Array]("_equilibrium"), Of[Array]("_equilibrium")
 
     @cached_property
     def _equilibrium(self) -> Equilibrium:
-        assembly = self.problem.assembly
-        straight = np.array([tube.straight_length for tube in self._tubes])
-        shift = tuple((straight - assembly.transmission).tolist())
-        return to_equilibrium(ConcentricRobot(self._tubes), self.solved, shift, ("newton", "guess", 0.0))
+        return to_equilibrium(self.solved, "guess")
 
     @cached_property
     def derivatives(self) -> GeneralMotion:
@@ -239,9 +247,10 @@ class PiecePose:
             tips[0, pair.tubes[0]] = least.tip
             rotations = to_base(self.problem, tips)[0]
             theta = profiles(self.problem, tips)[0]
-            found = newton(self.problem, rotations, to_unknowns(self.problem, rotations, theta))
+            member = replace(self.solved.member, rotations=rotations)
+            found = member.solve(member.unknowns(theta))
             if found.converged:
-                solved = Solution(self.problem, rotations, found, least.margin)
+                solved = Point(0.0, member, found.state, least.margin)
                 slope = PiecePose(solved, self._tubes, self._changes).margin_slope
                 return least.margin, np.concatenate([np.zeros(2 * len(self._tubes)), slope[2 * len(self._tubes) :]])
         here = Linearised(self.solved, self._equilibrium)

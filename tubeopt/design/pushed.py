@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..block.quantities import PoseNumber
+from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import to_equilibrium
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
@@ -56,15 +56,17 @@ def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
 def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
     """The equilibrium of a pose, the PARAMETERS that some unknown moves, and their change with the unknowns, n rows
     each: the others need not be differentiated. What is free of pieces moves none."""
-    pose, robot, n = state.pose(index), ConcentricRobot(state.tubes), state.layout.n
+    pose, n = state.pose(index), state.layout.n
     slopes = {name: state.slopes[name] for name in DIMENSIONS}
     if state.layout.space.pieced:
         slopes["curvature"] = np.zeros((n, state.layout.size))
     rows = dict(zip(PARAMETERS, [*state.joint_slopes(index), *slopes.values()], strict=True))
     moved = {name: part for name, part in rows.items() if part.any()}
-    shift = tuple(state.joint_values(index)[1].tolist())
-    plain = to_equilibrium(robot, pose.solved, shift, ("newton", "guess", 0.0))
-    return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
+    return (
+        to_equilibrium(pose.solved, "guess"),
+        [*moved],
+        np.concatenate([np.zeros((0, state.layout.size)), *moved.values()]),
+    )
 
 
 def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, ConcentricRobot]]]:

@@ -110,7 +110,9 @@ def _sample(
             continue
         if solved.margin > 0:
             joints.append(np.concatenate([rotations, beta]))
-            poses.append(PiecePose(solved, tubes, lambda _: ()) if solved.problem.assembly.general else Pose(solved))
+            poses.append(
+                PiecePose(solved, tubes, lambda _: ()) if solved.member.problem.assembly.general else Pose(solved)
+            )
     return joints, poses
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.general_derivatives import Change, Linearised
-from ..equilibrium.solving import Solution
+from ..equilibrium.member import PlainPoint
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.tubes import STIFFNESSES, Tube
 from ..typing import Array
@@ -158,7 +158,7 @@ class State:
             self._poses[index] = self._pose(solved)
         return self._poses[index]
 
-    def _pose(self, solved: Solution) -> Pose | PiecePose:
+    def _pose(self, solved: PlainPoint) -> Pose | PiecePose:
         space = self.layout.space
         return PiecePose(solved, self.tubes, self._piece_changes) if space.pieced else Pose(solved)
 

@@ -20,7 +20,8 @@ from ..robots.robot import Robot, check_robot, is_general
 from ..solvers.compiled.binding import solve_many_compiled
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
-from .kinematics import forward_kinematics, measure
+from .answer import measure
+from .kinematics import forward_kinematics
 from .loaded import grow_many
 from .result import Equilibrium
 

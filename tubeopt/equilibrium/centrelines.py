@@ -13,9 +13,9 @@ from ..robots.assembly import ROUND_OFF
 from ..robots.eccentric import SegmentedEccentricRobot
 from ..robots.robot import joint_values
 from ..typing import Array
+from .answer import point_of
 from .kinematics import forward_kinematics
 from .result import Equilibrium
-from .solving import polish
 
 
 def tube_centrelines(equilibrium: Equilibrium) -> Array:
@@ -43,13 +43,13 @@ def tube_lengths(equilibrium: Equilibrium) -> Array:
     ends = np.maximum(assembly.end, 0.0)
     if not assembly.eccentric:
         return ends
-    solution = polish(equilibrium)
-    problem, count = solution.problem, len(solution.problem.weight)
+    point = point_of(equilibrium)
+    problem, count = point.member.problem, len(point.member.problem.weight)
     if not count:
         return ends
     moment = section_function("moment", count, assembly.n_tubes, True)
     place = (assembly.offset, assembly.offset_angle)
-    stretch = moment(solution.result.state.theta, problem.stiffness, problem.moment, *place)[1]
+    stretch = moment(point.state.theta, problem.stiffness, problem.moment, *place)[1]
     there = problem.arc_length[:, None] < ends
     return np.asarray(ends + problem.weight @ ((stretch - 1) * there))
 

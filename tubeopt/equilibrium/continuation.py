@@ -72,6 +72,11 @@ class JointPath:
         return max(self._changes())
 
     @property
+    def moves(self) -> bool:
+        """Whether joint values change."""
+        return bool((self.start != self.end).any())
+
+    @property
     def slides(self) -> bool:
         """Whether translations change."""
         n = len(self.start) // 2

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
+from ..block.transcription.arm import CollocationPoints, Found
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
@@ -36,18 +37,16 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.compiled.loaded import LoadedAnswer
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
-from ..solvers.newton import NewtonResult, full_steps
+from ..solvers.newton import full_steps
 from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
-from .load_answer import from_answer
+from .answer import answered, at_points, found_at
 from .load_problem import check_load, loading_of
-from .loaded import at_points
-from .member import Loaded, interpolate
+from .member import Loaded, Point, Unloaded, interpolate
 from .result import Equilibrium, FrictionState, Status
-from .solving import Discretisation, Solution, lever, sample_rotation, to_equilibrium
+from .solving import Discretisation, lever, sample_rotation
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""
@@ -260,9 +259,9 @@ def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
     else:
         balance = (state.gradient + contact.rows.T @ held.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
-        result = NewtonResult(torsion, held.found.converged, 0, held.found.contraction)
-        solution = Solution(problem, held.rotations, result, held.margin, (held.profile, error))
-        plain = to_equilibrium(robot, solution, shift, ("increment", start, 0.0))
+        member = Unloaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
+        shape = found_at(Point(0.0, member, torsion, held.margin), (held.profile, error))
+        plain = answered(member, shape, start, method="increment")
     friction = FrictionState(
         friction=contact.friction,
         arc_length=tuple(contact.arc_length.tolist()),
@@ -275,9 +274,9 @@ def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
     )
     status = Status.STABLE if held.margin > 0 else (Status.HELD if held.held_margin > 0 else Status.UNSTABLE)
     found = replace(plain, status=status, friction=friction)
-    if contact.loaded is not None and isinstance(state.elastic, LoadedState):
+    if "base_wrench" in vars(plain):
         # Kept with the state: what recomputes it from the shape knows no friction.
-        vars(found)["base_wrench"] = base_wrench(contact.loaded, state.elastic)
+        vars(found)["base_wrench"] = plain.base_wrench
     return found
 
 
@@ -286,24 +285,23 @@ def _under_load(robot: Robot, held: Held, state: LoadedState, start: str, error:
     problem = held.contact.loaded
     assert problem is not None
     off = error / max(min(1.0, abs(held.margin)), 1e-6)
-    found = LoadedAnswer(
-        theta=state.theta,
-        curvature=state.curvature,
+    arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
+    found = Found.of(
+        arm,
+        problem.torsion.assembly,
+        points=CollocationPoints(s, state.theta + problem.wound, state.curvature),
         margin=held.margin,
-        residual=imbalance(held.contact, held.found.state, held.found.torque),
         energy=held.found.state.energy + state.work,
-        work=state.work,
-        iterations=0,
+        residual=imbalance(held.contact, held.found.state, held.found.torque),
         errors=(off, off * lever(problem.torsion) + _bending_error(held), float("nan")),
-        compliance=None,
+        iterations=0,
+        index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum()),
+        work=state.work,
         base_wrench=base_wrench(problem, state),
-        arm=loaded_arm(problem, held.profile, state),
     )
-    index = 0 if held.margin > 0 else int((np.linalg.eigvalsh(held.found.state.hessian) < 0).sum())
     shift = tuple(held.translations.tolist())
     member = Loaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-    plain = from_answer(member, found, (start, 0.0, index))
-    return replace(plain, statistics=replace(plain.statistics, method="increment"))
+    return answered(member, found, start, method="increment")
 
 
 def _bending_error(held: Held) -> float:

@@ -29,8 +29,8 @@ from ..physics.certificate import worst_function
 from ..robots.breakpoints import COINCIDE, of_pieces
 from ..typing import Array
 from .derivatives import FLAT
+from .member import PlainPoint
 from .result import Equilibrium
-from .solving import Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,24 +87,24 @@ def together(changes: Sequence[Change]) -> Change:
 class Linearised:
     """A solved problem, linearised."""
 
-    def __init__(self, solution: Solution, equilibrium: Equilibrium) -> None:
-        problem = solution.problem
+    def __init__(self, point: PlainPoint, equilibrium: Equilibrium) -> None:
+        problem = point.member.problem
         assert problem.assembly.lengthwise is not None
-        self.problem, self.solution = problem, solution
+        self.problem, self.point = problem, point
         self.here, self.table = problem.here, problem.assembly.lengthwise
         self.robot, self.t, self.length = equilibrium.robot, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.shape = len(self.length), self.t.degree, self.n
-        self.torsion = solution.arm
+        self.torsion = point.torsion
         self.moments = np.zeros(self.shape)
-        self.moments[problem.mesh.collocated] = solution.result.state.moment.reshape(-1, *self.shape[1:])
+        self.moments[problem.mesh.collocated] = point.state.moment.reshape(-1, *self.shape[1:])
         self.own = self._wound(self.moments)
-        arm = evaluate_arm(problem, solution.rotations, solution.result.state, self.torsion)
+        arm = evaluate_arm(problem, point.member.rotations, point.state, self.torsion)
         self.arm, self.tip = arm, arm.position[-1]
         self.frame, self.position = poses_at_points(self.t, self.length, (arm.frame, arm.position, arm.curvature))
         self._look()
         # LAPACK prints where a matrix has no rows, as of tubes that nothing twists.
-        hessian = solution.result.state.hessian if problem.size else np.eye(1)
+        hessian = point.state.hessian if problem.size else np.eye(1)
         self.factors = scipy.linalg.lapack.dgetrf(hessian)[:2]
 
     def _look(self) -> None:
@@ -305,7 +305,7 @@ class Linearised:
 
     def _margin(self, whole: Change) -> Array:
         """(Q,) of the margin, with phase + phi the change of the direction of the pulls; NaN of a double eigenvalue."""
-        if not self.problem.size or self.solution.margin >= FLAT:
+        if not self.problem.size or self.point.margin >= FLAT:
             return np.zeros(len(whole.base))
         if self._mode is None:
             return np.full(len(whole.base), np.nan)
@@ -337,7 +337,7 @@ class Linearised:
         """Least eigenvalue, y' dM y (N,) of its mode, the gradient of that (N, 3 n), and the forces that turn by y;
         None of a double eigenvalue."""
         problem, collocated = self.problem, self.problem.mesh.collocated
-        values, vectors = np.linalg.eigh(self.solution.result.state.hessian)
+        values, vectors = np.linalg.eigh(self.point.state.hessian)
         if len(values) > 1 and values[1] - values[0] < 1e-9:
             return None
         y = np.zeros((int(collocated.sum()) * self.shape[1], self.n))

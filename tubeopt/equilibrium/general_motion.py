@@ -14,11 +14,12 @@ from ..block.transcription.linear import cumulate
 from ..robots.breakpoints import coincides
 from ..robots.robot import resized
 from ..typing import Array
+from .answer import point_of
 from .arm_change import check_wrt
 from .general_derivatives import Answer, Change, Linearised, together
 from .kinematics import forward_kinematics
 from .result import Equilibrium
-from .solving import discretisation_of, polish
+from .solving import discretisation_of
 
 NUDGE = 1e-7
 """Motion (m) by which it is seen what lies to a side."""
@@ -35,7 +36,7 @@ def nudged(equilibrium: Equilibrium, name: str, tube: int, side: int) -> Lineari
     else:
         robot = resized(robot, tube, name, robot.tubes[tube].curved_length + side * NUDGE)
     moved = forward_kinematics(robot, equilibrium.rotations, shift, guess=equilibrium, tolerance=1e-6)
-    return Linearised(polish(moved, discretisation_of(equilibrium)), moved)
+    return Linearised(point_of(moved, discretisation=discretisation_of(equilibrium)), moved)
 
 
 class GeneralMotion:
@@ -55,7 +56,7 @@ class GeneralMotion:
     ) -> None:
         check_wrt(wrt, side)
         self.equilibrium, self.wrt, self.side, self._more = equilibrium, tuple(wrt), side, more
-        self.here = Linearised(polish(equilibrium, discretisation_of(equilibrium)), equilibrium)
+        self.here = Linearised(point_of(equilibrium, discretisation=discretisation_of(equilibrium)), equilibrium)
         self.arm, self.cuts = equilibrium.arm, equilibrium.arc_length[::STEPS]
 
     @cached_property

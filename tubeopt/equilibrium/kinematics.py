@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..block.transcription import arm as arms
-from ..block.transcription.loaded import unknowns
 from ..block.transcription.reduced import (
     Evaluation,
     ReducedProblem,
@@ -24,34 +25,34 @@ from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, positive
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, check_robot, is_general, joint_values
+from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.compiled.binding import Start, solve_compiled
-from ..solvers.ipopt import solve_ipopt
+from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .continuation import Family, JointPath, largest_twist, reach, shortest_arm, small_motion
-from .load_problem import check_load
-from .loaded import arrived, compiled, loaded_kinematics, solved_by_ipopt, to_tolerance
-from .member import Loaded, LoadedPoint, Point, plain_point, solution_of
-from .method import NAMED, Method, method_of, only_plain
-from .result import Equilibrium, Status
-from .solving import (
-    DEFAULT_DISCRETISATION,
-    Discretisation,
-    Solution,
-    from_compiled,
-    polish,
-    reduced_problem,
-    sample_rotation,
-    to_equilibrium,
+from .answer import answered, built, error_of, found_at, found_by_kernel, point_of, to_equilibrium, unsolved
+from .continuation import (
+    Family,
+    JointPath,
+    Milestone,
+    bifurcates,
+    by_kernel,
+    largest_twist,
+    reach,
+    shortest_arm,
+    small_motion,
+    step_to,
 )
+from .load_problem import LOADED_DISCRETISATION, check_load
+from .loaded import compiled
+from .member import Loaded, Member, Place, PlainPoint, Point, Unloaded
+from .method import NAMED, Method, method_of, only_plain
+from .result import Equilibrium, Statistics, Status
+from .solving import DEFAULT_DISCRETISATION, Discretisation
 from .verification import verify_equilibrium
-
-SHORT = 0.01
-"""Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
 
 TOLERANCE = 1e-8
 """Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
@@ -125,80 +126,70 @@ def forward_kinematics(  # noqa: PLR0913
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+    asked, found = _Asked(by, tolerance, began), None
     if load is not None:
         check_load(robot, load, shift)
         only_plain(by, load, discretisation)
-        first = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
-        found = loaded_kinematics(first, Loaded.of(robot, alpha, shift, load), tolerance, began, by.newton)
-        if by.name != "newton":
-            found = solved_by_ipopt(found, by.name, by.ipopt, began)
-        return verify_equilibrium(found) if verify else found
-    if guess is not None and guess.load is not None:
+        guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
+        discretisation = LOADED_DISCRETISATION
+    elif guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
-    if by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
-        quick = _quick(robot, alpha, shift, guess, tolerance, began)
-        if quick is not None:
-            return verify_equilibrium(quick) if verify else quick
-    if guess is None:
-        solution, start = _cold(reduced_problem(robot, shift, discretisation), alpha, by)
-    else:
-        solution, start = follow_branch(robot, guess, alpha, shift, discretisation), "guess"
-        if by.name != "newton":
-            solution = _resolve(solution.problem, alpha, solution.arm, by)
-    equilibrium = _to_tolerance(robot, solution, shift, discretisation, tolerance, (by, start, began))
-    return verify_equilibrium(equilibrium) if verify else equilibrium
+    elif by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
+        found = _quick(robot, alpha, shift, guess, asked)
+    if found is None and guess is None:
+        point, start = _cold(Unloaded.of(robot, alpha, shift, discretisation), by)
+        found = _to_tolerance(point, start, asked)
+    elif found is None:
+        assert guess is not None
+        own = np.concatenate([guess.rotations, guess.translations])
+        path = JointPath(robot, own, np.concatenate([alpha, place]), discretisation)
+        found = on_branch(Family(path, load, guess.load), guess, asked)
+    return verify_equilibrium(found) if verify else found
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """By which method, to which tolerance, and since when (s)."""
+
+    method: Method = NAMED["newton"]
+    tolerance: float = TOLERANCE
+    began: float = 0.0
 
 
 def _quick(
-    robot: Robot, alpha: Array, shift: tuple[float, ...], guess: Equilibrium | None, tolerance: float, began: float
+    robot: Robot, alpha: Array, shift: tuple[float, ...], guess: Equilibrium | None, asked: _Asked
 ) -> Equilibrium | None:
     """By the compiled kernel, on its usual mesh or on one twice as fine; None where that does not do."""
     for refinement in (0, 1):
-        found = _compiled(robot, alpha, shift, guess, (began, refinement))
-        if found is None or _error(found) <= tolerance:
+        found = _compiled(robot, alpha, shift, guess, (asked.began, refinement))
+        if found is None or error_of(found) <= asked.tolerance:
             return found
     return None
 
 
-def _to_tolerance(
-    robot: Robot,
-    solution: Solution,
-    shift: tuple[float, ...],
-    discretisation: Discretisation,
-    tolerance: float,
-    how: tuple[Method, str, float],
-) -> Equilibrium:
-    """The equilibrium on the first mesh whose estimated error is small enough, as far as finer ones help; `how` is
-    method, start, and when begun."""
-    method, start, began = how
-    before, finest = np.inf, max(method.newton.refinements, discretisation.refinement)
-    for level in range(discretisation.refinement, finest + 1):
-        equilibrium = to_equilibrium(robot, solution, shift, (method.name, start, time.perf_counter() - began))
-        error = _error(equilibrium)
-        if error <= tolerance:
-            return equilibrium
-        if level == finest or error > before / 2:
+def _to_tolerance(point: Place, start: str, asked: _Asked) -> Equilibrium:
+    """The equilibrium of a point that was reached from `start`, on the first mesh whose estimated error is small
+    enough, as far as finer ones help.
+
+    Raises:
+        SolveError: none is fine enough; the error bears the equilibrium on the last one.
+    """
+    by, first, before = asked.method, point.member.discretisation.refinement, np.inf
+    finest = max(by.newton.refinements if point.member.load is None else by.newton.loaded_refinements, first)
+    for level in range(first, finest + 1):
+        shape = found_at(point)
+        found = answered(point.member, shape, start, asked.began, by.name)
+        error = error_of(found)
+        if error <= asked.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
+            return found
+        if error > asked.tolerance and (level == finest or error > before / 2):
             why = "" if level == finest else "; finer pieces no longer help"
-            wrong = f"the estimated error is {error:.1e} rad, wanted was {tolerance:.1e} rad"
-            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", equilibrium)
-        before = error
-        finer = Discretisation(discretisation.family, discretisation.degree, level + 1)
-        solution = _refine(robot, solution, shift, finer, method)
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {asked.tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", found)
+        there, before = point.member.on(refinement=level + 1), error
+        failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+        point = _by_method(Point.near(there, there.carried(point), failure, by.newton), by)
     raise AssertionError("the finest mesh either holds the tolerance or raises")
-
-
-def _error(equilibrium: Equilibrium) -> float:
-    """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, whichever is larger."""
-    by = max(float(equilibrium.arc_length[-1]), 1e-300)
-    if by > SHORT and is_general(equilibrium.robot):
-        by = SHORT
-    return max(equilibrium.mesh_error, equilibrium.tip_error / by)
-
-
-def measure(robot: Robot, length: ArrayLike) -> Array:
-    """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
-    length = np.maximum(length, 1e-300)
-    return np.minimum(length, SHORT) if is_general(robot) else length
 
 
 def _compiled(
@@ -221,18 +212,28 @@ def _compiled(
     if answer["largest_change"] > (CONTINUATION.largest_twist if guess is None else largest_twist(guess.margin)):
         return None
     begin = "tubes without torsion" if start is None else "guess"
-    return from_compiled(robot, rotations, shift, answer, (begin, *how))
+    statistics = Statistics(
+        method="newton",
+        iterations=int(answer["iterations"]),
+        elements=int(answer["elements"]),
+        degree=DEFAULT_DISCRETISATION.degree,
+        start=begin,
+        seconds=time.perf_counter() - how[0] - answer["loading"],
+        refinement=how[1],
+        loading=answer["loading"],
+    )
+    return built(robot, (rotations, shift), found_by_kernel(answer), statistics)
 
 
-def nearby(family: Family, guess: Equilibrium, t: float) -> Equilibrium | None:
+def nearby(family: Family, guess: Equilibrium, t: float, asked: _Asked | None = None) -> Equilibrium | None:
     """The stable equilibrium at t of a family on the branch of `guess`, a small change away, by the compiled kernel;
     None where that declines, as it does close to a fold."""
-    began = time.perf_counter()
+    asked = asked or _Asked(began=time.perf_counter())
     if family.load is not None:
-        return compiled(guess, family.under_load(t), TOLERANCE, began, NEWTON)
+        return compiled(guess, family.under_load(t), asked.tolerance, asked.began, asked.method.newton)
     rotations, translations = family.path.at(t)
-    found = _compiled(family.path.robot, rotations, tuple(translations.tolist()), guess, (began, 0))
-    return found if found is not None and found.margin > 0 and _error(found) <= TOLERANCE else None
+    found = _compiled(family.path.robot, rotations, tuple(translations.tolist()), guess, (asked.began, 0))
+    return found if found is not None and found.margin > 0 and error_of(found) <= asked.tolerance else None
 
 
 @lru_cache(maxsize=64)
@@ -248,22 +249,20 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
 
 
 @small
-def _cold(problem: ReducedProblem, rotations: Array, method: Method) -> tuple[Solution, str]:
+def _cold(member: Unloaded, by: Method) -> tuple[Place, str]:
     """A stable equilibrium from tubes without torsion, else by way of home."""
     failure = ""
     try:
-        untwisted = _untwisted(problem, rotations)
-        solution = _resolve(problem, rotations, untwisted, method)
-        if solution.margin > 0:
-            return solution, "tubes without torsion"
+        point = _resolved(member, _untwisted(member.problem, member.rotations), by)
+        if point.margin > 0:
+            return point, "tubes without torsion"
     except SolveError as error:
         failure = f" ({error})"
-    solution = _from_home(problem, rotations)
-    if solution.margin <= 0 or not solution.result.converged:
-        raise SolveError(f"no stable equilibrium was found: the best has margin {solution.margin:.3g}{failure}")
-    if method.name != "newton":
-        solution = _resolve(problem, rotations, solution.arm, method)
-    return solution, "the way from home"
+    result = _from_home(member.problem, member.rotations)
+    point = Point.of(member, result)
+    if point.margin <= 0 or not result.converged:
+        raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
+    return _by_method(point, by), "the way from home"
 
 
 def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
@@ -273,20 +272,30 @@ def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
     return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
 
 
-def _resolve(problem: ReducedProblem, rotations: Array, guess: arms.Profile, method: Method) -> Solution:
-    """Solve from a guess by a method; raises SolveError where it does not converge."""
-    if method.name == "newton":
-        z = to_unknowns(problem, rotations, arms.interpolate(problem, guess, problem.arc_length))
+def _by_method(point: Place, by: Method) -> Place:
+    """A solved point, solved once more from there where the method is not Newton's."""
+    if by.name == "newton":
+        return point
+    if isinstance(point.member, Unloaded):
+        return _resolved(point.member, point.torsion, by)
+    problem, rotations = point.member.problem, point.member.rotations
+    return Point.of(point.member, solve_loaded_ipopt(problem, rotations, point.state, by.ipopt), point.t)
+
+
+def _resolved(member: Unloaded, guess: arms.Profile, by: Method) -> PlainPoint:
+    """Solved from a guess by a method; raises SolveError where it does not converge."""
+    problem, rotations = member.problem, member.rotations
+    if by.name == "newton":
+        x = member.unknowns(arms.interpolate(problem, guess, problem.arc_length))
         solve = _by_centreline if problem.assembly.eccentric else descend
-        result = solve(problem, rotations, z, settings=method.newton)
-    elif method.name == "energy" and problem.assembly.eccentric:
+        result = solve(problem, rotations, x, settings=by.newton)
+    elif by.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
-        formulation = "energy" if method.name == "energy" else "equations"
-        result = solve_ipopt(problem, rotations, guess, formulation, method.ipopt)
+        result = solve_ipopt(problem, rotations, guess, "energy" if by.name == "energy" else "equations", by.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
-    return Solution.of(problem, rotations, result)
+    return Point.of(member, result)
 
 
 def _by_centreline(
@@ -299,7 +308,7 @@ def _by_centreline(
     return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta), settings=settings)
 
 
-def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
+def _from_home(problem: ReducedProblem, rotations: Array) -> NewtonResult[Evaluation]:
     """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
     concentric = on_centreline(problem)
     steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / CONTINUATION.home_turn)))
@@ -312,20 +321,8 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> Solution:
             result = min(sides, key=lambda side: side.state.energy)
         z = result.state.z
     if problem.assembly.eccentric:
-        theta = result.state.theta
-        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-    return Solution.of(problem, rotations, result)
-
-
-def _refine(
-    robot: Robot, coarse: Solution, shift: tuple[float, ...], finer: Discretisation, method: Method
-) -> Solution:
-    """The same equilibrium on a finer mesh, started from the coarse one."""
-    problem = reduced_problem(robot, shift, finer)
-    theta = arms.interpolate(coarse.problem, coarse.arm, problem.arc_length)
-    failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-    solution = Solution.near(problem, coarse.rotations, theta, failure, method.newton)
-    return solution if method.name == "newton" else _resolve(problem, coarse.rotations, solution.arm, method)
+        result = newton(problem, rotations, to_unknowns(problem, rotations, result.state.theta))
+    return result
 
 
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
@@ -334,48 +331,89 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     began = time.perf_counter()
     quick = _compiled(robot, rotations, translations, guess, (began, 0))
     if quick is None:
-        solution = _near(robot, guess, rotations, translations, DEFAULT_DISCRETISATION)
-        if solution is None:
+        turn, shift = rotations - guess.rotations, translations - guess.translations
+        if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
             return None
-        quick = to_equilibrium(robot, solution, translations, ("newton", "guess", time.perf_counter() - began))
-    if _error(quick) <= TOLERANCE:
+        own = np.concatenate([guess.rotations, guess.translations])
+        family = Family(JointPath(robot, own, np.concatenate([rotations, translations])))
+        # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
+        near = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
+        if near is None:
+            return None
+        quick = to_equilibrium(near, "guess", began)
+    if error_of(quick) <= TOLERANCE:
         return quick
     return forward_kinematics(robot, rotations, translations, guess=quick)
 
 
-def _near(
-    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
-) -> Solution | None:
-    """The solution after a small motion, from the guess itself, without solving for it once more; None where Newton's
-    method is not at ease, or the motion is not small."""
-    problem = reduced_problem(robot, shift, discretisation)
-    turn = rotations - guess.rotations
-    length = max(problem.assembly.total_length, shortest_arm(robot))
-    if not small_motion(turn, shift - guess.translations, length):
-        return None
-    theta = sample_rotation(guess, problem.arc_length) + turn
-    result = newton(problem, rotations, to_unknowns(problem, rotations, theta), iterations=8)
-    # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
-    far = abs((result.state.theta - theta).ravel()[problem.flat]).max(initial=0.0) > largest_twist(guess.margin)
-    if not result.converged or result.contraction > CONTINUATION.largest_ratio or far:
-        return None
-    return Solution.of(problem, rotations, result)
-
-
 @small
-def follow_branch(
-    robot: Robot, guess: Equilibrium, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation
-) -> Solution:
-    """Follow the branch of `guess`, stable or not, along the straight path of joint values; raises SolveError where it
-    ends on the way."""
-    near = _near(robot, guess, rotations, shift, discretisation)
-    if near is not None:
-        return near
-    own = np.concatenate([guess.rotations, guess.translations])
-    path = JointPath(robot, own, np.concatenate([rotations, shift]), discretisation)
-    start = plain_point(robot, polish(guess, discretisation), tuple(guess.translations.tolist()))
-    last = reach(Family(path), start, stable=False, shortest=CONTINUATION.sharpest_step)
-    return solution_of(arrived(last, guess))
+def on_branch(family: Family, guess: Equilibrium, asked: _Asked) -> Equilibrium:
+    """The equilibrium at t = 1 of a family on the branch of `guess`, which is that at t = 0; raises SolveError as
+    `forward_kinematics`."""
+    d, grows = family.path.discretisation, family.load is not None and guess.load is None and not family.path.moves
+    here = Milestone(0.0, guess)
+    if asked.method.name == "newton" and (family.load is not None or d == DEFAULT_DISCRETISATION):
+        quick = nearby(family, guess, 1.0, asked)
+        if quick is not None:
+            return quick
+        here = here if grows else _quickly(family, guess, asked)
+        if here.t == 1.0:
+            return here.pose
+    if grows:
+        assert family.load is not None
+        point, start = ramp(guess, family.load, d), "the load before, from none"
+    else:
+        near = _start(family, here)
+        # Without a load the branch of the guess is followed whether it stays stable or not.
+        stable = family.load is not None and near.margin > 0
+        point, start = reach(family, near, stable=stable, shortest=CONTINUATION.sharpest_step), "guess"
+        if point.t < 1.0:
+            raise SolveError(
+                f"{Status.BRANCH_ENDED}: it ends {100 * point.t:.2f} % of the way from the guess to the goal", here.pose
+            )
+    return _to_tolerance(_by_method(point, asked.method), start, asked)
+
+
+def _quickly(family: Family, guess: Equilibrium, asked: _Asked) -> Milestone:
+    """The last equilibrium along a family to which the compiled kernel comes."""
+    # Under a load that grows from none the kernel goes on from an equilibrium under a zero load.
+    first = guess if family.load == guess.load or guess.load is not None else nearby(family, guess, 0.0, asked)
+    if first is None:
+        return Milestone(0.0, guess)
+    origin = Milestone(0.0, first)
+    last = [origin, *by_kernel(family, origin, partial(nearby, family, asked=asked))][-1]
+    return last if last.t > 0 else Milestone(0.0, guess)
+
+
+def _start(family: Family, here: Milestone) -> Place:
+    """An equilibrium as the beginning of a branch, as it was solved for."""
+    pose = here.pose
+    member, x = unsolved(pose, family.load, family.path.discretisation)
+    return Point(here.t, member, member.at(x), pose.margin)
+
+
+def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> Place:
+    """The point at full load on the branch of an equilibrium without a load.
+
+    Raises:
+        SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
+    """
+    start = point_of(unloaded, load, discretisation)
+    family = Family.growing(start.member)
+    point = reach(family, start)
+    if point.t < 1.0:
+        raise SolveError(
+            f"{Status.BRANCH_ENDED_UNDER_LOAD}: {_ending(family, point)} at {100 * point.t:.4g} % of the load",
+            to_equilibrium(point, "the load before"),
+        )
+    return point
+
+
+def _ending(family: Family, point: Place) -> str:
+    """What happens to a branch just after its last stable point, in words."""
+    if point.member.flutters(point.state):
+        return "it begins to flutter"
+    return "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
 
 
 def equilibrium_at(
@@ -388,24 +426,17 @@ def equilibrium_at(
     curvature_at: Along | None = None,
 ) -> Equilibrium:
     """What `Equilibrium.at` tells."""
-    if rotation_at is None:
+    if rotation_at is None or (load is not None and curvature_at is None):
         return forward_kinematics(robot, rotations, translations, load=load)
-    shift = tuple(translations.tolist())
-    if load is not None and curvature_at is not None:
-        return _under_load(robot, (rotations, shift), load, (rotation_at, curvature_at))
-    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    theta = rotation_at(problem.arc_length).T.reshape(-1, robot.n_tubes)
-    solution = Solution.near(problem, rotations, theta, FOLD)
-    near = to_equilibrium(robot, solution, shift, ("newton", "a program", 0.0))
-    return forward_kinematics(robot, rotations, translations, guess=near)
-
-
-def _under_load(
-    robot: Robot, joints: tuple[Array, tuple[float, ...]], load: Load, along: tuple[Along, Along]
-) -> Equilibrium:
-    """From rotations and curvatures along the arm, under a load."""
-    check_load(robot, load, joints[1])
-    began, member = time.perf_counter(), Loaded.of(robot, *joints, load)
-    theta, curvature = (each(member.problem.torsion.arc_length).T for each in along)
-    point: LoadedPoint = Point.near(member, unknowns(member.problem, joints[0], theta, curvature), FOLD)
-    return to_tolerance(point, 1e-8, ("a program", began))
+    began, shift = time.perf_counter(), tuple(translations.tolist())
+    member: Member[Any]
+    if load is None:
+        member = Unloaded.of(robot, rotations, shift)
+    else:
+        check_load(robot, load, shift)
+        member = Loaded.of(robot, rotations, shift, load)
+    s = member.torsion.arc_length
+    theta = rotation_at(s).T.reshape(-1, robot.n_tubes)
+    curvature = None if load is None or curvature_at is None else curvature_at(s).T
+    point = Point.near(member, member.unknowns(theta, curvature), FOLD)
+    return _to_tolerance(point, "a program", _Asked(began=began))

@@ -20,16 +20,16 @@ from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.loaded_arm import loaded_profile
 from ..block.transcription.mesh import Mesh, make_mesh
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, reduce, residual, to_unknowns
-from ..block.transcription.second_variation import margin, softest, softest_of, stiffnesses
+from ..block.transcription.second_variation import margin, softest, softest_of, stiffnesses, unstable_directions
 from ..errors import SolveError
 from ..robots.assembly import Assembly
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, full_steps, loaded_margin, loaded_residual, torsional_turn, turn_of
-from ..solvers.settings import NEWTON
+from ..solvers.settings import NEWTON, Newton
 from ..typing import Array, Index
 from .load_problem import LOADED_DISCRETISATION, loaded_problem, loading_of
-from .solving import DEFAULT_DISCRETISATION, Discretisation, Solution, reduced_problem
+from .solving import DEFAULT_DISCRETISATION, Discretisation, reduced_problem
 
 S = TypeVar("S", Evaluation, LoadedState)
 M = TypeVar("M", bound="Member[Any]")
@@ -58,18 +58,29 @@ class Point(Generic[M, S]):
         push = np.linalg.solve(self.state.hessian.T, self.softest)
         return np.asarray(push * np.sign(push @ self.softest) / np.linalg.norm(push))
 
+    @property
+    def torsion(self) -> arms.Profile:
+        """Along the arm."""
+        return self.member.along(self.state)
+
     @staticmethod
-    def of(member: M, result: NewtonResult[S], t: float) -> Point[M, S]:
+    def of(member: M, result: NewtonResult[S], t: float = 0.0) -> Point[M, S]:
         """What a solver found, at t."""
         return Point(t, member, result.state, member.margin(result.state), result.iterations)
 
     @staticmethod
-    def near(member: M, x: Array, failure: str, t: float = 0.0) -> Point[M, S]:
+    def at(member: M, x: Array, t: float = 0.0) -> Point[M, S]:
+        """That of unknowns x, which are solved."""
+        state = member.at(x)
+        return Point(t, member, state, member.margin(state))
+
+    @staticmethod
+    def near(member: M, x: Array, failure: str, settings: Newton = NEWTON) -> Point[M, S]:
         """What Newton's method finds from unknowns x; raises SolveError, with words of its failure, where it fails."""
-        result = member.solve(x)
+        result = member.solve(x, settings=settings)
         if not result.converged:
             raise SolveError(failure)
-        return Point.of(member, result, t)
+        return Point.of(member, result)
 
 
 Place = Point[Any, Any]
@@ -86,6 +97,25 @@ class Member(ABC, Generic[S]):
     translations: tuple[float, ...]
     discretisation: Discretisation
 
+    @property
+    @abstractmethod
+    def torsion(self) -> ReducedProblem:
+        """The problem of its rotations."""
+
+    @property
+    def load(self) -> Load | None:
+        """That acts; None without one."""
+        return None
+
+    @abstractmethod
+    def on(self: M, **mesh: Any) -> M:
+        """The same with another `degree` or `refinement` of the mesh."""
+
+    @abstractmethod
+    def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
+        """(U,) unknowns of rotations (N, n) and, under a load, curvature (N, 2) at the points; None is that of the
+        rotations without a load."""
+
     @abstractmethod
     def at(self, x: Array) -> S:
         """The state of unknowns x (U,)."""
@@ -101,6 +131,14 @@ class Member(ABC, Generic[S]):
     @abstractmethod
     def margin(self, state: S) -> float:
         """Stability margin of a solved state."""
+
+    @abstractmethod
+    def index(self, state: S) -> int:
+        """How many directions of a solved state are unstable."""
+
+    @abstractmethod
+    def along(self, state: S) -> arms.Profile:
+        """Torsion along the arm of a state."""
 
     @abstractmethod
     def softest(self, state: S) -> Array:
@@ -150,15 +188,15 @@ class Member(ABC, Generic[S]):
         """Whether the gradient is that of an energy, which falls along the flow."""
         return True
 
-    def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[S]:
-        """By Newton's method from x (U,)."""
+    def solve(self, x: Array, iterations: int | None = None, settings: Newton = NEWTON) -> NewtonResult[S]:
+        """By Newton's method from x (U,), in by default as many steps as in `settings`."""
         return full_steps(
             self.at(x),
             lambda state, step: self.at(state.x + step),
             self.turn,
             self.residual,
-            NEWTON,
-            iterations,
+            settings,
+            settings.iterations if iterations is None else iterations,
         )
 
 
@@ -180,8 +218,21 @@ class Unloaded(Member[Evaluation]):
         problem = reduced_problem(robot, translations, discretisation)
         return Unloaded(robot, problem, rotations, translations, discretisation)
 
-    def at(self, x: Array) -> Evaluation:
+    @property
+    def torsion(self) -> ReducedProblem:
         """See `Member`, as below."""
+        return self.problem
+
+    def on(self, **mesh: Any) -> Unloaded:
+        """At the same joint values."""
+        return Unloaded.of(self.robot, self.rotations, self.translations, replace(self.discretisation, **mesh))
+
+    def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
+        """Of rotations alone."""
+        return to_unknowns(self.problem, self.rotations, theta)
+
+    def at(self, x: Array) -> Evaluation:
+        """Of the torsion."""
         return evaluate(self.problem, self.rotations, x)
 
     def turn(self, state: Evaluation, step: Array) -> float:
@@ -195,6 +246,14 @@ class Unloaded(Member[Evaluation]):
     def margin(self, state: Evaluation) -> float:
         """By the second variation."""
         return margin(self.problem, state)
+
+    def index(self, state: Evaluation) -> int:
+        """By the second variation."""
+        return unstable_directions(self.problem, state)
+
+    def along(self, state: Evaluation) -> arms.Profile:
+        """Integrated from the points."""
+        return arms.profile(self.problem, self.rotations, state)
 
     def softest(self, state: Evaluation) -> Array:
         """By the second variation."""
@@ -221,9 +280,8 @@ class Unloaded(Member[Evaluation]):
             return np.asarray(point.state.x)
         twist = np.zeros((len(self.problem.arc_length), len(self.rotations)))
         if len(known.problem.mesh.length):  # nothing twists an arm of length zero
-            profile = arms.profile(known.problem, known.rotations, point.state)
-            twist = arms.interpolate(known.problem, profile, self.problem.arc_length) - known.rotations
-        return to_unknowns(self.problem, self.rotations, self.rotations + twist)
+            twist = arms.interpolate(known.problem, point.torsion, self.problem.arc_length) - known.rotations
+        return self.unknowns(self.rotations + twist)
 
     def moved(self, point: Place, state: Evaluation) -> float:
         """Of the coupled tubes: the others are carried along, not solved for."""
@@ -261,8 +319,13 @@ class Loaded(Member[LoadedState]):
         problem = loaded_problem(robot, translations, load, discretisation)
         return Loaded(robot, problem, rotations, translations, discretisation, factor)
 
+    @property
+    def torsion(self) -> ReducedProblem:
+        """See `Member`, as below."""
+        return self.problem.torsion
+
     def on(self, **mesh: Any) -> Loaded:
-        """The same with another `degree` or `refinement` of the mesh."""
+        """Under the same part of the load."""
         d = replace(self.discretisation, **mesh)
         return Loaded.of(self.robot, self.rotations, self.translations, self.problem.load, d, self.factor)
 
@@ -271,8 +334,12 @@ class Loaded(Member[LoadedState]):
         """That acts."""
         return self.problem.load if self.factor == 1.0 else self.problem.load.scaled(self.factor)
 
+    def unknowns(self, theta: Array, curvature: Array | None = None) -> Array:
+        """Of rotations and curvature."""
+        return loaded.unknowns(self.problem, self.rotations, theta, curvature)
+
     def at(self, x: Array) -> LoadedState:
-        """See `Member`, as below."""
+        """Under the part of the load that acts."""
         return loaded.evaluate(self.problem, self.rotations, x, self.factor)
 
     def turn(self, state: LoadedState, step: Array) -> float:
@@ -286,6 +353,14 @@ class Loaded(Member[LoadedState]):
     def margin(self, state: LoadedState) -> float:
         """By the second variation, or the linearised equations."""
         return loaded_margin(self.problem, state)
+
+    def index(self, state: LoadedState) -> int:
+        """By the second variation, or the linearised equations."""
+        return int((stiffnesses(state.hessian, symmetric=self.descends) < 0).sum())
+
+    def along(self, state: LoadedState) -> arms.Profile:
+        """Integrated from the points and the torques at joints."""
+        return loaded_profile(self.problem, self.rotations, state)
 
     def softest(self, state: LoadedState) -> Array:
         """By the second variation, or the linearised equations."""
@@ -322,7 +397,7 @@ class Loaded(Member[LoadedState]):
         bent = known.problem.softness[:, None] * state.x[known.problem.torsion.size :].reshape(-1, 2)
         if not self._alike(known.problem):
             bent = interpolate(known.problem, bent, there)
-        x = loaded.unknowns(there, self.rotations, self.rotations + self._twist(point))
+        x = self.unknowns(self.rotations + self._twist(point))
         x[there.torsion.size :] = (bent / there.softness[:, None]).ravel()
         return x
 
@@ -337,8 +412,7 @@ class Loaded(Member[LoadedState]):
         known = point.member
         if self._alike(known.problem):
             return np.asarray(point.state.theta - known.rotations)
-        profile = loaded_profile(known.problem, known.rotations, point.state)
-        theta = arms.interpolate(known.problem.torsion, profile, self.problem.torsion.arc_length)
+        theta = arms.interpolate(known.torsion, point.torsion, self.torsion.arc_length)
         return np.asarray(theta - known.rotations)
 
     def moved(self, point: Place, state: LoadedState) -> float:
@@ -386,15 +460,3 @@ def interpolate(problem: LoadedProblem, table: Array, there: LoadedProblem) -> A
     x = np.clip((s - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
     inner = table.reshape(len(mesh.start), mesh.tableau.degree, -1)
     return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x), inner[piece]))
-
-
-def plain_point(robot: Robot, solution: Solution, translations: tuple[float, ...], t: float = 0.0) -> PlainPoint:
-    """A solution without a load as a point at t."""
-    member = Unloaded(robot, solution.problem, solution.rotations, translations)
-    return Point(t, member, solution.result.state, solution.margin, solution.result.iterations)
-
-
-def solution_of(point: PlainPoint) -> Solution:
-    """A point without a load as a solution."""
-    result = NewtonResult(point.state, True, point.iterations, 0.0)
-    return Solution(point.member.problem, point.member.rotations, result, point.margin)

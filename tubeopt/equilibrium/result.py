@@ -256,7 +256,7 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: Newton's method does not stay at the equilibrium: it is a fold.
         """
-        found: tuple[ReducedProblem, Profile] = late("tubeopt.equilibrium.solving.collocated")(self)
+        found: tuple[ReducedProblem, Profile] = late("tubeopt.equilibrium.answer.collocated")(self)
         return found
 
     def at(

@@ -15,15 +15,17 @@ from ..block.transcription.tableau import tableau
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import Assembly
 from ..typing import Array
+from .answer import point_of
+from .member import PlainPoint
 from .result import Equilibrium, refuse_load
-from .solving import Solution, discretisation_of, polish, reduced_problem
+from .solving import discretisation_of, reduced_problem
 
 
-def arm_of(solution: Solution) -> Arm:
+def arm_of(point: PlainPoint) -> Arm:
     """The arm of a solved problem."""
-    problem, t = solution.problem, solution.problem.mesh.tableau
-    mesh, torsion = problem.mesh, solution.arm
-    shape = evaluate_arm(problem, solution.rotations, solution.result.state, torsion)
+    problem, torsion = point.member.problem, point.torsion
+    mesh, t = problem.mesh, problem.mesh.tableau
+    shape = evaluate_arm(problem, point.member.rotations, point.state, torsion)
     stiffness, moment = problem.on_pieces
     inner = arms.rotations_at(problem, torsion, tuple(t.nodes.tolist()))
     return Arm(
@@ -60,7 +62,7 @@ def arm_of_equilibrium(equilibrium: Equilibrium, assembly: Assembly) -> Arm:
     refuse_load(equilibrium)
     how = equilibrium.statistics
     if how.degree + 2 > HERMITE:
-        return arm_of(polish(equilibrium, discretisation_of(equilibrium)))
+        return arm_of(point_of(equilibrium, discretisation=discretisation_of(equilibrium)))
     t = tableau(how.family, how.degree)
     steps, n = len(ENDS) - 1, assembly.n_tubes
     start = equilibrium.arc_length[:-1:steps]

@@ -43,7 +43,7 @@ class Order:
 
 def breakpoint_order(goal: Goal, at: Posture) -> Order:
     """The order of breakpoints of a posture."""
-    space, problem = goal.space, at.solution.problem
+    space, problem = goal.space, at.problem
     n, groups = space.robot.n_tubes, len(space.carriages)
     assembly, shift = problem.assembly, at.q[n:]
     marks = [(0.0, np.zeros(groups))]
@@ -88,7 +88,7 @@ def apart(goal: Goal, at: Posture) -> Posture:
     space = goal.space
     n = space.robot.n_tubes
     step = goal.solver.order.shift * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
-    place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.solution.problem.assembly, g)], 0.0))
+    place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
     if (np.diff(place) > goal.solver.order.closed_section).all():
         return at
     for sign in (1.0, -1.0):

@@ -8,14 +8,16 @@ from math import ceil
 
 import numpy as np
 
+from ..block.transcription.reduced import ReducedProblem
 from ..bodies.scene import Scene
+from ..equilibrium.answer import point_of
 from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, polish
+from ..equilibrium.member import PlainPoint
+from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of
@@ -59,9 +61,15 @@ class Posture:
         return np.asarray(self.equilibrium.tip_rotation[:, 2])
 
     @cached_property
-    def solution(self) -> Solution:
+    def solution(self) -> PlainPoint:
         """The solved problem behind the equilibrium, on the default mesh."""
-        return polish(self.equilibrium, DEFAULT_DISCRETISATION)
+        refuse_load(self.equilibrium)
+        return point_of(self.equilibrium)
+
+    @property
+    def problem(self) -> ReducedProblem:
+        """That it solves."""
+        return self.solution.member.problem
 
     @cached_property
     def derivatives(self) -> Derivatives | Linearised:

@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
-from ..block.transcription.reduced import to_unknowns
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
+from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.member import Point, Unloaded
 from ..errors import InputError
 from ..solvers.ipopt import inside_points
-from ..solvers.newton import newton
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution, ProblemStatus
 from ..solvers.settings import CONTINUATION, Ipopt
@@ -85,7 +84,7 @@ does not reach the target, the next may: what follows checks."""
 def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tuple[Array, float]]]:
     """Solve with the order of breakpoints of `at`; the posture reached, iterations, what to cross."""
     order = breakpoint_order(goal, at)
-    if not len(at.solution.problem.mesh.length):
+    if not len(at.problem.mesh.length):
         return None, 0, []  # all tubes are withdrawn, and nothing is left to turn
     program = posed(goal, at, order)
     found = program.attempt(_in_time(goal))
@@ -109,7 +108,7 @@ def _in_time(goal: Goal) -> Ipopt:
 
 def _question(goal: Goal, at: Posture, order: Order) -> Question:
     return Question(
-        structure=structure_of(at.solution.problem),
+        structure=structure_of(at.problem),
         carriages=goal.space.carriages,
         pointed=goal.pointed,
         aimed=goal.direction is not None and goal.direction_weight is not None,
@@ -122,7 +121,7 @@ def _question(goal: Goal, at: Posture, order: Order) -> Question:
 
 def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     """The program of a goal, with its numbers, that starts at a posture."""
-    space, problem = goal.space, at.solution.problem
+    space, problem = goal.space, at.problem
     program = inverse_program(_question(goal, at, order), threading.get_ident())
     n, mesh = space.robot.n_tubes, problem.mesh
     numbers = torsion_numbers(problem)
@@ -153,7 +152,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     }
     for name, value in numbers.items():
         program.set_value(name, np.ravel(value, order="F"))
-    for name, value in torsion_guess(problem, at.solution.arm).items():
+    for name, value in torsion_guess(problem, at.solution.torsion).items():
         program.set_guess(name, value)
     for name, part in (("rotations", slice(0, n)), ("translations", slice(n, None))):
         program.set_guess(name, at.q[part])
@@ -167,26 +166,26 @@ def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Post
     """The posture at a solution of the program: solved by Newton's method from its rotations."""
     q = goal.space.clip(np.concatenate([found.values["rotations"], found.values["translations"]]))
     rotations, shift = goal.space.split(q)
-    theta = inside_points(at.solution.problem, found.values["rotation inside"])
+    theta = inside_points(at.problem, found.values["rotation inside"])
     try:
-        problem = reduced_problem(goal.space.robot, shift, DEFAULT_DISCRETISATION)
+        member = Unloaded.of(goal.space.robot, rotations, shift)
     except InputError:
         return None
     # The mesh may be another one at other lengths: theta is carried over by arc length.
-    mesh = at.solution.problem.mesh
+    mesh, problem = at.problem.mesh, member.problem
     length = order.length + order.length_slope @ q[goal.space.robot.n_tubes :]
     start = np.cumsum(length) - length
     s = (start[:, None] + length[:, None] * mesh.tableau.nodes)[mesh.collocated].ravel()
     guess = np.tile(rotations, (len(problem.arc_length), 1))
     if len(s):
         guess = np.column_stack([np.interp(problem.arc_length, s, column) for column in theta.T])
-    result = newton(problem, rotations, to_unknowns(problem, rotations, guess))
+    result = member.solve(member.unknowns(guess))
     change = np.abs((result.state.theta - guess).ravel()[problem.flat]).max(initial=0.0)
     if not result.converged or change > CONTINUATION.largest_twist:
         return None
-    solution = Solution.of(problem, rotations, result)
-    if solution.margin <= 0:
+    point = Point.of(member, result)
+    if point.margin <= 0:
         return None
-    near = to_equilibrium(goal.space.robot, solution, shift, ("ipopt", "inverse kinematics", 0.0))
+    near = to_equilibrium(point, "inverse kinematics")
     # Once more from there, on a mesh as fine as forward kinematics takes.
     return Posture(goal.space, q, near).to(q)

@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
+from ..equilibrium.answer import linearised
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import linearised
 from ..errors import SolveError
 from ..inverse.clock import Clock
 from ..robots.load import Load

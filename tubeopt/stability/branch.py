@@ -10,20 +10,18 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
+from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import PlainPoint, Point, Unloaded, plain_point
-from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import polish
+from ..equilibrium.member import PlainPoint, Point, Unloaded
+from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.robot import Robot, shifts
-from ..solvers.newton import NewtonResult
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import fold
-from .motion import equilibrium_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +82,16 @@ def trace_branch(
         raise InputError("start and end are the same rotations; a branch needs a way")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     family = Family(JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift])))
-    origin = plain_point(robot, polish(first), tuple(shift.tolist()))
+    refuse_load(first)
+    origin = point_of(first)
     points, folds = _continue(family, origin, positive("step", step))
-    equilibria = [equilibrium_at(point, "arclength") for point in points]
+    equilibria = [to_equilibrium(point, "arclength") for point in points]
     return Branch(
         fraction=np.array([point.t for point in points]),
         rotations=np.array([e.rotations for e in equilibria]),
         tip_rotations=np.array([e.tip_rotations for e in equilibria]),
         margin=np.array([e.margin for e in equilibria]),
-        folds=tuple(equilibrium_at(point, "fold") for point in folds),
+        folds=tuple(to_equilibrium(point, "fold") for point in folds),
     )
 
 
@@ -110,8 +109,7 @@ def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[Pla
         return replace(known, rotations=path.start[:n] + t * (path.end - path.start)[:n])
 
     def point(t: float, x: Array) -> PlainPoint:
-        there = member(t)
-        return Point.of(there, NewtonResult(there.at(x), True, 0, 0.0), t)
+        return Point.at(member(t), x, t)
 
     def system(x: Array) -> tuple[Array, Array]:
         t = x[-1] / scale

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, to_unknowns
+from ..block.transcription.reduced import ReducedProblem
+from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.newton import descend, newton
+from ..solvers.newton import descend
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .certificate import worst_case
 from .groups import groups_of
-from .loaded_equilibria import degree, loaded_equilibria
+from .loaded_equilibria import add, degree, loaded_equilibria
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 from .shooting import profiles
 from .tips import preimage
@@ -70,25 +69,25 @@ def find_equilibria(
     """
     alpha, place = joint_values(robot, rotations, translations)
     shift = tuple(place.tolist())
-    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
-    found = all_solutions(problem, alpha, search)
-    equilibria = [to_equilibrium(robot, s, shift, ("newton", "search over tip angles", 0.0)) for s in found]
+    found = _without_load(Unloaded.of(robot, alpha, shift), search)
+    equilibria = [to_equilibrium(point, "search over tip angles") for point in found]
     if load is not None:
         return loaded_equilibria(robot, alpha, shift, load, equilibria, search)
     return sorted(equilibria, key=lambda e: e.energy)
 
 
-def all_solutions(
-    problem: ReducedProblem, rotations: Array, search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH
-) -> list[Solution]:
-    """All solutions of a reduced problem; raises SolveError where their degree is not 1."""
+def _without_load(member: Unloaded, search: EquilibriaSearch) -> list[PlainPoint]:
+    """All solutions of a problem; raises SolveError where their degree is not 1."""
+    problem, rotations = member.problem, member.rotations
     surely = search.certain_of_pieces if problem.assembly.general else search.certain
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:
-            return [Solution.of(problem, rotations, result)]
-    found = _solve_from(problem, rotations, profiles(problem, _all_tips(problem, rotations, search)), search.same)
-    whole = degree(each.result for each in found)
+            return [Point.of(member, result)]
+    found = list[PlainPoint]()
+    for theta in profiles(problem, _all_tips(problem, rotations, search)):
+        add(found, member, member.unknowns(theta), search.same)
+    whole = degree(found)
     if whole != 1:
         raise SolveError(_incomplete(len(found), whole))
     return found
@@ -124,14 +123,3 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
 def _incomplete(count: int, degree: int) -> str:
     why = f"of degree {degree} instead of 1" if degree != 1 else "more of them on every finer grid"
     return f"{count} equilibria were found, {why}: one is missing, or the joint values are at a fold, where two are one"
-
-
-def _solve_from(problem: ReducedProblem, rotations: Array, profiles: Iterable[Array], same: float) -> list[Solution]:
-    """Newton on the collocation equations from rotations (N, n) at their points, one after the other."""
-    out: list[Solution] = []
-    for theta in profiles:
-        result = newton(problem, rotations, to_unknowns(problem, rotations, theta))
-        others = (np.abs(result.state.theta - kept.result.state.theta).max(initial=0.0) for kept in out)
-        if result.converged and all(apart > same for apart in others):
-            out.append(Solution.of(problem, rotations, result))
-    return out

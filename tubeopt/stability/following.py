@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
+from ..equilibrium.answer import point_of
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction
@@ -192,7 +192,7 @@ def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | N
     assert first is not None
     if not first.stable:
         raise InputError(f"the start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    loaded_point(first)  # raises an error where the start is a fold, or has friction
+    point_of(first)  # raises an error where the start is a fold, or has friction
     return first
 
 

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import tip_position
 from ..display import Displayed
+from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_problem import check_load
-from ..equilibrium.loaded import unloaded_point
 from ..equilibrium.member import Loaded, LoadedPoint, Place, Point
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
@@ -129,7 +128,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
         goal = min(up_to, CONTINUATION.load_stage * reached if reached else 1.0)
         grown = load.scaled(goal)
         if point is None:
-            point = unloaded_point(first, grown)
+            point = point_of(first, grown)
         else:
             point = _restart(point, Loaded.of(robot, alpha, shift, grown, factor=reached / goal))
         family = Family.growing(point.member)
@@ -140,7 +139,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
                 return loss, goal
             raise SolveError(
                 f"the branch is lost at {point.t * goal:.6g} times the load, but no fold or bifurcation is found there",
-                to_loaded(point),
+                to_equilibrium(point, "the load before"),
             )
         reached = goal
     return None
@@ -149,18 +148,19 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
 def _restart(point: Place, there: Loaded) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
     failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
-    return Point.near(there, there.carried(point), failure, there.factor)
+    found: LoadedPoint = Point.near(there, there.carried(point), failure)
+    return replace(found, t=there.factor)
 
 
 def _described(loss: Loss, scale: float) -> LoadLimit:
-    before = to_loaded(loss.point)
+    before = to_equilibrium(loss.point, "the load before")
     left = loss.point
     if loss.kind == "bifurcation":
         left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
     landed = None if loss.kind == "flutter" else fall(left, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
-    after = to_loaded(landed)
+    after = to_equilibrium(landed, "the load before")
     return LoadLimit(
         factor=loss.t * scale,
         kind=loss.kind,

@@ -8,22 +8,20 @@ energy grows with the square of the distance, the work int n.t of a load is at m
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import unknowns
-from ..block.transcription.reduced import Evaluation
+from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_problem import check_load
-from ..equilibrium.member import Loaded, LoadedPoint, Point
+from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, Point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import snap_free_certificate
@@ -55,16 +53,16 @@ def loaded_equilibria(
     explored: set[int] = set()
     for equilibrium in plain:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
-        _add(found, member, unknowns(member.problem, rotations, theta), search.same)
+        add(found, member, member.unknowns(theta), search.same)
     sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), search.loaded_starts
     while count <= search.most_loaded_starts:
         starts = _starts(member, sequence.random(count), search.largest_twist)
-        new = sum(_add(found, member, x, search.same) for x in starts)
+        new = sum(add(found, member, x, search.same) for x in starts)
         new += _descend(found, member, explored, search.same)
         # There is a least energy, so a set without a stable equilibrium is not all.
         if not new and degree(found) == 1 and any(point.margin > 0 for point in found):
             points = sorted(found, key=lambda point: point.state.potential)
-            return [to_loaded(point, ("search from many starts", 0.0)) for point in points]
+            return [to_equilibrium(point, "search from many starts") for point in points]
         count *= 2
     raise SolveError(
         f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
@@ -83,14 +81,14 @@ def _starts(member: Loaded, samples: Array, twist: float) -> list[Array]:
     most = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
     starts = []
     for sample in 2 * samples - 1:
-        x = unknowns(problem, member.rotations, member.rotations + twist * sample[:n] * s)
+        x = member.unknowns(member.rotations + twist * sample[:n] * s)
         bent = 2 * most * (sample[n : n + 2] * (1 - s) + sample[n + 2 :] * s)
         x[torsion.size :] = (bent / problem.softness[:, None]).ravel()
         starts.append(x)
     return starts
 
 
-def _add(found: list[LoadedPoint], member: Loaded, x: Array, same: float) -> bool:
+def add(found: list[Any], member: Member[Any], x: Array, same: float) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
     result = member.solve(x, iterations=30)
     if not result.converged:
@@ -113,11 +111,11 @@ def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int], same:
             push = CONTINUATION.nudge / member.turn(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
-                new += landed.converged and _add(found, member, landed.state.x, same)
+                new += landed.converged and add(found, member, landed.state.x, same)
     return new
 
 
-def degree(found: Iterable[LoadedPoint | NewtonResult[Evaluation]]) -> int:
+def degree(found: Iterable[Place]) -> int:
     """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index where there is an energy.
 
     It is 1 for a complete set, since the equations deform into those without coupling.

@@ -9,14 +9,12 @@ from functools import cached_property, partial
 import numpy as np
 
 from ..display import Displayed
+from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, JointPath, Milestone, by_kernel, follow, step_to
 from ..equilibrium.kinematics import nearby
-from ..equilibrium.load_answer import to_loaded
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.loaded import loaded_point
-from ..equilibrium.member import Loaded, Place, plain_point, solution_of
+from ..equilibrium.member import Place
 from ..equilibrium.result import Equilibrium, Statistics
-from ..equilibrium.solving import polish, to_equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -90,12 +88,12 @@ class Event:
     @cached_property
     def before(self) -> Equilibrium:
         """That is lost."""
-        return equilibrium_at(self.lost, "fold")
+        return to_equilibrium(self.lost, "fold")
 
     @cached_property
     def after(self) -> Equilibrium:
         """In which the robot lands."""
-        return equilibrium_at(self.landed, "energy descent")
+        return to_equilibrium(self.landed, "energy descent")
 
     def snap(self, index: int) -> Snap:
         """That after the waypoint `index`."""
@@ -134,16 +132,13 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
             yield found
             here = Milestone(found.landed.t, found.after)
         else:
-            here = Milestone(found.t, equilibrium_at(found, "the way"))
+            here = Milestone(found.t, to_equilibrium(found, "the way"))
         yield here
 
 
 def _point_of(family: Family, here: Milestone) -> Place:
     """An equilibrium as a solved point of a family."""
-    pose = here.pose
-    if family.load is not None:
-        return replace(loaded_point(pose), t=here.t)
-    return plain_point(pose.robot, polish(pose), tuple(pose.translations.tolist()), here.t)
+    return replace(point_of(here.pose, None if family.load is None else Load()), t=here.t)
 
 
 def _slowly(family: Family, start: Place, far: float) -> Place | Event:
@@ -202,11 +197,3 @@ def leg(family: Family, origin: Equilibrium, index: int) -> tuple[Equilibrium, l
         else:
             here = step.pose
     return here, snaps
-
-
-def equilibrium_at(point: Place, start: str) -> Equilibrium:
-    """The equilibrium at a point; `start` is how it was reached."""
-    member = point.member
-    if isinstance(member, Loaded):
-        return to_loaded(point, (start, 0.0))
-    return to_equilibrium(member.robot, solution_of(point), member.translations, ("newton", start, 0.0))

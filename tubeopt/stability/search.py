@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.member import Place, plain_point
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem
+from ..equilibrium.member import Point, Unloaded
+from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol
@@ -246,10 +246,7 @@ def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
     sign, t = np.sign(relative[1] - relative[0]), fold.turn / abs(relative[1] - relative[0])
     rotations = way[0] + t * (way[1] - way[0])
 
-    def point(z: Array) -> Place:
-        solution = Solution.at(search.problem, rotations, z)
-        return plain_point(search.robot, solution, tuple(search.translations.tolist()), t)
-
-    lost = point(sign * fold.z)
-    after = fall(lost, fold.direction) if fold.beyond is None else point(sign * fold.beyond)
+    member = Unloaded(search.robot, search.problem, rotations, tuple(search.translations.tolist()))
+    lost = Point.at(member, sign * fold.z, t)
+    after = fall(lost, fold.direction) if fold.beyond is None else Point.at(member, sign * fold.beyond, t)
     return None if after is None else Found(way, Event(lost, after).snap(0), followed=False)

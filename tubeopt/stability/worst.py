@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -12,8 +12,9 @@ from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
+from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, Solution, reduced_problem, to_equilibrium
 from ..errors import InputError, vector
 from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
@@ -83,7 +84,8 @@ def worst_margin(
         True
     """
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
-    problem = reduced_problem(robot, shift, DEFAULT_DISCRETISATION)
+    member = Unloaded.of(robot, np.zeros(n), shift)
+    problem = member.problem
     pair = pair_of(problem) if is_general(robot) else None
     if pair is None:
         ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
@@ -91,10 +93,10 @@ def worst_margin(
         least = least_margin_of_pair(pair)
         ends = [(_turned(np.zeros(n), [pair.tubes[0]], np.array([[least.tip]]))[0], least.margin)]
     tips = min(ends, key=lambda end: end[1])[0][None] if ends else np.zeros((1, n))
-    rotations = to_base(problem, tips)[0]
+    member = replace(member, rotations=to_base(problem, tips)[0])
     failure = "the worst equilibrium found is a fold (margin 0), which Newton cannot solve again"
-    solution = Solution.near(problem, rotations, profiles(problem, tips)[0], failure)
-    equilibrium = to_equilibrium(robot, solution, shift, ("newton", "search for the least margin", 0.0))
+    point = Point.near(member, member.unknowns(profiles(problem, tips)[0]), failure)
+    equilibrium = to_equilibrium(point, "search for the least margin")
     unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
     return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 

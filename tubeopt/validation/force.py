@@ -15,8 +15,8 @@ from ..arguments import typed
 from ..block.transcription.loaded import tip_slopes
 from ..block.transcription.loaded_arm import position_slopes
 from ..display import Displayed
+from ..equilibrium.answer import point_of
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.loaded import loaded_point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, finite, instance, positive, vector, whole
 from ..robots.limits import check_target
@@ -443,7 +443,7 @@ def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> 
     noise = measured.noise
     if list(measured.arc_length) == [e.arc_length[-1]]:
         return _Trial(force, e, (measured.position[0] - e.tip_position) / noise, e.compliance[:3, :3] / noise)
-    point = loaded_point(e)
+    point = point_of(e)
     problem, state = point.member.problem, point.state
     moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
     residuals, rows = [], []

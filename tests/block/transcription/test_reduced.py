@@ -13,7 +13,8 @@ from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinema
 from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem, to_equilibrium
+from tubeopt.equilibrium.answer import to_equilibrium
+from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 
@@ -133,7 +134,7 @@ def test_margin_of_an_unstable_equilibrium() -> None:
     # (pi, 0, 0): design number. Nearly twice its torsional stiffness would be needed to hold it.
     solution = unstable_home(THESIS, np.array([np.pi, 0.0, 0.0]))
     assert solution.margin == pytest.approx(-0.95567, abs=1e-4)
-    solved = to_equilibrium(THESIS, solution, (0.0, 0.0, 0.0), ("newton", "tubes without torsion", 0.0))
+    solved = to_equilibrium(solution, "tubes without torsion")
     assert stability_determinant(solved, (1 - solved.margin) * (1 - 1e-5))[1] < 0
     within, base = stability_determinant(solved, (1 - solved.margin) * (1 + 1e-5))
     assert min(within, base) > 0

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from ...robots.assembly import Assembly
 from ...typing import Array, Index
 from .collocated import ENDS
 from .green import sections_at
@@ -170,6 +172,43 @@ class CollocationPoints:
     """(N, n) theta_i of the tubes that are coupled there, rad; their base rotation for the others."""
     point_curvature: Array = field(default_factory=lambda: np.zeros(0))
     """(N, 2) curvature under load, 1/m; empty without one."""
+
+
+@dataclass(eq=False, slots=True)
+class Found:
+    """An equilibrium as a solver found it; not frozen, since it is made in every solve."""
+
+    arm: ArmShape
+    tip_rotations: Array
+    """(n,) theta_i at each tube's own end, rad."""
+    section_start: Array
+    """(k,) arc length of the breakpoints in front of the plate, m."""
+    tube_end: Array
+    """(n,) arc length of each tube's end, m."""
+    points: CollocationPoints
+    margin: float
+    energy: float
+    """Elastic, J."""
+    residual: float
+    """Largest violation of the equations, rad."""
+    errors: tuple[float, float, float]
+    """Estimated, of theta (rad), of the tip (m) and of the margin."""
+    iterations: int
+    index: int = 0
+    """Unstable directions."""
+    work: float = 0.0
+    """Of dead loads, J."""
+    compliance: Array | None = None
+    """(6, 6) of the tip; None where nothing tells it yet."""
+    base_wrench: Array | None = None
+    """(6,) on the plate, likewise."""
+
+    @staticmethod
+    def of(arm: ArmShape, assembly: Assembly, **rest: Any) -> Found:
+        """That of an arm of tubes that are placed."""
+        ends = np.maximum(assembly.end, 0.0)
+        tips = arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)]
+        return Found(arm, tips, assembly.start, ends, **rest)
 
 
 @dataclass(frozen=True, eq=False)

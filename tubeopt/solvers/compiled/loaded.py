@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape
+from ...block.transcription.arm import ArmShape, CollocationPoints, Found
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.green import sections_at
 from ...block.transcription.loaded import LoadedProblem
@@ -118,30 +118,6 @@ class LoadedRules:
     check: LoadedProblem
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedAnswer:
-    """An equilibrium under load at N points and along its arm; n tubes.
-
-    Attributes:
-        theta (N, n), curvature (N, 2): at the points.
-        margin, residual, energy, work, iterations: as of an equilibrium.
-        errors: of theta (rad), the tip (m) and the margin, by a Newton step on a finer rule.
-        compliance: (6, 6) of the tip; None at a fold.   base_wrench: (6,).
-    """
-
-    theta: Array
-    curvature: Array
-    margin: float
-    residual: float
-    energy: float
-    work: float
-    iterations: int
-    errors: tuple[float, float, float]
-    compliance: Array | None
-    base_wrench: Array
-    arm: ArmShape
-
-
 def _answer(n: int) -> np.dtype[np.void]:
     points, shape = MOST_PIECES * CHECK_DEGREE, MOST_PIECES * STEPS + 1
     names = ("margin", "residual", "theta_error", "tip_error", "margin_error", "energy", "work")
@@ -216,7 +192,7 @@ def _usable(rules: LoadedRules) -> Kernel | None:
 
 def solve_loaded_compiled(
     rules: LoadedRules, joints: tuple[Array, Array], start: tuple[Array, Array | None], margin: float
-) -> LoadedAnswer | None:
+) -> Found | None:
     """The stable equilibrium under a dead load.
 
     `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2)
@@ -241,8 +217,7 @@ def solve_loaded_compiled(
         margin,
         *room.at,
     )
-    shape = len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
-    return _answered(room.fields, *shape) if status == SOLVED else None
+    return _answered(room.fields, problem) if status == SOLVED else None
 
 
 def solve_many_loaded_compiled(
@@ -267,24 +242,27 @@ def solve_many_loaded_compiled(
     return summary, compliance, declined.astype(bool)
 
 
-def _answered(answer: dict[str, Any], points: int, m: int) -> LoadedAnswer:
-    return LoadedAnswer(
-        theta=answer["theta"][:points].copy(),
-        curvature=answer["curvature"][:points].copy(),
+def _answered(answer: dict[str, Any], problem: LoadedProblem) -> Found:
+    torsion, points, m = problem.torsion, len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
+    arm = ArmShape(
+        arc_length=answer["arc_length"][:m].copy(),
+        rotation=answer["rotation"][:m].T.copy(),
+        torsion=answer["torsion"][:m].T.copy(),
+        curvature=answer["bent"][:m].copy(),
+        position=answer["position"][:m].copy(),
+        frame=answer["frame"][:m].copy(),
+    )
+    theta, curvature = answer["theta"][:points] + problem.wound, answer["curvature"][:points].copy()
+    return Found.of(
+        arm,
+        torsion.assembly,
+        points=CollocationPoints(torsion.arc_length, theta, curvature),
         margin=float(answer["margin"]),
-        residual=float(answer["residual"]),
         energy=float(answer["energy"]),
-        work=float(answer["work"]),
-        iterations=int(answer["iterations"]),
+        residual=float(answer["residual"]),
         errors=(float(answer["theta_error"]), float(answer["tip_error"]), float(answer["margin_error"])),
+        iterations=int(answer["iterations"]),
+        work=float(answer["work"]),
         compliance=answer["compliance"].copy(),
         base_wrench=answer["base_wrench"].copy(),
-        arm=ArmShape(
-            arc_length=answer["arc_length"][:m].copy(),
-            rotation=answer["rotation"][:m].T.copy(),
-            torsion=answer["torsion"][:m].T.copy(),
-            curvature=answer["bent"][:m].copy(),
-            position=answer["position"][:m].copy(),
-            frame=answer["frame"][:m].copy(),
-        ),
     )

@@ -1,0 +1,260 @@
+"""From a solved point to the plain `Equilibrium`, and back."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..block.transcription import arm as arms
+from ..block.transcription.arm import ArmShape, CollocationPoints, Found
+from ..block.transcription.collocated import STEPS
+from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, tip_position, tip_slopes
+from ..block.transcription.loaded_arm import elastic_energy, loaded_arm
+from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.whole_arm import evaluate_arm
+from ..robots.load import Load
+from ..robots.robot import Robot, is_general
+from ..solvers.settings import CONTINUATION
+from ..typing import Array
+from .load_problem import EXTRA_POINTS, LOADED_DISCRETISATION, check_load, loaded_problem, loading_of
+from .member import Loaded, LoadedPoint, Member, Place, Point, Unloaded, interpolate
+from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
+from .solving import DEFAULT_DISCRETISATION, Discretisation, discretisation_of, lever, sample_rotation
+
+SHORT = 0.01
+"""Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
+
+FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
+
+
+def found_at(point: Place, rubbed: tuple[arms.Profile, float] | None = None) -> Found:
+    """Shape, energy and estimated errors of a solved point; `rubbed`: torsion along the arm without a load and the
+    error (rad) of the mesh, where friction shapes them too."""
+    member = point.member
+    if isinstance(member, Loaded):
+        return _found_loaded(point)
+    problem, state = member.problem, point.state
+    torsion, defect = (point.torsion, None) if rubbed is None else rubbed
+    arm = evaluate_arm(problem, member.rotations, state, torsion)
+    # The inverse of the linearised equation amplifies a defect by at most one over the margin.
+    error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), 1e-6)
+    return Found.of(
+        arm,
+        problem.assembly,
+        points=CollocationPoints(problem.arc_length, state.theta + problem.assembly.wound(problem.arc_length)),
+        margin=point.margin,
+        energy=arm.energy,
+        residual=member.residual(state),
+        errors=(error, arm.shape_error + error * lever(problem), 0.0),
+        iterations=point.iterations,
+        index=0 if point.margin > 0 else member.index(state),
+    )
+
+
+def _found_loaded(point: LoadedPoint) -> Found:
+    member, state, problem, profile = point.member, point.state, point.member.problem, point.torsion
+    arm = loaded_arm(problem, profile, state)
+    return Found.of(
+        arm,
+        problem.torsion.assembly,
+        points=CollocationPoints(problem.torsion.arc_length, state.theta + problem.wound, state.curvature),
+        margin=point.margin,
+        energy=elastic_energy(problem, profile, state),
+        residual=member.residual(state),
+        errors=mesh_errors(point),
+        iterations=point.iterations,
+        index=0 if point.margin > 0 else member.index(state),
+        work=state.work,
+        # What follows from the solved state at once need not be solved for again.
+        compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
+        base_wrench=base_wrench(problem, state),
+    )
+
+
+def mesh_errors(point: LoadedPoint) -> tuple[float, float, float]:
+    """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
+    member = point.member
+    there = member.on(degree=member.discretisation.degree + EXTRA_POINTS)
+    problem, state = there.problem, there.at(there.carried(point))
+    # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
+    least = CONTINUATION.least_stiffness
+    shift = least if abs(point.margin) < least else 0.0
+    step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
+    split = problem.torsion.size
+    theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
+    moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
+    moved -= tip_position(member.problem, point.state)
+    # Only of arms that loads hardly soften is the margin less sure than the shape.
+    close = point.margin > CONTINUATION.hardly_softened and member.descends
+    margin = abs(there.margin(state) - point.margin) if close else 0.0
+    # Between the points theta is up to 1.6 times as far off as at them (measured).
+    return 2 * float(theta), float(np.linalg.norm(moved)), margin
+
+
+def to_equilibrium(point: Place, start: str, began: float = 0.0) -> Equilibrium:
+    """The equilibrium of a solved point; `start`: how it was reached; `began`: when (s), 0 where that is not known."""
+    return answered(point.member, found_at(point), start, began)
+
+
+def answered(member: Member[Any], found: Found, start: str, began: float = 0.0, method: str = "newton") -> Equilibrium:
+    """The equilibrium of a problem as a solver found it."""
+    mesh = member.torsion.mesh
+    statistics = Statistics(
+        method=method,
+        iterations=found.iterations,
+        elements=int(mesh.collocated.sum()),
+        degree=mesh.tableau.degree,
+        start=start,
+        seconds=time.perf_counter() - began if began else 0.0,
+        family=mesh.tableau.family,
+        refinement=member.discretisation.refinement,
+    )
+    return built(member.robot, (member.rotations, member.translations), found, statistics, member.load)
+
+
+def built(
+    robot: Robot,
+    joints: tuple[Array, tuple[float, ...]],
+    found: Found,
+    statistics: Statistics,
+    load: Load | None = None,
+) -> Equilibrium:
+    """The equilibrium of a robot at joint values as a solver found it."""
+    equilibrium = Equilibrium(
+        robot=robot,
+        rotations=joints[0],
+        translations=np.array(joints[1]),
+        arm=found.arm,
+        tip_rotations=found.tip_rotations,
+        section_start=found.section_start,
+        tube_end=found.tube_end,
+        points=found.points,
+        margin=found.margin,
+        index=found.index,
+        energy=found.energy,
+        accuracy=Accuracy(found.residual, *found.errors[:2]),
+        status=Status.STABLE if found.margin > 0 else Status.UNSTABLE,
+        statistics=statistics,
+        load=load,
+        work=found.work,
+    )
+    if found.base_wrench is not None:
+        vars(equilibrium)["base_wrench"] = found.base_wrench
+    if found.compliance is not None:
+        vars(equilibrium)["compliance"] = found.compliance
+    return equilibrium
+
+
+def found_by_kernel(answer: dict[str, Any]) -> Found:
+    """What the compiled kernel found without a load; its fields are overwritten by the next solve."""
+    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
+    return Found(
+        ArmShape(
+            arc_length=answer["arc_length"][:m].copy(),
+            rotation=answer["rotation"][:m].T.copy(),
+            torsion=answer["torsion"][:m].T.copy(),
+            curvature=answer["curvature"][:m].copy(),
+            position=answer["position"][:m].copy(),
+            frame=answer["frame"][:m].copy(),
+        ),
+        tip_rotations=answer["tip_rotations"].copy(),
+        section_start=answer["section_start"][: int(answer["sections"])].copy(),
+        tube_end=answer["tube_end"].copy(),
+        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
+        margin=float(answer["margin"]),
+        energy=float(answer["energy"]),
+        residual=float(answer["residual"]),
+        errors=(float(answer["mesh_error"]), float(answer["tip_error"]), 0.0),
+        iterations=int(answer["iterations"]),
+    )
+
+
+def error_of(equilibrium: Equilibrium) -> float:
+    """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, under a load of the length of the
+    arm, whichever is larger."""
+    by = max(float(equilibrium.arc_length[-1]), 1e-300)
+    if by > SHORT and equilibrium.load is None and is_general(equilibrium.robot):
+        by = SHORT
+    return max(equilibrium.mesh_error, equilibrium.tip_error / by)
+
+
+def measure(robot: Robot, length: ArrayLike) -> Array:
+    """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
+    length = np.maximum(length, 1e-300)
+    return np.minimum(length, SHORT) if is_general(robot) else length
+
+
+# --- and back ---------------------------------------------------------------------------------------------------------
+
+
+def point_of(equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None) -> Place:
+    """The solved point behind an equilibrium; arguments as of `unsolved`.
+
+    Raises:
+        InputError: the equilibrium bears friction, or its robot no load.
+        SolveError: Newton's method does not stay there: it is a fold.
+    """
+    return Point.near(*unsolved(equilibrium, load, discretisation), FOLDED)
+
+
+def unsolved(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> tuple[Member[Any], Array]:
+    """The problem behind an equilibrium, and its unknowns as they were solved for.
+
+    Args:
+        load: one that grows from an equilibrium without a load, of which it bears none yet.
+        discretisation: of an equilibrium without a load; by default the usual one. One under a load keeps its mesh.
+    """
+    refuse_friction(equilibrium)
+    robot, rotations, shift = equilibrium.robot, equilibrium.rotations, tuple(equilibrium.translations.tolist())
+    member: Member[Any]
+    if equilibrium.load is not None:
+        own = discretisation_of(equilibrium)
+        member = Loaded(robot, _own(equilibrium), rotations, shift, own)
+        theta = sample_rotation(equilibrium, equilibrium.point)
+        return member, member.unknowns(theta, equilibrium.point_curvature)
+    if load is None:
+        member = Unloaded.of(robot, rotations, shift, discretisation or DEFAULT_DISCRETISATION)
+    else:
+        check_load(robot, load, shift)
+        member = Loaded.of(robot, rotations, shift, load, discretisation or LOADED_DISCRETISATION, 0.0)
+    return member, member.unknowns(sample_rotation(equilibrium, member.torsion.arc_length))
+
+
+def _own(equilibrium: Equilibrium) -> LoadedProblem:
+    """The problem of a loaded equilibrium, on the mesh on which it was solved: perhaps that of a larger load."""
+    robot, shift, load = equilibrium.robot, tuple(equilibrium.translations.tolist()), equilibrium.load
+    assert load is not None
+    start, d = loading_of(robot, shift, load)[0].start, discretisation_of(equilibrium)
+    points = np.bincount(np.searchsorted(start, equilibrium.point, side="right") - 1, minlength=len(start))
+    return loaded_problem(robot, shift, load, d, tuple((points // d.degree).tolist()))
+
+
+def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, arms.Profile]:
+    """The problem that an equilibrium without a load solves, on its own mesh, and the torsion along its arm."""
+    refuse_load(equilibrium)
+    point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
+    return point.member.problem, point.torsion
+
+
+def linearised(equilibrium: Equilibrium) -> Array:
+    """(U, U) the linearised equations behind an equilibrium without a load, on its own mesh, as it was solved."""
+    refuse_load(equilibrium)
+    member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
+    return np.asarray(member.at(x).hessian)
+
+
+def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
+    """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
+    problem."""
+    s = problem.torsion.arc_length
+    if (
+        len(s) == len(start.point)
+        and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
+    ):
+        return sample_rotation(start, start.point), start.point_curvature
+    return sample_rotation(start, s), interpolate(_own(start), start.point_curvature, problem)
