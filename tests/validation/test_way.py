@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import InputError, load_robot
+from tubeopt import InputError, forward_kinematics_batch, load_robot
+from tubeopt.robots.calibration import Calibration
 from tubeopt.validation import (
     FitOptions,
     Measurements,
@@ -117,6 +118,51 @@ def test_gains_do_not_depend_on_the_turn_that_a_recording_counts_from() -> None:
     assert first is not None
     turned = calibration.to_model(*read)[0] - first.to_model(m.rotations[:3], m.translations[:3])[0]
     np.testing.assert_allclose(turned, np.tile(2 * np.pi * np.array(turns), (3, 1)), atol=1e-6)
+
+
+def tips_at(rotations: np.ndarray) -> np.ndarray:
+    """(N, 3) tips of the robot with its tubes at home, m."""
+    return forward_kinematics_batch(robot(), rotations, np.zeros_like(rotations)).tip_position
+
+
+def test_rows_of_a_recording_have_the_same_errors_wherever_it_begins() -> None:
+    """Truth: drive 1 turns by 1.03 times its reading and 10 deg, over five turns."""
+    time = np.linspace(0.0, 16.0, 160)
+    read = np.column_stack([np.linspace(-2.3, 2.6, 160) * 2 * np.pi, 0.3 * np.sin(time)])
+    tips = tips_at(read * [1.03, 1.0] + [np.radians(10), 0.0])
+    whole = Measurements(read, np.zeros((160, 2)), tips, time=time)
+    calibration = Calibration(
+        (np.radians(10), 0.0), (0.0, 0.0), (1.03, 1.0), (1.0, 1.0), (0.0, 0.0), rotation_middles=(0.9, 0.0)
+    )
+    calibrated = replace(robot(), calibration=calibration)
+    wrapped = (read + np.pi) % (2 * np.pi) - np.pi
+    for rows in (slice(0, 53), slice(40, 160), slice(80, 160), slice(107, 160)):
+        part = whole.rows(rows)
+        found = validate(calibrated, part, registration="none")
+        assert found.summary.max < 1e-9
+        assert not found.remarks
+        # Counters that begin elsewhere, and angles that do not count turns.
+        for rotations, marks in (
+            (part.rotations + np.array([4 * np.pi, 0.0]), ()),
+            (np.unwrap(wrapped[rows], axis=0), (True, False)),
+        ):
+            again = validate(calibrated, replace(part, rotations=rotations, wrapped=marks), registration="none")
+            assert again.summary.max < 1e-9
+            assert "rotation_1 fit best with" in " ".join(again.remarks) or np.allclose(rotations, part.rotations)
+
+
+def test_a_counter_stays_as_it_was_read_where_another_turn_fits_little_better() -> None:
+    """An offset of a third of what a turn makes is an error of the robot, and stays one."""
+    time = np.linspace(0.0, 16.0, 60)
+    read = np.column_stack([np.linspace(-1.0, 1.0, 60), 0.3 * np.sin(time)])
+    turn = 2 * np.pi * 0.03
+    calibrated = replace(robot(), calibration=Calibration((0.0, 0.0), (0.0, 0.0), (1.03, 1.0), (1.0, 1.0), (0.0, 0.0)))
+    for share, kept in ((0.3, 0.3), (0.6, 0.6), (0.9, 0.1)):
+        tips = tips_at(read * [1.03, 1.0] + [share * turn, 0.0])
+        m = Measurements(read, np.zeros((60, 2)), tips, time=time)
+        error = validate(calibrated, m, registration="none").summary.rms
+        off = tips_at(read * [1.03, 1.0] + [(share - kept) * turn, 0.0])
+        assert error == pytest.approx(np.sqrt(((tips - off) ** 2).sum(1).mean()), rel=0.05)
 
 
 def test_effects_that_are_there_are_found_and_no_others() -> None:

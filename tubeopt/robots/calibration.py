@@ -84,10 +84,9 @@ class Calibration:
         Numbers,
         unit("deg"),
         LEFT_OUT,
-        "readings in the middle of the calibrated motion; a recording counts whole turns from there; 0 where not given",
+        "readings in the middle of the calibrated motion; gains act about the full turn next to it; default 0",
     ] = ()
-    """A gain acts about a full turn, so a reading that is a turn larger is another joint value. Where angles were
-    recorded modulo a turn, only this number says which turn is meant."""
+    """A reading that is a turn larger is another joint value, where the gain is not 1."""
 
     sensor_offset: Annotated[Vector, unit("mm"), "of the tip's sensor from the tip, in the frame of the tip"] = NONE3
     sensor_tilt: Annotated[Vector, unit("deg"), "of the sensor's axis about x and y of the frame of the tip"] = NONE2

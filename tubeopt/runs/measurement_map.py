@@ -172,8 +172,9 @@ def measured(
     _count(words, lost, "have no pose of the reference tool and were left out")
     _count(words, ~kept & ~lost, "have no measured position and were left out")
     turning = time if stamps is None else stamps
+    wrapped: tuple[bool, ...] = ()
     if turning is not None:
-        rotations = _unwrapped(turning, rotations, words)
+        rotations, wrapped = _unwrapped(turning, rotations, words)
     log = None
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
@@ -196,6 +197,7 @@ def measured(
         behind=behind,
         sensor_axis=axis,
         log=log,
+        wrapped=wrapped,
         **picked,
     )
     if log is not None:
@@ -211,8 +213,8 @@ def _count(words: list[str], mask: Mask, what: str) -> None:
         words.append(f"{int(mask.sum())} of {len(mask)} rows {what}")
 
 
-def _unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
-    """Rotations (N, n) without the jumps by full turns between rows of a run; says where there were any.
+def _unwrapped(time: Array, rotations: Array, words: list[str]) -> tuple[Array, tuple[bool, ...]]:
+    """Rotations (N, n) without the jumps by full turns between rows of a run, and which tubes had any; adds remarks.
 
     A run of an angle that was wrapped begins in the turn in which the run before it ended.
     """
@@ -231,7 +233,7 @@ def _unwrapped(time: Array, rotations: Array, words: list[str]) -> Array:
         words.append(
             f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
         )
-    return out
+    return out, tuple(wrapped.tolist())
 
 
 def _doubts_of(found: Measurements, robot: Robot) -> list[str]:

@@ -87,6 +87,9 @@ class Measurements:
     +-y, +-z it is."""
     log: JointLog | None = None
     """Joint readings at a rate of their own, where the joints were recorded apart."""
+    wrapped: tuple[bool, ...] = ()
+    """(n,) whether rotations were recorded within one turn, so that nobody knows how many turns lie before the first
+    row; empty where none were."""
     remarks: tuple[str, ...] = ()
     """What was noticed when the data were read, in words."""
 
@@ -108,6 +111,10 @@ class Measurements:
         for name, value in found.items():
             object.__setattr__(self, name, value)
         self._check_sensors()
+        wrapped = tuple(items("wrapped", self.wrapped, bool, "True or False"))
+        if wrapped and len(wrapped) != n:
+            raise InputError(f"wrapped has {len(wrapped)} entries; it must have {n}, one per tube")
+        object.__setattr__(self, "wrapped", wrapped)
         object.__setattr__(self, "remarks", items("remarks", self.remarks, str, "sentences"))
         if self.log is not None and (self.time is None or self.log.rotations.shape[1] != n):
             raise InputError(f"a log of joint readings needs the time of every row, and {n} tubes as the rows have")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from ..equilibrium.readings import yielded
-from ..errors import InputError, SolveError, choice
+from ..errors import ImplausibleWarning, InputError, SolveError, choice
 from ..robots.concentric import friction_of
 from ..robots.robot import Robot
 from ..typing import Array, Mask
@@ -18,14 +20,20 @@ from .parameters import Parameter, apply
 from .poses import Poses, rubbed_poses, solve_poses
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Directions, Registration, register
 from .setup import Setup
-from .timeline import Timeline, counted
+from .timeline import TURN, Timeline, middles_of
 
 STEP = 2e-6
 """Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
 1e-6, and equilibria are solved a thousand times as sharply."""
 
+CLEARLY = 0.9
+"""Errors below this share of others are remarked upon."""
+
 JOINT_STEP = 1e-6
 """The same of joint values, rad and m."""
+
+TURNS = 3
+"""Turns to each side of the calibrated motion in which the begin of a recording is searched."""
 
 AXES = np.vstack([np.eye(3), -np.eye(3)])
 """Directions along which a sensor may lie in its own frame."""
@@ -75,11 +83,12 @@ class ArmModel:
         self.freedoms = FREEDOMS[choice("registration", method, FREEDOMS)]
         self.first = Setup.of(robot)
         self.timeline = Timeline.of(measurements)
-        self.first.drives, self.turns = counted(self.first.drives, measurements)
+        self.first.drives, self.turns = middles_of(self.first.drives, measurements)
         self.stations = measurements.stations
         self.evaluations = 0
         self._solved: list[tuple[Setup, Array, Array, Poses]] = []
         self._gave_way: list[tuple[Setup, Array, Array, Array]] = []
+        self._count_turns()
         poses = self.poses(self.first)
         self.failures = poses.failures
         if not poses.found.any():
@@ -87,6 +96,46 @@ class ArmModel:
             raise SolveError(f"row {row + 1}: {reason}")
         self.length = float(poses.length[poses.found].max())
         self._observe(poses)
+
+    def _count_turns(self) -> None:
+        """Choose from which turn each rotation counts, where a gain of its drive makes that matter.
+
+        The recording of the calibration counts as it did there. In others a counter stands as it was read, unless
+        another turn halves the errors: then it was set to zero elsewhere. Wrapped angles take the turn that fits best.
+        """
+        drives, m = self.first.drives, self.measurements
+        saved, beside = drives.registration, self.turns
+        if saved is not None and saved.recording == m.mark:
+            return
+        self.turns, words = np.zeros(m.n_tubes), []
+        for k in np.flatnonzero(np.array(drives.rotation_gains) != 1.0).tolist():
+            misfit = {}
+            for turns in {0, *range(int(beside[k]) - TURNS, int(beside[k]) + TURNS + 1)}:
+                self.turns[k] = turns
+                misfit[turns] = self._misfit()
+            best, as_read = min(misfit, key=lambda turns: (misfit[turns], abs(turns))), misfit[0]
+            wrapped = bool(m.wrapped) and m.wrapped[k]
+            self.turns[k] = best if wrapped or misfit[best] < as_read / 2 else 0
+            if misfit[best] < CLEARLY * as_read:
+                outcome = "they are counted so" if self.turns[k] else "they are counted as read"
+                words.append(
+                    f"readings of rotation_{k + 1} fit best with {-360 * best:+.0f} deg: {misfit[best] * 1e3:.2f} mm "
+                    f"instead of {as_read * 1e3:.2f} mm (root mean square); {outcome}"
+                )
+        self.measurements = replace(m, remarks=(*m.remarks, *words))
+
+    def _misfit(self) -> float:
+        """Root mean square distance (m) of the positions from those without friction; infinite where there is none."""
+        setup = self.first.copy()
+        setup.friction[:] = 0.0
+        try:
+            with warnings.catch_warnings(action="ignore", category=ImplausibleWarning):  # of turns that are tried
+                poses = self.poses(setup)
+            self._observe(poses)
+            apart = self.observed - self._seen(setup, poses, self.start.registration)
+        except (InputError, SolveError):
+            return math.inf
+        return float(np.sqrt((apart[~self.directed] ** 2).sum(1).mean()))
 
     def _observe(self, poses: Poses) -> None:
         """Lay out what was measured."""
@@ -165,7 +214,7 @@ class ArmModel:
         """(N, n) joint values of the model, rad and m."""
         drives = setup.drives
         read, moved = self.timeline.readings(drives.latency)
-        alpha, shift = drives.to_model(read - self.turns, moved)
+        alpha, shift = drives.to_model(read - TURN * self.turns, moved)
         alpha = self.timeline.with_play(alpha, np.array(drives.rotation_play))
         shift = self.timeline.with_play(shift, np.array(drives.translation_play))
         if not any(drives.translation_compliance):

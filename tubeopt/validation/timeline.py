@@ -12,6 +12,9 @@ from ..robots.calibration import Calibration
 from ..typing import Array, Index
 from .measurements import Measurements
 
+TURN = 2 * math.pi
+"""rad."""
+
 
 def runs_of(time: Array) -> list[Index]:
     """Indices of every run: rows on end whose times ascend without a gap."""
@@ -96,14 +99,13 @@ def _between(time: Array, values: Array, wanted: Array) -> Array:
     return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
 
 
-def counted(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
-    """Drives whose gains act where the recording lies, and full turns (n,), rad, to subtract from its rotations.
+def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
+    """Drives whose gains act about the turn in which the recording lies, and (n,) turns from there to its median.
 
-    A gain acts about the full turn next to the median of the recording that it was found with. A recording that counts
-    its turns from elsewhere is moved by full turns, so that its median lies as near as possible to that of the first.
+    A drive of gain 1 has no turn yet: its own begins next to the median of the recording.
     """
-    middle, turn = np.median(measurements.rotations, axis=0), 2 * math.pi
+    middle = np.median(measurements.rotations, axis=0)
     gained = np.array(drives.rotation_gains) != 1.0
-    turns = np.where(gained, turn * np.round((middle - drives.rotation_middles) / turn), 0.0)
     known = np.where(gained, drives.rotation_middles, middle)
+    turns = np.where(gained, np.round((middle - known) / TURN), 0.0)
     return replace(drives, rotation_middles=tuple(known.tolist())), turns
