@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
 
 from tests.examples import THESIS
-from tubeopt import InputError, Load, estimate_force, forward_kinematics
+from tubeopt import InputError, Load, estimate_force, estimate_forces, forward_kinematics
+from tubeopt.robots.calibration import Calibration, SavedRegistration
 from tubeopt.typing import Array
-from tubeopt.validation.force import ForceRecord
+from tubeopt.validation import Measurements
+from tubeopt.validation.force import ForceRecord, Measured, _trial
 
 ROTATIONS = (0.0, 1.0, 2.0)
 FORCES = ((0.1, 0.0, 0.0), (0.05, 0.1, -0.05), (0.0, 0.3, 0.2))
@@ -146,3 +150,64 @@ def test_the_coverage_is_that_of_simulated_measurements() -> None:
         found.coverage(95)
     with pytest.raises(InputError, match="draws is 0; it must be at least 1"):
         found.coverage(draws=0)
+
+
+def recording(calibration: Calibration, forces: Array, places: tuple[float, ...] = (0.0,)) -> Measurements:
+    """What a device sees of the calibrated robot under forces (N, 3): the truth by forward kinematics alone."""
+    device = Rotation.from_rotvec([0.2, -0.4, 1.1])
+    tilt = Rotation.from_rotvec([*calibration.plate_tilt, 0.0])
+    rows, read = [], np.array([[0.1 * k, 1.0, 2.0 - 0.05 * k] for k in range(len(forces))])
+    for turns, force in zip(read, forces, strict=True):
+        alpha, shift = calibration.to_model(turns, [-3e-3, -2e-3, -1e-3])
+        e = forward_kinematics(THESIS, alpha, shift, load=Load(tuple(force)))  # type: ignore[arg-type]
+        innermost = e.tip_rotation @ Rotation.from_euler("z", e.rotation[0, -1]).as_matrix()
+        arm = CubicHermiteSpline(e.arc_length, e.position, e.frame[:, :, 2])
+        points = np.array([arm(e.arc_length[-1] - s) for s in places])
+        points[0] = e.tip_position + innermost @ calibration.sensor_offset
+        rows.append(device.inv().apply(tilt.apply(points) + calibration.plate_shift - [0.02, 0.03, -0.1]))
+    shifts = np.tile([-3e-3, -2e-3, -1e-3], (len(forces), 1))
+    return Measurements(read, shifts, np.array(rows), behind=np.array(places))
+
+
+CALIBRATION = Calibration(
+    rotation_offsets=(0.3, -0.1, 0.05),
+    translation_offsets=(-1e-3, 0.5e-3, 0.0),
+    rotation_gains=(1.01, 1.0, 0.99),
+    translation_gains=(1.0, 1.02, 1.0),
+    rotation_play=(0.0, 0.0, 0.0),
+    sensor_offset=(0.5e-3, -0.3e-3, 1e-3),
+    plate_shift=(1e-3, -2e-3, 0.5e-3),
+    plate_tilt=(0.03, -0.02),
+    registration=SavedRegistration(
+        "", "rigid", tuple(map(tuple, Rotation.from_rotvec([0.2, -0.4, 1.1]).as_matrix())), (0.02, 0.03, -0.1)
+    ),
+)
+
+
+@pytest.mark.parametrize("places", [(0.0,), (0.0, 0.03)])
+def test_forces_of_a_calibrated_robot_come_back(places: tuple[float, ...]) -> None:
+    """Offsets, gains, the sensor beside the tip, and where plate and device stand."""
+    forces = np.array([[0.02, 0.005, 0.0], [0.0, 0.03, -0.01], [-0.02, 0.01, 0.01]])
+    robot = replace(THESIS, calibration=CALIBRATION)
+    m = recording(CALIBRATION, forces, places)
+    found = estimate_forces(robot, m, noise=1e-5, registration="saved")
+    # Between nodes the truth is interpolated by cubics.
+    np.testing.assert_allclose(found.force, forces, rtol=0, atol=1e-6 if len(places) == 1 else 2e-4)
+    with pytest.raises(InputError, match="registration is not given, and the robot's calibration holds one"):
+        estimate_forces(robot, m)
+    with pytest.raises(InputError, match="registration is 'saved', and the robot has none"):
+        estimate_forces(replace(THESIS, calibration=replace(CALIBRATION, registration=None)), m, registration="saved")
+    soft = replace(CALIBRATION, translation_compliance=(1e-3, 0.0, 0.0))
+    with pytest.raises(InputError, match="also yield to the force"):
+        estimate_forces(replace(THESIS, calibration=soft), m, registration="saved")
+
+
+def test_a_sensor_beside_the_tip_moves_as_the_tip_turns() -> None:
+    """The derivative by the force, with the lever of the sensor, is that of differences."""
+    offset, noise, step = np.array([5e-3, -3e-3, 10e-3]), 1e-3, 1e-4
+    e = forward_kinematics(THESIS, ROTATIONS)
+    for arcs in ([e.arc_length[-1]], [e.arc_length[-1], e.arc_length[-1] / 2]):
+        measured = Measured(np.array(arcs), np.zeros((len(arcs), 3)), noise, offset)
+        there = [_trial(e, Load(), force, measured).residual for force in step * np.vstack([np.eye(3), -np.eye(3)])]
+        slopes = np.array([(a - b) / (2 * step) for a, b in zip(there[3:], there[:3], strict=True)]).T
+        np.testing.assert_allclose(_trial(e, Load(), np.zeros(3), measured).jacobian, slopes, rtol=1e-5, atol=1e-5)

@@ -94,9 +94,13 @@ class ForceStudy(LoadedStudy, Timed):
     robot: RobotPath
     measurements: MeasurementsPath
     noise_mm: Positive = Field(Decimal(1), description="noise of a measured coordinate (standard deviation)")
+    registration: Literal["none", "saved"] | None = Field(
+        None,
+        description="none: positions are in the frame of the plate; saved: in that of the device of the calibration",
+    )
 
     def run(self, progress: Progress | None = None) -> ForceRecord:
-        """The forces, rows that cannot be told marked; in the frame of the plate, as the measurements must be.
+        """The forces in the frame of the plate, rows without one marked.
 
         Raises:
             InputError: a load that is known turns with the tip.
@@ -104,4 +108,6 @@ class ForceStudy(LoadedStudy, Timed):
         known = self.pushing()
         if known is not None and known.frame != "world":
             raise InputError("the known load turns with the tip; its frame must be 'world'")
-        return estimate_forces(self.robot, self.measurements, known=known, progress=progress, **self.in_si("noise_mm"))
+        return estimate_forces(
+            self.robot, self.measurements, known=known, progress=progress, **self.in_si("noise_mm", "registration")
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +18,10 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, finite, instance, positive, vector, whole
+from ..errors import InputError, Settings, SolveError, choice, finite, instance, positive, vector, whole
 from ..robots.limits import check_target
 from ..robots.load import Load
+from ..robots.order import last_tube
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
@@ -28,6 +29,13 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, check_time, limite
 from ..typing import Array, Mask, Progress, Sentence
 from .comparison import check_tubes
 from .measurements import Measurements
+from .poses import about_z
+from .registration import Registration
+from .setup import Setup
+from .timeline import Timeline
+
+ARRIVED = 1e-12
+"""Distance from the tip, m, within which a measured point is the tip."""
 
 UNSEEN = 1e-8
 """Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
@@ -81,6 +89,20 @@ class ForceStatistics:
 
 
 @dataclass(frozen=True, eq=False)
+class Measured:
+    """Points of an arm that were measured, in the plate frame."""
+
+    arc_length: Array
+    """(P,) m."""
+    position: Array
+    """(P, 3) m."""
+    noise: float
+    """Standard deviation of a coordinate, m."""
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) of the foremost point from the arm, in the frame of the tip, m."""
+
+
+@dataclass(frozen=True, eq=False)
 class ForceEstimate(Displayed):
     """A force at the tip, world axes, and how far it is told."""
 
@@ -88,8 +110,8 @@ class ForceEstimate(Displayed):
     """(3,) N."""
     covariance: Array
     """(3, 3) N^2, by the noise of the measurement, to second order; inf along directions in which the measurement does
-    not bound the force. Its ellipsoid is an approximation: where a standard error is some tenths of a newton, it may
-    hold the force less often than it says. `coverage` computes how often, and `contains` is the region to ask."""
+    not bound the force. Its ellipsoid is an approximation: where a standard error is some hundredths of a newton, it
+    may hold the force less often than it says. `coverage` computes how often; `contains` is a region that keeps it."""
     directions: Array
     """(3, 3) unit vectors by row, from the best to the worst told."""
     errors: Array
@@ -102,8 +124,8 @@ class ForceEstimate(Displayed):
     """Sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3."""
     iterations: int
     """Steps of the fit."""
-    measured: tuple[Array, Array, float]
-    """Arc lengths (P,), positions (P, 3), and the noise of a coordinate, m."""
+    measured: Measured
+    """What was measured."""
     base: Load
     """Loads that were known."""
 
@@ -116,7 +138,7 @@ class ForceEstimate(Displayed):
         """
         wanted = vector("force", force, 3, "x, y, z")
         try:
-            there = _trial(self.equilibrium, self.base, wanted, _Measured(*self.measured))
+            there = _trial(self.equilibrium, self.base, wanted, self.measured)
         except SolveError:
             return False
         excess = float(there.residual @ there.residual) - self.fit[0]
@@ -139,13 +161,13 @@ class ForceEstimate(Displayed):
         if not 0 < finite("confidence", confidence) < 1:
             raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
         most, random = float(scipy.special.chdtri(3, 1 - confidence)), np.random.default_rng(seed)
-        fitted = _trial(self.equilibrium, self.base, self.force, _Measured(*self.measured))
-        place, position, noise = self.measured
+        fitted = _trial(self.equilibrium, self.base, self.force, self.measured)
+        noise, position = self.measured.noise, self.measured.position
         position = position - noise * fitted.residual.reshape(position.shape)
         held = 0
         for _ in range(whole("draws", draws, 1)):
             check_time()
-            drawn = _Measured(place, position + noise * random.normal(size=position.shape), noise)
+            drawn = replace(self.measured, position=position + noise * random.normal(size=position.shape))
             with suppress(SolveError):
                 start = _trial(self.equilibrium, self.base, self.force, drawn)
                 again = _estimate(*_settled(start, self.base, drawn, DEFAULT_FORCE), self.base, drawn)
@@ -217,21 +239,28 @@ def estimate_forces(
     *,
     noise: float = 1e-3,
     known: Load | None = None,
+    registration: str | None = None,
     progress: Progress | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ForceRecord:
     """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
 
+    The robot's calibration turns readings into joint values, with latency and play, and says where the sensor sits on
+    the tip and how the plate stands. Turns of the readings count as they are read. Forces are in the axes of the plate.
+
     Args:
-        measurements: joint readings, and positions in the frame of the plate; sensors behind the tip are points of the
-            arm. What a row's sensors at one place saw counts by their mean.
+        measurements: joint readings, and positions; sensors behind the tip are points of the arm. What a row's sensors
+            at one place saw counts by their mean.
         noise, known, solver: as in `estimate_force`.
+        registration: "none", positions are in the frame of the plate, or "saved", in that of the device that the
+            calibration holds. It must be given where the calibration holds one and other positions were measured.
         progress: called with rows done and rows in all.
         time_limit: s, on the clock.
 
     Raises:
-        InputError: as in `estimate_force`; measurements of a robot with another number of tubes.
+        InputError: as in `estimate_force`; measurements of a robot with another number of tubes; a calibration with
+            carriages that yield; a registration that is not given, or that the calibration lacks.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
@@ -247,18 +276,27 @@ def estimate_forces(
     """
     check_tubes(robot, measurements)
     positive("noise", noise)
-    stations, positions = measurements.stations, measurements.station_position
+    instance("solver", solver, ForceSolver)
+    base, setup = _known(known), Setup.of(robot)
+    if any(setup.drives.translation_compliance):
+        raise InputError(
+            "the robot's calibration has translation_compliance; its carriages also yield to the force, which is not "
+            "modelled: estimate forces of a robot without it"
+        )
+    alpha, shift = Timeline.of(measurements).driven(setup.drives, np.zeros(robot.n_tubes))
+    stations = measurements.stations
+    positions = (_of_plate(robot, measurements, registration) - setup.plate_shift) @ setup.plate_turn
     found: list[ForceEstimate | None] = []
     failures = []
     last: Equilibrium | None = None
     for row in range(len(measurements)):
-        alpha, shift = measurements.rotations[row], measurements.translations[row]
-        length = robot.assembly(shift).total_length
-        seen = [(length - s, at) for s, at in zip(stations, positions[row], strict=True) if np.isfinite(at[0])]
+        length = robot.assembly(shift[row]).total_length
+        seen = np.isfinite(positions[row, :, 0])
         try:
-            estimate = estimate_force(
-                robot, alpha, shift, points=seen, noise=noise, known=known, guess=last, solver=solver
-            )
+            joints = joint_values(robot, alpha[row], shift[row])
+            offset = setup.sensor_offset if seen[0] else np.zeros(3)
+            measured = Measured(length - stations[seen], positions[row, seen], noise, offset)
+            estimate = _fitted(robot, joints, measured, base, last, solver)
         except SolveError as error:
             failures.append((row, str(error)))
             found.append(None)
@@ -271,13 +309,23 @@ def estimate_forces(
     return ForceRecord(robot, measurements, noise, tuple(found), tuple(failures))
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """Arc lengths (P,) and positions (P, 3) of measured points, and the noise of a coordinate, m."""
-
-    arc_length: Array
-    position: Array
-    noise: float
+def _of_plate(robot: Robot, measurements: Measurements, method: str | None) -> Array:
+    """(N, K, 3) measured positions of the stations in the plate frame, m."""
+    saved = robot.calibration.registration if robot.calibration is not None else None
+    if method is None:
+        own = saved is not None and saved.recording == measurements.mark
+        at_plate = saved is None or (np.allclose(saved.rotation, np.eye(3)) and not any(saved.translation))
+        if not (own or at_plate):
+            raise InputError(
+                "registration is not given, and the robot's calibration holds one; it must be 'saved' for positions of "
+                "that device, or 'none' for positions in the frame of the plate"
+            )
+        method = "saved" if own else "none"
+    if choice("registration", method, ("none", "saved")) == "none":
+        return measurements.station_position
+    if saved is None:
+        raise InputError("registration is 'saved', and the robot has none in its calibration; it must be 'none'")
+    return Registration.of_saved(saved).apply(measurements.station_position)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,19 +384,36 @@ def estimate_force(  # noqa: PLR0913
     """
     instance("solver", solver, ForceSolver)
     alpha, shift = joint_values(robot, rotations, translations)
-    base = known if known is not None else Load()
+    places = _measured(float(robot.assembly(shift).total_length), tip_position, points, positive("noise", noise))
+    return _fitted(robot, (alpha, shift), places, _known(known), guess, solver)
+
+
+def _known(load: Load | None) -> Load:
+    """A load beside which a force is estimated."""
+    base = load if load is not None else Load()
     if base.frame != "world" and (any(base.force) or any(base.moment)):
         raise InputError("known has a force or moment that turns with the tip; its frame must be 'world'")
-    first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
-    start = forward_kinematics(robot, alpha, shift, load=first, guess=guess)
-    measured = _measured(float(start.arc_length[-1]), tip_position, points, positive("noise", noise))
+    return base
+
+
+def _fitted(
+    robot: Robot,
+    joints: tuple[Array, Array],
+    measured: Measured,
+    base: Load,
+    guess: Equilibrium | None,
+    solver: ForceSolver,
+) -> ForceEstimate:
+    """The estimate at joint values of the model, rad and m."""
     check_target(robot.tubes, "what is measured", measured.position)
+    first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
+    start = forward_kinematics(robot, *joints, load=first, guess=guess)
     trial = _trial(start, base, np.subtract(first.force, base.force), measured)
     trial, iterations = _settled(trial, base, measured, solver)
     return _estimate(trial, iterations, base, measured, solver)
 
 
-def _settled(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[_Trial, int]:
+def _settled(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> tuple[_Trial, int]:
     """The fit from a trial, and the forces it tried; raises SolveError where it does not settle."""
     model = _Pushed(trial, base, measured, solver)
     count = len(trial.residual)
@@ -389,7 +454,7 @@ class _Pushed:
 
     bounds, freedoms = np.array([[-np.inf] * 3, [np.inf] * 3]), 0
 
-    def __init__(self, start: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> None:
+    def __init__(self, start: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> None:
         self.start = _Force(self, start.force, start)
         self._base, self._measured, self._solver, self.tried = base, measured, solver, 0
 
@@ -418,7 +483,7 @@ class _Pushed:
 
 def _measured(
     length: float, tip: ArrayLike | None, points: Sequence[tuple[float, ArrayLike]] | None, noise: float
-) -> _Measured:
+) -> Measured:
     places, positions = [], []
     for k, entry in enumerate(() if points is None else points):
         try:
@@ -434,24 +499,35 @@ def _measured(
         positions.append(vector("tip_position", tip, 3, "x, y, z"))
     if not places:
         raise InputError("neither tip_position nor points are given; the force is estimated from where the arm is")
-    return _Measured(np.array(places), np.array(positions), noise)
+    return Measured(np.array(places), np.array(positions), noise)
 
 
-def _trial(near: Equilibrium, base: Load, force: Array, measured: _Measured) -> _Trial:
+def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
     e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
     noise = measured.noise
-    if list(measured.arc_length) == [e.arc_length[-1]]:
-        return _Trial(force, e, (measured.position[0] - e.tip_position) / noise, e.compliance[:3, :3] / noise)
+    tip = last_tube(e.robot.assembly(e.translations).end)
+    away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
+    if np.allclose(measured.arc_length, e.arc_length[-1], rtol=0.0, atol=ARRIVED):
+        slopes = e.compliance[:3, :3] + _turned_by(e.compliance[3:, :3], away)
+        return _Trial(force, e, (measured.position[0] - e.tip_position - away) / noise, slopes / noise)
     point = point_of(e)
     problem, state = point.member.problem, point.state
-    moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
+    ends = tip_slopes(problem, state)
+    moved = np.asarray(np.linalg.solve(state.hessian, ends[:3].T))
     residuals, rows = [], []
     for s, position in zip(measured.arc_length, measured.position, strict=True):
         here, slopes = position_slopes(problem, state, float(s))
         residuals.append(position - here)
         rows.append(slopes @ moved)
+    residuals[0] -= away
+    rows[0] += _turned_by(ends[3:] @ moved, away)
     return _Trial(force, e, np.concatenate(residuals) / noise, np.concatenate(rows) / noise)
+
+
+def _turned_by(turns: Array, away: Array) -> Array:
+    """(3, 3) by which a vector (3,) changes as its frame turns by the columns of (3, 3), rad."""
+    return np.cross(turns.T, away).T
 
 
 def _last_step(trial: _Trial) -> Array:
@@ -459,12 +535,12 @@ def _last_step(trial: _Trial) -> Array:
     return np.asarray(np.linalg.lstsq(trial.jacobian, trial.residual, rcond=UNSEEN)[0])
 
 
-def _distance(trial: _Trial, measured: _Measured) -> float:
+def _distance(trial: _Trial, measured: Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
 def _estimate(
-    trial: _Trial, iterations: int, base: Load, measured: _Measured, solver: ForceSolver = DEFAULT_FORCE
+    trial: _Trial, iterations: int, base: Load, measured: Measured, solver: ForceSolver = DEFAULT_FORCE
 ) -> ForceEstimate:
     covariance, directions, errors = _spread(trial, base, measured, replace(solver, settled=SETTLED, steps=STEPS))
     return ForceEstimate(
@@ -476,12 +552,12 @@ def _estimate(
         residual=_distance(trial, measured),
         fit=(float(trial.residual @ trial.residual), len(trial.residual) - 3),
         iterations=iterations,
-        measured=(measured.arc_length, measured.position, measured.noise),
+        measured=measured,
         base=base,
     )
 
 
-def _spread(trial: _Trial, base: Load, measured: _Measured, solver: ForceSolver) -> tuple[Array, Array, Array]:
+def _spread(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> tuple[Array, Array, Array]:
     """Covariance, its axes by row from the best to the worst told, and standard errors along these, to second order.
 
     A measurement that is off by z standard deviations along the k-th left singular vector of the Jacobian gives a
@@ -522,7 +598,7 @@ def _second_moment(linear: Array, bent: Array) -> Array:
     return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)
 
 
-def _moved(trial: _Trial, base: Load, measured: _Measured, by: Array, solver: ForceSolver) -> Array | None:
+def _moved(trial: _Trial, base: Load, measured: Measured, by: Array, solver: ForceSolver) -> Array | None:
     """(3,) how the force changes, N, where residuals change `by` (3 P,) standard deviations; None if none is found."""
     other = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
     near = replace(trial, residual=trial.residual + by)

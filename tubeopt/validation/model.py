@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from ..equilibrium.readings import yielded
 from ..errors import ImplausibleWarning, InputError, SolveError, choice
@@ -20,7 +19,7 @@ from .parameters import Parameter, apply
 from .poses import Poses, rubbed_poses, solve_poses
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Directions, Registration, register
 from .setup import Setup
-from .timeline import TURN, Timeline, middles_of
+from .timeline import Timeline, middles_of
 
 STEP = 2e-6
 """Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
@@ -213,10 +212,7 @@ class ArmModel:
     def joints(self, setup: Setup) -> tuple[Array, Array]:
         """(N, n) joint values of the model, rad and m."""
         drives = setup.drives
-        read, moved = self.timeline.readings(drives.latency)
-        alpha, shift = drives.to_model(read - TURN * self.turns, moved)
-        alpha = self.timeline.with_play(alpha, np.array(drives.rotation_play))
-        shift = self.timeline.with_play(shift, np.array(drives.translation_play))
+        alpha, shift = self.timeline.driven(drives, self.turns)
         if not any(drives.translation_compliance):
             return alpha, shift
         return alpha, self._yielded(setup, alpha, shift)
@@ -267,10 +263,8 @@ class ArmModel:
         stations[:, 0] += poses.frame @ setup.sensor_offset
         x, y = setup.sensor_tilt
         direction = poses.frame @ np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
-        if setup.plate_tilt.any() or setup.plate_shift.any():
-            turn = scipy.spatial.transform.Rotation.from_rotvec([*setup.plate_tilt, 0.0]).as_matrix()
-            stations, direction = stations @ turn.T + setup.plate_shift, direction @ turn.T
-        return stations, direction
+        turn = setup.plate_turn
+        return stations @ turn.T + setup.plate_shift, direction @ turn.T
 
     def predicted(self, state: State) -> Array:
         """(V, 3) of what the device should see.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..errors import InputError
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
@@ -78,6 +79,11 @@ class Setup:
             transmission=extra,
             pieces=pieces,
         )
+
+    @property
+    def plate_turn(self) -> Array:
+        """(3, 3) by which the plate is tilted from where the registration puts it."""
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec([*self.plate_tilt, 0.0]).as_matrix())
 
     def copy(self) -> Setup:
         """The same numbers, to be changed."""

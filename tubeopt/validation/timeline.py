@@ -69,6 +69,16 @@ class Timeline:
                 joints[run == k] = _between(time, values, wanted[run == k])
         return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
 
+    def driven(self, drives: Calibration, turns: Array) -> tuple[Array, Array]:
+        """(N, n) joint values of the model, rad and m, at the readings less full `turns` (n,), through latency and play
+        of the drives; those of carriages that do not yield."""
+        read, moved = self.readings(drives.latency)
+        alpha, shift = drives.to_model(read - TURN * turns, moved)
+        return (
+            self.with_play(alpha, np.array(drives.rotation_play)),
+            self.with_play(shift, np.array(drives.translation_play)),
+        )
+
     def with_play(self, joints: Array, play: Array) -> Array:
         """(N, n) joint values of the tubes behind drives at `joints` with play of half width (n,), rad or m.
 
