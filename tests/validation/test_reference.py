@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import InputError
+from tubeopt import InputError, load_robot
 from tubeopt.runs.measurement_file import load_measurements
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements, validate
@@ -148,3 +148,40 @@ def test_sensors_that_cannot_be_on_one_tip_are_said(tmp_path: Path, apart: float
     table(tmp_path / "m.csv", header, rows)
     found = load_measurements(tmp_path / "m.csv", robot())
     assert any("sensors 1 and 2 of the tip" in each for each in found.remarks) == said
+
+
+def test_a_number_that_is_the_name_of_another_tool_is_refused(tmp_path: Path) -> None:
+    m = true()
+    assert m.time is not None
+    ndi(tmp_path, m.tip_position)
+    swapped = (tmp_path / "ndi.csv").read_text().replace("tip", "2").replace("spine", "1")
+    (tmp_path / "ndi.csv").write_text(swapped)
+    joint_log(tmp_path, np.arange(0, 330) / 53.0, float(m.time[-1]))
+    text = f"tips: ndi.csv\njoints: joints.csv\nframe_rate_Hz: 40\njoint_columns: {JOINTS}\n"
+    with pytest.raises(InputError, match="reference is 1, and tool 2 has that name; it must be '1' in quotes"):
+        mapped(tmp_path, f"{text}reference: 1\n")
+    named = mapped(tmp_path, f"{text}reference: '1'\n")
+    np.testing.assert_allclose(named.tip_position, m.tip_position, atol=1e-8)
+    with pytest.raises(InputError, match="reference is true; it must be the number or the name of a tool"):
+        mapped(tmp_path, f"{text}reference: true\n")
+
+
+def test_tools_that_are_never_seen_together_are_remarked_upon(tmp_path: Path) -> None:
+    m = true()
+    assert m.time is not None
+    place, base, *_ = moving(m.tip_position)
+    place[1::2] = base[::2] = np.nan
+    read = joints(m.time, float(m.time[-1]))
+    table(tmp_path / "own.csv", "t a b p q x y z u v w", np.column_stack([m.time, read, place, base]))
+    columns = "t: 'time, s', a: 'rotation_1, rad', b: 'rotation_2, rad', p: 'translation_1, m', q: 'translation_2, m'"
+    seen = "x: 'x_1, m', y: 'y_1, m', z: 'z_1, m', u: 'x_2, m', v: 'y_2, m', w: 'z_2, m'"
+    found = mapped(tmp_path, f"tips: own.csv\ncolumns: {{{columns}, {seen}}}\n")
+    assert any("sensors 1 and 2 of the tip are never seen in one row" in each for each in found.remarks)
+
+
+def test_noisy_sensors_within_the_thickness_of_the_arm_are_no_reference() -> None:
+    """Three sensors, one in each tube of an eccentric robot, with noise of 0.6 mm."""
+    robot_of = load_robot("configs/robots/thesis_etr.yaml")
+    found = load_measurements("configs/experiments/synthetic_etr.csv", robot_of)
+    assert found.sensors.shape[1] == 3
+    assert not any("name it by reference" in each for each in found.remarks)

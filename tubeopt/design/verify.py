@@ -15,6 +15,7 @@ from ..errors import SolveError, whole
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import shifts
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .drawn import SHARES, draw
@@ -57,13 +58,22 @@ class Verification:
 
 @typed
 @small
+@limited
 def count_snaps(
-    robot: ConcentricRobot, turns: int, seed: int = 0, translations: Array | None = None
+    robot: ConcentricRobot,
+    turns: int,
+    seed: int = 0,
+    translations: Array | None = None,
+    *,
+    time_limit: float = LONG_TIME_LIMIT,
 ) -> tuple[int, int]:
     """Snaps and turns on which there were some, in full turns of random tubes in random directions, forth and back.
 
     Every turn begins at the untwisted home, with all tubes bending to one side; at least one tube, and not all,
     goes a full turn forth or back, and then everything goes back to where it began.
+
+    Raises:
+        TimeLimitError: `time_limit` (s) was reached before all turns were made.
     """
     whole("turns", turns, 0)
     random = np.random.default_rng(seed)

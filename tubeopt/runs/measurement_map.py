@@ -7,18 +7,19 @@ that cannot be right are told.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Positive, Whole, check
+from ..files.checked import Entry, NotNegative, Positive, check
+from ..files.units import shown
 from ..files.yaml_file import load_yaml
 from ..robots.eccentric import SheathedRobot, sheath_inner_diameter
 from ..robots.robot import Robot
@@ -26,7 +27,7 @@ from ..typing import Array, Mask
 from ..validation.measurements import SAME_PLACE, JointLog, Measurements
 from ..validation.timeline import Timeline, runs_of
 from .measurement_columns import Columns, columns_of
-from .tracker_file import read_recorded
+from .tracker_file import Recorded, read_recorded
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 
@@ -40,13 +41,20 @@ MOVES = 0.3
 """rad: a robot whose tubes turn by more against each other moves its tip."""
 
 STEADY = 2e-3
-"""m: the distance of two sensors on one piece of the arm changes by no more, noise of trackers included."""
+"""m, of the noise of trackers: two sensors on one piece of the arm stay so close to its thickness, or their distance
+changes by no more."""
 
 SLOW = 1.0
 """s: recorders of a moving arm are faster."""
 
 PATH, ROWS = 0.1, 20
 """Rows that are at least so many are a path where the joints usually move by less than this part of their range."""
+
+
+def _number_or_name(value: object) -> object:
+    if value is None or isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+        return value
+    raise ValueError(f"is {shown(value)}; it must be the number or the name of a tool")
 
 
 class MeasurementMap(Entry):
@@ -58,7 +66,7 @@ class MeasurementMap(Entry):
     columns: dict[str, str] = Field({}, description="column: meaning, unit; an export of a tracker needs none")
     joint_columns: dict[str, str] | None = Field(None, description="the same for joints; `columns` where not given")
     frame_rate_Hz: Positive | None = Field(None, description="of an export that counts frames")
-    reference: Whole | str | None = Field(
+    reference: Annotated[int | str | None, BeforeValidator(_number_or_name)] = Field(
         None,
         description="tool, by its number or name, in whose frame all others are taken row by row; it must have an "
         "orientation, and is no sensor of the tip",
@@ -86,7 +94,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
     joints = tips
     if entry.reference is not None:
-        tips = replace(tips, reference=_reference(path, entry.reference, tips, recorded.tools))
+        tips = replace(tips, reference=_reference(path, entry.reference, tips, recorded))
         joints = tips
     if entry.joints is not None:
         table = read_recorded(folder / entry.joints).table
@@ -104,17 +112,25 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     return replace(found, remarks=(*recorded.remarks, *found.remarks))
 
 
-def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, tools: Sequence[str]) -> int:
-    """The number of the reference tool; raises InputError for one that is not there, or has no pose."""
-    sensors = tips.sensors()
+def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, recorded: Recorded) -> int:
+    """The number of the reference tool; raises InputError for one that is not there, is one of two, or has no pose."""
+    sensors, tools = tips.sensors(), recorded.tools
     named_so = [k for k, name in enumerate(tools, start=1) if name == str(wanted)]
     number = wanted if wanted in sensors else named_so[0] if len(named_so) == 1 else None
+    if isinstance(wanted, int) and named_so not in ([], [wanted]):
+        raise InputError(
+            f"{path}: reference is {wanted}, and tool {named_so[0]} has that name; it must be '{wanted}' in quotes for "
+            f"the name, or the name '{tools[wanted - 1] if wanted <= len(tools) else ''}' for tool {wanted}"
+        )
     if number not in sensors:
         named = f", or the names {', '.join(tools)}" if any(tools) else ""
         known = f"the tools of {tips.table.path} are {', '.join(map(str, sensors)) or 'none'}{named}"
         raise InputError(f"{path}: reference is {wanted!r}; {known}")
     if not all(tips.has(f"{axis}_{number}") for axis in "xyz") or not tips.turns(number):
-        raise InputError(f"{path}: reference is {wanted!r}, which has no pose; it must have position and orientation")
+        raise InputError(
+            f"{path}: reference is {wanted!r}, which has no pose; it must have position and orientation"
+            + "".join(f" ({remark})" for remark in recorded.remarks)
+        )
     if len(sensors) < 2:
         raise InputError(f"{path}: reference is {wanted!r}, the only tool; there must be another one, at the tip")
     return number
@@ -275,11 +291,18 @@ def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
     for i, j in combinations(range(len(behind)), 2):
         apart = np.linalg.norm(found.sensors[:, i] - found.sensors[:, j], axis=1)
         apart = apart[np.isfinite(apart)]
-        if abs(behind[i] - behind[j]) > SAME_PLACE or not len(apart):
+        if abs(behind[i] - behind[j]) > SAME_PLACE:
+            continue
+        if not len(apart):
+            words.append(
+                f"sensors {i + 1} and {j + 1} of the tip are never seen in one row, so their distance is unknown: each "
+                "is taken for the tip; if one is a reference tool, name it by reference in a file of kind measurements"
+            )
             continue
         low, middle, high = np.quantile(apart, (0.05, 0.5, 0.95)).tolist()
         faults = [f"are {1e3 * middle:.3g} mm apart, and the arm is {1e3 * thick:.3g} mm thick"] * (middle > thick)
-        faults += [f"have distances from {1e3 * low:.3g} to {1e3 * high:.3g} mm"] * (high - low > STEADY)
+        if high - low > STEADY and high > thick + STEADY:
+            faults.append(f"have distances from {1e3 * low:.3g} to {1e3 * high:.3g} mm")
         if faults:
             words.append(
                 f"sensors {i + 1} and {j + 1} of the tip {' and '.join(faults)}: they are averaged all the same; if "
