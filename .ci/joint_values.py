@@ -95,7 +95,7 @@ def main(count: int, seed: int) -> int:
             if "\n" in words or "Error" in words or not words:
                 wrong += 1
                 print(f"{number}: {robot.name}, {ask.__name__}, {kinds}: no sentence: {words}")
-        except Exception:
+        except Exception:  # any other kind is the fault that is looked for
             wrong += 1
             print(f"{number}: {robot.name}, {ask.__name__}, {kinds}")
             traceback.print_exc(limit=-3, file=sys.stdout)

@@ -160,7 +160,7 @@ def outcome(arguments: list[str]) -> str:
         return ""
     except TimeoutError:
         return f"hangs: {traceback.format_exc()}"
-    except BaseException:
+    except BaseException:  # any kind is the fault that is looked for
         return "" if rung else traceback.format_exc()  # a solver has words of its own for the alarm in its callback
     return "did not end"
 

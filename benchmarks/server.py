@@ -176,7 +176,7 @@ async def command(port: int, end: float) -> int:
 async def drain(socket: Any) -> int:
     """Read what comes until the connection ends; how many messages."""
     count = 0
-    with suppress(Exception):
+    with suppress(Exception):  # however the connection ends, what came before is counted
         async for _ in socket:
             count += 1
     return count

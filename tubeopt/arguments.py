@@ -58,6 +58,7 @@ def typed(made: T) -> T:
 
     @functools.wraps(called)
     def checked(*args: Any, **given: Any) -> Any:
+        """What the function returns for arguments of the right types."""
         if not ready:
             prepare()
         count = len(args)
@@ -158,6 +159,7 @@ def _fixed(parts: tuple[Any, ...]) -> Check:
     each = [_check_of(part) for part in parts]
 
     def holds(value: Any) -> bool:
+        """Whether a value is a list of as many values, each of its own type."""
         if not _several(value) or len(value) != len(each):
             return False
         return all(check is None or check.holds(item) for check, item in zip(each, value, strict=True))
@@ -170,6 +172,7 @@ def _fixed(parts: tuple[Any, ...]) -> Check:
 
 def _list(item: Check | None) -> Check:
     def holds(value: Any) -> bool:
+        """Whether a value is a list whose members are all of one type."""
         if not _several(value):
             return isinstance(value, Iterator)  # which can be read only once
         return item is None or all(item.holds(each) for each in value)
@@ -205,6 +208,7 @@ def _of(wanted: type) -> Callable[[Any], bool]:
     seen: set[type] = set()
 
     def holds(value: Any) -> bool:
+        """Whether a value is of the type."""
         kind = type(value)
         if kind in seen:
             return True

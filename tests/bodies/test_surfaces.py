@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -182,3 +184,13 @@ def test_what_is_proved_about_a_cloud_is_said(run: Run, tmp_path: Path, caplog: 
     assert "clearance from the 9 points of wall.csv" in table
     solved = run("ik", CRL, "--target-mm=0,-3,40", "--anatomy", anatomy, "--json")
     assert json.loads(solved.out)["solutions"][0]["clearance_from"] == [words]
+
+
+def test_damaged_normals_of_a_mesh_are_left_out_without_a_traceback(tmp_path: Path) -> None:
+    """trimesh computes others, and logs the error of the file with its traceback."""
+    text = pytest.importorskip("trimesh").creation.box((10, 10, 10)).export(file_type="stl_ascii")
+    path = tmp_path / "cube.stl"
+    path.write_text(text.replace("normal ", "normal none ", 1))
+    script = "import sys; from tubeopt.bodies.corridors import load_mesh; print(len(load_mesh(sys.argv[1]).faces))"
+    run = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
+    assert (run.stdout.split(), run.stderr) == (["12"], "")

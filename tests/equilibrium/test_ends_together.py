@@ -38,7 +38,7 @@ def together(robot: ConcentricRobot) -> Array:
     return np.array([0.05 - tube.curved_length for tube in robot.tubes])
 
 
-def same(one: Equilibrium, other: Equilibrium, tolerance: float = 1e-9) -> None:
+def check_same(one: Equilibrium, other: Equilibrium, tolerance: float = 1e-9) -> None:
     assert np.linalg.norm(one.tip_position - other.tip_position) < tolerance
     assert np.abs(one.tip_rotation - other.tip_rotation).max() < 10 * tolerance
     assert np.abs(one.tip_rotations - other.tip_rotations).max() < 10 * tolerance
@@ -52,7 +52,9 @@ def test_shape_under_a_moment_does_not_depend_on_round_off(name: str) -> None:
     for off in NEAR:
         for tube in range(robot.n_tubes):
             moved = shift + off * np.eye(robot.n_tubes)[tube]
-            same(forward_kinematics(robot, ROTATIONS[: robot.n_tubes], moved, load=Load(moment=MOMENT)), whole)
+            found = forward_kinematics(robot, ROTATIONS[: robot.n_tubes], moved, load=Load(moment=MOMENT))
+            check_same(found, whole)
+            assert found.margin == pytest.approx(whole.margin, abs=1e-7)
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-15, -1e-15, 1e-11, -1e-11])
@@ -68,7 +70,7 @@ def test_all_that_bears_a_moment_at_the_tip_agrees(name: str, off: float) -> Non
     if abs(off) < 1e-12:  # the mesh of the reference is rounded to this
         agrees(e, shot(robot, e, RefLoad(moment=MOMENT)))
     at_end = Load(points=((float(e.arc_length[-1]), NONE, MOMENT),))
-    same(forward_kinematics(robot, ROTATIONS[: robot.n_tubes], shift, load=at_end, verify=True), e)
+    check_same(forward_kinematics(robot, ROTATIONS[: robot.n_tubes], shift, load=at_end, verify=True), e)
     # A moment along the tip turns the tube whose rotation the compliance has.
     step, tangent = 1e-6, e.tip_rotation[:, 2]
     ends = [

@@ -45,7 +45,7 @@ SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
 TARGET = np.array([50.0, 30.0, 150.0]) * MM
 
 
-def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
+def check_answer(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
     """What every answer promises, by forward kinematics from its joint values."""
     assert answer.reached
     again = forward_kinematics(robot, answer.rotations, answer.translations, guess=answer.equilibrium)
@@ -67,7 +67,7 @@ def check(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.0
 def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
     for wanted in reachable(robot, 6, seed=1):
         answer = inverse_kinematics(robot, wanted.tip_position)
-        check(answer, robot)
+        check_answer(answer, robot)
         assert answer.cold_start_agrees
 
 
@@ -75,7 +75,7 @@ def test_tips_of_random_configurations_are_reached(robot: Robot) -> None:
 def test_and_pointed_as_they_were(robot: Robot) -> None:
     for wanted in reachable(robot, 4, seed=2):
         answer = inverse_kinematics(robot, wanted.tip_position, direction=3 * wanted.tip_rotation[:, 2])
-        check(answer, robot)
+        check_answer(answer, robot)
         assert answer.direction_error <= 1e-6
 
 
@@ -83,7 +83,9 @@ def test_and_pointed_as_they_were(robot: Robot) -> None:
 def test_robots_of_all_kinds(seed: int) -> None:
     robot = random_robot(np.random.default_rng(seed), 1 + seed)
     for wanted in reachable(robot, 3, seed):
-        check(inverse_kinematics(robot, wanted.tip_position), robot)
+        answer = inverse_kinematics(robot, wanted.tip_position)
+        check_answer(answer, robot)
+        assert np.linalg.norm(answer.equilibrium.tip_position - wanted.tip_position) <= 1e-7
 
 
 def test_several_segments_of_eccentric_tubes() -> None:
@@ -98,7 +100,7 @@ def test_narrow_limits_are_kept() -> None:
     limits = JointLimits(((-1.0, 0.5), (-0.4, 1.2), (-2.0, -0.1)), ((-0.05, 0.0), (-0.03, 0.0), (-0.06, -0.05)))
     robot = replace(THESIS, joint_limits=limits)
     for wanted in reachable(robot, 6, seed=4):
-        check(inverse_kinematics(robot, wanted.tip_position), robot)
+        check_answer(inverse_kinematics(robot, wanted.tip_position), robot)
         other = inverse_kinematics(THESIS, wanted.tip_position, limits=limits)
         assert inside(robot, other.rotations, other.translations)
 
@@ -112,7 +114,7 @@ def test_the_margin_is_never_below_its_bound(margin: float) -> None:
             answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, seed=wanted if k % 2 else None)
         except SolveError:
             continue
-        check(answer, CRL, margin)
+        check_answer(answer, CRL, margin)
         found += 1
     assert found >= 3
 
@@ -122,7 +124,7 @@ def test_a_target_whose_nearest_posture_is_unstable() -> None:
     saddle = min(tubeopt.find_equilibria(THESIS, np.radians([200, 0, 0])), key=lambda e: e.margin)
     assert saddle.margin < 0
     answer = inverse_kinematics(THESIS, saddle.tip_position, seed=(saddle.rotations, saddle.translations))
-    check(answer, THESIS)
+    check_answer(answer, THESIS)
 
 
 class TestSeed:
@@ -137,7 +139,7 @@ class TestSeed:
         seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
         target = seed.tip_position + np.array([3e-4, -2e-4, 1e-4])
         answer = inverse_kinematics(THESIS, target, seed=seed)
-        check(answer, THESIS)
+        check_answer(answer, THESIS)
         assert answer.straight_from_seed
         assert np.abs(answer.rotations - seed.rotations).max() < 0.1
         way = tubeopt.follow(
@@ -173,7 +175,7 @@ class TestSeed:
         def cost(method: str, seed: tubeopt.InverseSolution | None) -> tuple[tubeopt.InverseSolution, float]:
             options = InverseOptions(method=method)
             answer = inverse_kinematics(THESIS, TARGET, reference=reference, seed=seed, options=options)
-            check(answer, THESIS)
+            check_answer(answer, THESIS)
             q = np.concatenate([answer.rotations, answer.translations])
             return answer, float(np.sum(((q - centre) / scale) ** 2))
 
@@ -210,7 +212,7 @@ def test_a_direction_as_a_cost_is_a_compromise() -> None:
     free = inverse_kinematics(THESIS, TARGET, reference=(np.zeros(3), None), options=InverseOptions(starts=2))
     options = InverseOptions(direction_weight=50.0, starts=2)
     aimed = inverse_kinematics(THESIS, TARGET, direction=direction, reference=(np.zeros(3), None), options=options)
-    check(aimed, THESIS)
+    check_answer(aimed, THESIS)
     unit = direction / np.linalg.norm(direction)
     assert aimed.direction_error < np.arccos(free.equilibrium.tip_rotation[:, 2] @ unit)
 
@@ -221,7 +223,7 @@ class TestObstacles:
     def test_the_whole_arm_keeps_away(self) -> None:
         options = InverseOptions(clearance=2 * MM)
         answer = inverse_kinematics(THESIS, TARGET, obstacles=[self.body], options=options)
-        check(answer, THESIS)
+        check_answer(answer, THESIS)
         e = answer.equilibrium
         # The centreline, finely sampled, with the tubes' radii.
         s = np.linspace(0, e.arc_length[-1], 2000)
@@ -236,7 +238,7 @@ class TestObstacles:
     def test_the_program_keeps_away_too(self) -> None:
         options = InverseOptions(clearance=2 * MM, method="nlp")
         answer = inverse_kinematics(THESIS, TARGET, obstacles=[self.body], options=options)
-        check(answer, THESIS)
+        check_answer(answer, THESIS)
         assert answer.clearance >= 2 * MM
 
     def test_a_target_inside_of_one_is_out_of_reach(self) -> None:
@@ -335,7 +337,7 @@ class TestAllSolutions:
         found = inverse_kinematics(THESIS, TARGET, all_solutions=True, options=InverseOptions(starts=16))
         assert len(found) >= 2
         for answer in found:
-            check(answer, THESIS)
+            check_answer(answer, THESIS)
         middles = [
             np.array([np.interp(0.6, e.arc_length / e.arc_length[-1], e.position[:, k]) for k in range(3)])
             for e in (a.equilibrium for a in found)

@@ -66,7 +66,7 @@ def test_every_file_passes_its_schema(path: Path) -> None:
         "obstacles": "obstacles",
         "colours": "oxide_colours",
     }.get(path.parent.name, "robot")
-    validator(name).validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    assert list(validator(name).iter_errors(yaml.safe_load(path.read_text(encoding="utf-8")))) == []
 
 
 def test_bounds_and_units_are_in_the_schema() -> None:

@@ -53,7 +53,7 @@ def recording(robot: Robot, *, poses: bool = True, count: int = 20) -> Measureme
     )
 
 
-def comes_back(robot: Robot, m: Measurements, names: tuple[str, ...], options: FitOptions, folder: Path) -> None:
+def check_saved_fit(robot: Robot, m: Measurements, names: tuple[str, ...], options: FitOptions, folder: Path) -> None:
     """Assert that the saved robot has the errors of the fit, row by row."""
     chosen = choose_parameters(robot, m, names, options.registration)
     problem = FitProblem(ArmModel(robot, m, chosen, options.registration, options.base), options)
@@ -70,7 +70,7 @@ def test_all_effects_together_come_back(name: str, tmp_path: Path) -> None:
     m = recording(robot)
     known = groups(robot, m, "none", ())
     names = tuple(name for some in known.values() for name in some)
-    comes_back(robot, m, names, replace(QUICK, registration="none"), tmp_path)
+    check_saved_fit(robot, m, names, replace(QUICK, registration="none"), tmp_path)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -79,7 +79,7 @@ def test_each_effect_comes_back(name: str, tmp_path: Path) -> None:
     for poses in (False, True):
         m = recording(robot, poses=poses)
         for names in groups(robot, m, "rigid", ASKED).values():
-            comes_back(robot, m, names, QUICK, tmp_path)
+            check_saved_fit(robot, m, names, QUICK, tmp_path)
 
 
 OPTIONS = {
@@ -95,7 +95,7 @@ OPTIONS = {
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS.keys())
 def test_every_kind_of_fit_comes_back(options: FitOptions, tmp_path: Path) -> None:
     robot = load_robot(CONFIGS / "robots" / "two_tube.yaml")
-    comes_back(robot, recording(robot), ("rotation_2", "sensor_offset_all", "sensor_tilt_all"), options, tmp_path)
+    check_saved_fit(robot, recording(robot), ("rotation_2", "sensor_offset_all", "sensor_tilt_all"), options, tmp_path)
 
 
 def test_a_fit_comes_back_by_least_squares_too() -> None:

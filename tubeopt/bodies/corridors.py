@@ -29,6 +29,7 @@ from .triangles import Triangles, oriented
 from .vtk_file import read_vtk
 
 LOGGER = logging.getLogger(__name__)
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks, which Python prints without one
 
 CELLS = 24
 """Cells along the longest side of a mesh in the lattice on which its distance is known beforehand."""
@@ -314,7 +315,7 @@ def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:
     read_bytes(path)
     try:
         found = trimesh.load(str(path), force="mesh", process=False)
-    except Exception as error:  # whatever it raises of a file that is not what it says
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # the file is no STL
         words = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no mesh can be read from it: {words}") from None
     return _lengths(path, found.vertices, scale), np.asarray(found.faces)

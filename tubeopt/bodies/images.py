@@ -176,7 +176,9 @@ def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage
         raise
     except MemoryError:
         raise InputError(f"{path}: the image does not fit into memory; crop it, or make its voxels larger") from None
-    except Exception as error:  # whatever libraries raise of a file that is not what it says
+    # Of a damaged file nibabel, pynrrd and zlib raise errors that share no base: ImageFileError, NRRDError, zlib.error,
+    # StopIteration, KeyError and others.
+    except Exception as error:
         words = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no image can be read from it: {words}") from None
     return _placed(values, affine, length, str(path))

@@ -128,7 +128,7 @@ def _code(typed: Sequence[str], heard: Sequence[int]) -> object:
             if heard:
                 raise KeyboardInterrupt
             return program()(typed, prog_name="tubeopt", standalone_mode=False)
-    except BaseException as error:
+    except BaseException as error:  # whatever a command raises that a signal ended; all else goes on
         if isinstance(error, KeyboardInterrupt) or interrupted():
             return INTERRUPTED
         raise
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None, heard: Sequence[int] = ()) -> N
                 telling.acquire()
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
-        except Exception as error:  # what is nobody's mistake but ours goes on
+        except Exception as error:  # the errors of Typer have no public base; what `failure` does not know goes on
             told = failure(error)
             if told is None:
                 raise

@@ -35,7 +35,7 @@ def keeping(what: str | Callable[[], str]) -> Iterator[None]:
     _KEPT.append(tell)
     try:
         yield
-    except Exception:  # what interrupts is none, and it is still to be told
+    except Exception:  # an error ends what is kept; KeyboardInterrupt is none, and its words are still needed
         _KEPT.remove(tell)
         raise
     _KEPT.remove(tell)

@@ -191,7 +191,7 @@ class RobotServer:
             try:
                 with self._robot_in_hand:
                     self.robot.tick(self._clock, period)
-            except Exception as error:  # no command may end the loop
+            except Exception as error:  # any error of a step holds the robot, and the loop goes on
                 self._failure = self._held(error)
             self.pace.add(time.thread_time() - began, late, int(late / period))
             due = max(due + period, time.perf_counter())
@@ -220,7 +220,7 @@ class RobotServer:
                     told = self.robot.report(self._clock())
                 told |= {"steps": self.pace.steps, "missed_periods": self.pace.missed}
                 self._state = json.dumps(told, allow_nan=False)
-            except Exception as error:  # nor may what a state holds
+            except Exception as error:  # any error of a report holds the robot, and the server goes on
                 failure = failure or self._held(error)
             for client in self._clients:
                 client.failure = failure or client.failure
@@ -299,7 +299,7 @@ class RobotServer:
                 self.robot.command(told, self._clock())
         except InputError as error:
             await client.socket.send(_error(str(error)))
-        except Exception as error:  # no command may end the server
+        except Exception as error:  # any error of one command holds the robot, and the server goes on for all clients
             await client.socket.send(_error(self._held(error)))
 
 

@@ -44,7 +44,7 @@ class Journal:
         try:
             lock(self._file, path)
             self._read()
-        except BaseException:
+        except BaseException:  # also where a signal comes: no file stays open and locked
             self._file.close()
             raise
 

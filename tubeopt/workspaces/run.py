@@ -207,7 +207,7 @@ class _Disk:
         try:
             lock(self._file, path)
             self.done = self._cut_to_whole_rows()
-        except BaseException:
+        except BaseException:  # also where a signal comes: no file stays open and locked
             self._file.close()
             raise
 

@@ -88,7 +88,7 @@ def _tell(future: Future[Any], task: Any) -> None:
     except CancelledError:
         future.cancel()
         future.set_running_or_notify_cancel()
-    except BaseException as error:
+    except BaseException as error:  # whatever ended the task there, who waits for it gets it
         future.set_exception(error)
     else:
         future.set_result(answer)
@@ -118,7 +118,7 @@ def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]
             with ClusterExecutor(client, token) as tasks:
                 try:
                     yield tasks
-                except BaseException:
+                except BaseException:  # also where a signal comes: no task goes on there
                     tasks.shutdown(cancel_futures=True)
                     raise
         finally:

@@ -21,7 +21,7 @@ def unpacked(packed: bytes) -> Any:
     """Common data in a worker; where they cannot be loaded, the error that `common_data` raises then."""
     try:
         return pickle.loads(packed)
-    except Exception as error:
+    except Exception as error:  # unpickling runs code of the user's modules, which may raise anything
         reason = str(error) or type(error).__name__
         return NotLoadedError(
             f"the function cannot be loaded by the workers ({reason}); it must be of a module they can import"
@@ -54,6 +54,6 @@ def packed(common: object) -> bytes:
     """Common data as they are sent to workers; raises InputError where they cannot be."""
     try:
         return pickle.dumps(common)
-    except Exception as error:
+    except Exception as error:  # pickling runs `__reduce__` of the user's classes, which may raise anything
         what = getattr(common, "__qualname__", type(common).__name__)
         raise InputError(f"{what} cannot be sent to other processes: {error}") from None

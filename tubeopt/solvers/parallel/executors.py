@@ -73,7 +73,7 @@ class SerialExecutor(Executor):
         try:
             with using(self._common):
                 future.set_result(fn(*args, **kwargs))
-        except Exception as error:
+        except Exception as error:  # as a worker does: whatever the function raises belongs to its future
             future.set_exception(error)
         return future
 
@@ -111,7 +111,7 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
     with _processes(count, common) as pool:
         try:
             yield pool
-        except BaseException:
+        except BaseException:  # also where a signal comes: no process goes on
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
@@ -271,7 +271,7 @@ def _compute(item: Any) -> tuple[Any, Failure | None, float]:
         value, failure = function(item), None
     except LateError:
         raise
-    except Exception as error:
+    except Exception as error:  # the failure of one item, whatever it is, leaves the others
         value, failure = None, Failure(type(error).__name__, str(error) or "no message")
     return value, failure, time.perf_counter() - began
 

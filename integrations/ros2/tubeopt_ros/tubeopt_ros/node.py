@@ -66,7 +66,7 @@ class RobotNode(Node):
             yield
         except tubeopt.InputError as error:
             self.get_logger().warning(f"{op} is refused: {error}")
-        except Exception as error:
+        except Exception as error:  # any error of one message holds the robot, and the node goes on
             words = f"the robot is held: {type(error).__name__} in {op}: {error}"
             self.robot.hold(words)
             self.get_logger().warning(words)
