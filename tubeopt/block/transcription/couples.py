@@ -55,9 +55,14 @@ class Couples:
         """(C,) tau = m.t of moments (C, 3)."""
         return np.asarray((moment * tangents(self.quaternions(along))).sum(1))
 
+    @staticmethod
+    def turning(moment: Array) -> Array:
+        """(C, 4, 4) matrices 2 m.Z of moments (C, 3)."""
+        return np.asarray((2 * moment @ world_turns().reshape(3, 16)).reshape(-1, 4, 4))
+
     def forms(self, moment: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
         """(P + 1, 4, 4) and (N, 4, 4) matrices 2 m.Z at the joints and at the points of (P + 1, N)."""
-        turning = 2 * np.tensordot(moment, world_turns(), 1)
+        turning = self.turning(moment)
         out = np.zeros((shape[0], 4, 4)), np.zeros((shape[1], 4, 4))
         for each, place, part in zip(out, (self.joint, self.point), np.split(turning, [len(self.joint)]), strict=True):
             np.add.at(each, place, part)

@@ -213,7 +213,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     along = orient(mesh, curvature)
     push = _push(problem, along)
     forms, kicks, couples = (
-        2 * weight[:, None, None] * np.tensordot(push.force, tangent_forms(), 1),
+        ((2 * weight[:, None] * push.force) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4),
         None,
         problem.couples,
     )
@@ -302,7 +302,7 @@ def _unsymmetric(problem: LoadedProblem, along: Orientation, push: _Push, turned
     assert couples is not None
     joints = len(couples.joint)
     slopes = along.begin_slope[couples.joint] @ turned
-    turning = 2 * np.tensordot(push.moment[:joints], world_turns(), 1)
+    turning = couples.turning(push.moment[:joints])
     out = slopes.reshape(4 * joints, -1).T @ (turning @ slopes).reshape(4 * joints, -1)
     twisting = couples.torque_slopes(along, push.moment, turned)
     if problem.load.frame == "tip":

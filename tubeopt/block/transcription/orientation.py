@@ -46,7 +46,7 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
     pieces, k = len(mesh.length), mesh.tableau.degree
     half = mesh.length / 2
     omega = quaternion_rates()
-    rate = np.tensordot(curvature, omega, 1)
+    rate = (curvature @ omega.reshape(2, 16)).reshape(-1, 4, 4)
     weighted = mesh.tableau.matrix[:, :, None, None] * rate.reshape(pieces, 1, k, 4, 4)
     system = -half[:, None, None] * weighted.transpose(0, 1, 3, 2, 4).reshape(pieces, 4 * k, 4 * k)
     system[:, np.arange(4 * k), np.arange(4 * k)] += 1.0
@@ -109,7 +109,8 @@ def adjoint(mesh: Mesh, of: Orientation, stage: Array, begin: Array | None = Non
     multiplier = (right[:, None, :] @ of.inverse).reshape(pieces, k, 4)
     felt = mesh.tableau.matrix.T @ multiplier + weights[:, None] * carried[1:, None, :]
     felt = (half[:, None, None] * felt).reshape(-1, 4)
-    mixed = np.tensordot(felt, quaternion_rates(), (1, 1))
+    # (N, 2, 4): the first axis of the matrices is summed over.
+    mixed = (felt @ quaternion_rates().swapaxes(0, 1).reshape(4, 8)).reshape(-1, 2, 4)
     gradient = (mixed @ of.stage[:, :, None])[:, :, 0]
     return Adjoint(gradient, mixed, carried[0])
 
