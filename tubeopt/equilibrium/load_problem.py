@@ -22,6 +22,9 @@ LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 
 
+KEPT = 128
+"""Problems that are kept: a motion asks for those of its equilibria once more, for the speed of the tip."""
+
 EXTRA_POINTS = 1
 """Collocation points by which the check of the mesh is finer than the solution."""
 
@@ -101,7 +104,7 @@ def _check_places(load: Load, length: float) -> None:
             )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     assembly = _cut(robot, translations, ())
     if assembly.eccentric:
@@ -117,7 +120,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     masses(robot.tubes, load)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def loaded_problem(
     robot: Robot,
     translations: tuple[float, ...],
@@ -127,13 +130,24 @@ def loaded_problem(
 ) -> LoadedProblem:
     """The problem of a robot at given translations under a load, built once for all rotations; `pieces` of each
     section, by default those that the load needs."""
+    return _problem(robot, translations, load, discretisation, pieces)
+
+
+def _problem(
+    robot: Robot,
+    translations: tuple[float, ...],
+    load: Load,
+    discretisation: Discretisation,
+    pieces: tuple[int, ...] | None = None,
+) -> LoadedProblem:
+    """See `loaded_problem`."""
     _, loading = loading_of(robot, translations, load)
     counts = tuple((loading.counts * 2**discretisation.refinement).tolist()) if pieces is None else pieces
     torsion = _torsion(robot, translations, tuple(load.cuts().tolist()), counts, discretisation)
     return load_problem(torsion, load, loading.density)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tuple[Assembly, Loading]:
     """The tubes at given translations, in sections that end where the load jumps, and what the load is on them."""
     density = masses(robot.tubes, load)
@@ -141,22 +155,22 @@ def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tup
     return assembly, Loading(load, density, loaded_counts(assembly, *_bounds(assembly, load, density)))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refinement: int = 0) -> LoadedRules:
     """The problem of a robot under a load on the rules of the compiled kernel."""
     family, degree = LOADED_DISCRETISATION.family, LOADED_DISCRETISATION.degree
-    degrees = degree, ROUGH_DEGREE, degree + EXTRA_POINTS
-    return LoadedRules(
-        *(loaded_problem(robot, translations, load, Discretisation(family, k, refinement)) for k in degrees)
-    )
+    problem = loaded_problem(robot, translations, load, Discretisation(family, degree, refinement))
+    # What only the kernel asks for is not kept beside the rules.
+    others = (Discretisation(family, k, refinement) for k in (ROUGH_DEGREE, degree + EXTRA_POINTS))
+    return LoadedRules(problem, *(_problem(robot, translations, load, d) for d in others))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...]) -> Assembly:
     return cut(_cut(robot, translations, ()), np.array(cuts)) if cuts else robot.assembly(np.array(translations))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def _torsion(
     robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...], counts: tuple[int, ...], d: Discretisation
 ) -> ReducedProblem:
