@@ -92,6 +92,26 @@ def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load
     assert lost[0] / lost[1] == pytest.approx(4, rel=0.25)
 
 
+@pytest.mark.parametrize("share", [1e-3, 0.3])
+def test_the_second_variation_of_a_pressed_rod_curves_as_its_closed_form(share: float) -> None:
+    """Under a share of the force that buckles it. With psi = int h m / K, V = -F int h |psi|^2 grows with h^3, and
+    int |int m|^2 is at most (2 / pi)^2 int |m|^2."""
+    tube = Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0)
+    robot, stiffness = ConcentricRobot((tube,)), float(tube.bending_stiffness)
+    short, long = 0.08, 0.09
+    press = share * np.pi**2 * stiffness / (4 * long**2)
+    load = Load(force=(0.0, 0.0, -press))
+    chain = [forward_kinematics(robot, [0.0], [length - 0.1], load=load) for length in (short, long)]
+    intervals, margins = intervals_of(chain, load)
+    assert margins[1] == pytest.approx(1 - share, abs=1e-6)
+    bounds = _Bounds(intervals)
+    true = press * (long - short) ** 2 * 4 / np.pi**2 / stiffness
+    assert 0.999 * true <= bounds.curving()[0]
+    # Of small forces it does not count that the frame might turn.
+    assert share > 0.1 or bounds.curving()[0] <= 4.2 * true
+    assert bounds.ball(margins[1:])[1][0] <= 1 - share
+
+
 @pytest.mark.parametrize(("turned", "moved"), [(0.05, 0.0), (0.05, 2e-3), (0.01, 5e-3)])
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
 def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot, turned: float, moved: float) -> None:
