@@ -25,7 +25,7 @@ from tubeopt import Rig, Tube
 from tubeopt.robots.materials import NITINOL
 from tubeopt.typing import Array
 
-KELVIN, SIGMA, GRAVITY = 273.15, 5.670374419e-8, 9.81
+KELVIN, SIGMA, GRAVITY = 273.15, 5.670374419e-8, 9.80665
 HOT, OUTSIDE = 500.0, 10.0
 """What a rig's file leaves open (docs/heating.md): the tube's rise at which air is looked up, K; transfer of the outer
 faces of clamps and mold, W/(m^2 K)."""

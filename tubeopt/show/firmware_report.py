@@ -38,7 +38,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
              f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
     Quantity("interval", "of the probability, 95 %"),
     Quantity("open_loop", "the same with the schedule alone", label="without the sensor",
-             words=lambda f: f"{100 * f.open_loop:.0f} %"),
+             words=lambda f: f"{100 * f.open_loop:.0f} % of {f.samples}; the schedule leaves the sensor room"),
     Quantity("too_cold", "part that falls below the window"),
     Quantity("too_hot", "part that rises above window or limit"),
     Quantity("lowest_degC", "coldest of the curved part in the hold, any rig", lambda f: f.lowest.min()),

@@ -37,14 +37,16 @@ def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = ""
     for axes in (over_time, close, duty):
         axes.tick_params(labelbottom=False)
     _draw_along(figure.add_subplot(grid[:, 1]), plan)
-    headed(figure, _heading(plan, title))
+    headed(figure, _heading(plan, title, band))
     return figure
 
 
-def _heading(plan: HeatingPlan, title: str) -> str:
+def _heading(plan: HeatingPlan, title: str, band: Band | None) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} °C for {plan.spec.hold_time:g} s"
     kept = plan.verdict
+    if band is not None:
+        kept += f" by the rig as filed, by {100 * band.probability:.0f} % of uncertain rigs"
     curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
     return f"{title or plan.rig.name or 'rig'}:  {wanted}: {kept}\n{curved},  hottest point {plan.hottest:.1f} °C"
 
