@@ -11,6 +11,7 @@ from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
 from tubeopt.design.pose import Pose, Twist, solve_pose, twist_at
 from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.linearised import PLACES
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
 
@@ -21,7 +22,7 @@ def pose_of(numbers: Numbers, guess: Twist | None = None) -> Pose:
     """A pose of tubes that are given by their stiffnesses and lengths alone."""
     n = len(numbers["rotations"])
     tubes = [Tube(1e-4, 0.0, **{name: float(numbers[name][i]) for name in PARAMETERS[2:]}) for i in range(n)]
-    return Pose(solve_pose(tubes, numbers["rotations"], numbers["translations"], guess))
+    return Pose(solve_pose(tubes, numbers["rotations"], numbers["translations"], guess), PARAMETERS)
 
 
 def random_numbers(seed: int, n: int) -> tuple[Any, Numbers]:
@@ -53,7 +54,7 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
     position, turn, arc = pose.shape_slopes
     assert np.allclose(pose.tip_slope, position[-1], rtol=1e-13, atol=0)
     assert np.allclose(pose.tip_turn, turn[-1], rtol=1e-13, atol=1e-13 * np.abs(turn[-1]).max())
-    theta, bend = pose.bend_slopes
+    theta, bend = _section_slopes(pose)
     parts = (position, turn, arc, theta, bend, pose.margin_slope, pose.certificate[1])
     for k, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(n)):
         size = 1e-6 * (abs(numbers[name][i]) if name in PARAMETERS[2:] else 1.0)
@@ -74,7 +75,19 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
 
 def _values(pose: Pose) -> tuple[Array, ...]:
     scalars = (np.array(pose.margin), np.array(pose.certificate[0]))
-    return (pose.position, pose.frame, pose.arc_length, pose.theta, pose.bend, *scalars)
+    theta, bend = pose.derivatives.sections
+    return (pose.position, pose.frame, pose.arc_length, theta[..., : len(pose.solved.member.rotations)], bend, *scalars)
+
+
+def _section_slopes(pose: Pose) -> tuple[Array, Array]:
+    """(P, 5, n, L) of theta and (P, 5, 2, L) of the curvature where each piece is divided."""
+    of, n = pose.derivatives, len(pose.solved.member.rotations)
+    found = [[of.section(k, x, of.moved[4 * k + j]) for j, x in enumerate(PLACES)] for k in range(of.here.pieces)]
+    parts = (
+        [[part(one) for one in row] for row in found] for part in (lambda s: s.by_tubes[:n], lambda s: s.by_curvature)
+    )
+    theta, bend = (np.array(part) for part in parts)
+    return theta, bend
 
 
 def _difference(a: Array, b: Array) -> Array:

@@ -20,7 +20,7 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.equilibrium.arm_change import PARAMETERS
-from tubeopt.equilibrium.linearised import Linearised
+from tubeopt.equilibrium.linearised import linearise
 from tubeopt.robots.robot import resized
 from tubeopt.typing import Array
 
@@ -223,4 +223,4 @@ def test_a_moment_does_not_pass_from_tube_to_tube() -> None:
 def test_friction_is_refused() -> None:
     e = forward_kinematics(_robot(2), ROTATIONS[:2], SHIFT[:2])
     with pytest.raises(InputError, match="friction"):
-        Linearised(dataclasses.replace(e, friction="some"))  # type: ignore[arg-type]
+        linearise(dataclasses.replace(e, friction="some"))  # type: ignore[arg-type]

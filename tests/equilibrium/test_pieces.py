@@ -27,7 +27,7 @@ from tubeopt import (
     inverse_kinematics,
     snap_free_certificate,
 )
-from tubeopt.equilibrium.linearised import Linearised
+from tubeopt.equilibrium.linearised import linearise
 from tubeopt.inverse.settings import InverseOptions
 from tubeopt.robots.series import Series, times
 from tubeopt.solvers.compiled.binding import kernel_of
@@ -341,7 +341,7 @@ def test_joint_values_for_the_tip(method: str) -> None:
 def test_motion_along_the_arm_is_that_of_differences() -> None:
     """Of a point half-way and of the tip, by every joint, at fixed arc lengths."""
     here = forward_kinematics(ROBOT, TURNED, BETA, tolerance=1e-10)
-    motion = Linearised(here)
+    motion = linearise(here)
     k, step = len(here.arc_length) // 2, 1e-5
     place = here.arc_length[k]
     for joint in range(6):

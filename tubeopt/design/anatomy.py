@@ -9,7 +9,7 @@ import numpy as np
 from ..block.quantities import CLEARANCES, PoseNumber
 from ..block.transcription.linear import cross
 from ..typing import Array, Index
-from .pose import PiecePose, Pose
+from .pose import Pose
 from .state import State
 
 WITHIN = 16
@@ -28,7 +28,7 @@ def _cubic(x: Array) -> tuple[Array, Array]:
     return weights, np.stack([6 * x * (x - 1), (1 - x) * (1 - 3 * x), 6 * x * (1 - x), x * (3 * x - 2)])
 
 
-def _between(pose: Pose | PiecePose, share: Array) -> tuple[Index, Array, Array, Array]:
+def _between(pose: Pose, share: Array) -> tuple[Index, Array, Array, Array]:
     """For parts (K,) of the arm: the shape point before, the length to the next, how far along it, 0 to 1, and what
     `_cubic` weighs (4, K, 3)."""
     s, position, tangent = pose.arc_length, pose.position, pose.frame[:, :, 2]
@@ -39,13 +39,13 @@ def _between(pose: Pose | PiecePose, share: Array) -> tuple[Index, Array, Array,
     return k, h, (at - s[k]) / h, nodes
 
 
-def arm_points(pose: Pose | PiecePose, share: Array) -> Array:
+def arm_points(pose: Pose, share: Array) -> Array:
     """Centreline (K, 3) at parts (K,) of the arm's length, cubic between the shape points."""
     _, _, x, nodes = _between(pose, share)
     return np.asarray(np.einsum("wk,wkc->kc", _cubic(x)[0], nodes))
 
 
-def arm_slopes(pose: Pose | PiecePose, share: Array) -> Array:
+def arm_slopes(pose: Pose, share: Array) -> Array:
     """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
     k, h, x, nodes = _between(pose, share)
     position, turn, arc = pose.shape_slopes

@@ -8,12 +8,11 @@ import casadi as ca
 import numpy as np
 
 from ..block.quantities import PoseNumber
-from ..block.transcription.collocated import ENDS
-from ..equilibrium.general_derivatives import Answer, Linearised
+from ..block.transcription.buffered import mapped
+from ..equilibrium.linearised import PLACES
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.tubes import Tube
 from ..typing import Array
-from .pose import PiecePose, Pose
 from .state import State
 
 
@@ -77,76 +76,33 @@ def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Ar
 
 def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
     """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
-    pose = state.pose(index)
-    return _of_pieces(state, pose, index, tube) if isinstance(pose, PiecePose) else _of_arcs(state, pose, index, tube)
-
-
-def _of_arcs(state: State, pose: Pose, index: PoseNumber, tube: int) -> tuple[float, Array]:
-    """Of tubes of one curvature each."""
-    shape = state.tubes[tube]
-    assembly, mesh = pose.problem.assembly, pose.problem.mesh
-    section = np.repeat(mesh.section, len(pose.bend) // max(len(mesh.length), 1))
-    there, curved = np.flatnonzero(assembly.present[section, tube]), assembly.curved[section, tube]
+    shape, of = state.tubes[tube], state.pose(index).derivatives
+    n, mesh = of.n, of.problem.mesh
+    there = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
     if not len(there):
         return 0.0, np.zeros(state.layout.size)
-    natural, diameter = shape.curvature * curved, np.full(len(section), shape.outer_diameter)
-    given = np.column_stack([pose.theta[:, tube], pose.bend, natural, diameter])[there]
-    strains, slopes = (part.full() for part in _strain().map(len(there))(given.T))
-    worst = int(np.argmax(strains))
-    k, slope = there[worst], slopes.reshape(5, -1, order="F")[:, worst]
-    dtheta, du = pose.bend_slopes
-    change = (slope[0] * dtheta[k, tube] + slope[1:3] @ du[k]) @ state.chain(index)
-    change = change + slope[3] * curved[k] * state.slopes["curvature"][tube]
-    return float(strains[0, worst]), change + slope[4] * state.slopes["outer_diameter"][tube]
-
-
-def _of_pieces(state: State, pose: PiecePose, index: PoseNumber, tube: int) -> tuple[float, Array]:
-    """Of tubes made of pieces: the largest of strain times what slots make of it."""
-    shape, here = state.tubes[tube], pose.derivatives.here
-    number = _pieces_there(here, shape, tube)
-    there = np.flatnonzero(number >= -1)
-    if not len(there):
-        return 0.0, np.zeros(state.layout.size)
-    numbers = (here.t.lagrange(ENDS) @ _at_points(here, tube))[there].reshape(-1, 4)
-    given = np.column_stack([numbers, np.full(len(numbers), shape.outer_diameter)])
-    strains, slopes = (part.full() for part in _strain().map(len(given))(given.T))
-    ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number[there]])
-    worst = int(np.argmax(strains[0] * np.repeat(ratios, len(ENDS))))
-    k, end = there[worst // len(ENDS)], worst % len(ENDS)
-    s = here.problem.mesh.start[k] + here.length[k] * ENDS[end]
-    inwards = here.problem.mesh.start[k] + here.length[k] / 2 - s
-    rows = [_change(at, tube, (s, inwards), answer) for at, _, answer in pose.derivatives.answers]
-    slope = slopes.reshape(5, -1, order="F")[:, worst]
-    value, change = float(strains[0, worst]), (np.array(rows) @ slope[:4]) @ state.chain(index)
+    across, bend = (table[there].reshape(len(there) * len(PLACES), -1) for table in of.sections)
+    theta, stiffness, moment = (across[:, k * n + tube] for k in range(3))
+    given = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
+    strains, slopes = (part.copy() for part in mapped(_strain(), len(given))(given))
+    number = _pieces_there(shape, mesh.start[there] + mesh.length[there] / 2 + of.assembly.transmission[tube])
+    ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number.tolist()])
+    worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(PLACES))))
+    piece, end = divmod(worst, len(PLACES))
+    k = int(there[piece])
+    at = of.section(k, PLACES[end], of.moved[k * (len(PLACES) - 1) + end])
+    kb, natural = stiffness[worst], given[worst, 3]
+    grown = (at.by_tubes[2 * n + tube] - natural * at.by_tubes[n + tube]) / kb
+    slope, value = slopes.reshape(-1, 5)[worst], float(strains[worst, 0])
+    change = (slope[0] * at.by_tubes[tube] + slope[1:3] @ at.by_curvature + slope[3] * grown) @ state.chain(index)
     change = change + slope[4] * state.slopes["outer_diameter"][tube]
-    if number[k] < 0:
+    if number[piece] < 0:
         return value, change
-    ratio, raised = _ratio(state, tube, int(number[k]))
+    ratio, raised = _ratio(state, tube, int(number[piece]))
     return ratio * value, ratio * change + value * raised
 
 
-def _pieces_there(here: Linearised, shape: Tube, tube: int) -> Array:
-    """(P,) piece of a tube in each piece of the mesh; -1 its straight part, -2 where it is not."""
-    middle = here.place[:, :, tube].mean(axis=1)
+def _pieces_there(shape: Tube, place: Array) -> Array:
+    """(P,) piece of a tube at places along it, m; -1 its straight part, and all of a tube of one curvature."""
     joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
-    there = (here.here.sections.stiffness.reshape(here.shape)[..., tube] > 0).all(axis=1) & (here.length > 0)
-    return np.where(there, np.minimum(np.searchsorted(joints, middle, side="right") - 1, len(joints) - 2), -2)
-
-
-def _at_points(here: Linearised, tube: int) -> Array:
-    """(P, K, 4) direction of the bend of a tube, curvature of the arm, and precurvature, at the points."""
-    natural = np.hypot(*here.values[2:4, ..., tube])
-    return np.concatenate([here.direction[..., tube, None], here.u, natural[..., None]], axis=2)
-
-
-def _change(at: Linearised, tube: int, place: tuple[float, float], answer: Answer) -> Array:
-    """(4,) change of `_at_points` at a place (m) of the arm, at the end of a piece that lies to the given side."""
-    start, length = at.problem.mesh.start, at.length
-    s, inwards = place
-    k = max(int(np.searchsorted(start, s + inwards, side="right")) - 1, 0)
-    x = np.clip((s - start[k]) / length[k], 0.0, 1.0)
-    kb = at.values[0, k, :, tube]
-    natural = np.hypot(*at.values[2:4, k, :, tube])
-    grown = (answer.whole.moment[0, k, :, tube] - answer.whole.stiffness[0, k, :, tube] * natural) / kb
-    moved = np.column_stack([answer.whole.phase[0, k, :, tube], answer.bent[0, k], grown])
-    return np.asarray(at.t.lagrange([x])[0] @ moved)
+    return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)

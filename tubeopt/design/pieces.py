@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
-from ..equilibrium import linearised
-from ..equilibrium.general_derivatives import Change, Linearised
+from ..equilibrium.linearised import Change, Linearised
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned, values
@@ -191,40 +190,29 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
-def resized_change(here: Linearised, by: Mapping[str, Array]) -> Change:
-    """What dimensions and stiffnesses of whole tubes change along a solved arm, each of `by` (n,) as much."""
-    each = [(k, here.change(name, i)) for name, row in by.items() for i, k in enumerate(row.tolist()) if k]
-    none = here.change("straight_length", 0)
-    return Change(
-        *(sum((k * getattr(one, f.name) for k, one in each), 0 * getattr(none, f.name)) for f in fields(Change))
-    )
-
-
-def change_of(here: Linearised | linearised.Linearised, unknown: Unknown, given: Given) -> Change:
+def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
     """What an unknown changes along a solved arm."""
-    shape, n = here.shape, here.n
-    none, zero = np.zeros((1, n)), np.zeros((1, *shape))
-    rate, stiffness, moment, phase = (zero.copy() for _ in range(4))
-    out = Change(none, none.copy(), np.zeros((1, shape[0])), rate, stiffness, moment, phase, none.copy())
+    (rate, stiffness, moment, phase), n = np.zeros((4, *here.here.phase.shape)), here.n
+    out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
     for i, j in unknown.pieces:
-        tube = here.robot.tubes[i]
+        tube = here.tubes[i]
         low = tube.straight_length + sum(piece.length for piece in tube.pieces[:j])
         length = tube.pieces[j].length
         local = here.place[..., i] - low
         kb, kt, x, y, _, _ = here.values[..., i]
-        there = (here.here.sections.stiffness.reshape(shape)[..., i] > 0).astype(float)
+        there = (here.here.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
         dx, dy, dkb, dkt, wound = _rates(unknown, given[i, j], (local, length), (kb, kt, x, y))
         size = np.hypot(x, y)
         solid = np.where(size > 0, size, 1.0)
         bent = there * inside
-        out.stiffness[0, ..., i] += bent * dkb
-        out.moment[0, ..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
-        out.phase[0, ..., i] += wound + inside * (x * dy - y * dx) / solid**2
-        out.rate[0, ..., i] += -(inside * dkt) / kt**2
-        out.transmission[0, i] += _softer(here, (i, low, length), dkt, kt)
+        out.stiffness[..., i] += bent * dkb
+        out.moment[..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
+        out.phase[..., i] += wound + inside * (x * dy - y * dx) / solid**2
+        out.rate[..., i] += -(inside * dkt) / kt**2
+        out.transmission[i] += _softer(here, (i, low, length), dkt, kt)
         if unknown.field == "piece_twist":
-            out.wound[0, i] += length
+            out.wound[i] += length
     return out
 
 
@@ -258,12 +246,12 @@ def _rates(
             return 0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0
 
 
-def _softer(here: Linearised | linearised.Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
+def _softer(here: Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
     """Change of int ds / GJ from the held end to the plate, with GJ of a piece in proportion to it."""
     tube, low, length = piece
     if np.ndim(dkt) == 0:
         return 0.0
-    held = here.problem.assembly.transmission
+    held = here.assembly.transmission
     ends = []
     for end in (low, low + length):
         place = held.copy()

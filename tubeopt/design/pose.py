@@ -1,5 +1,5 @@
-"""A solved pose of a design: shape and margin, and their derivatives by joint values and by dimensions of the tubes, or
-by what is free of their pieces.
+"""A solved pose of a design: shape and margin, and their derivatives by joint values, by dimensions of the tubes and by
+what is free of their pieces.
 
 Places along the arm are fixed *within* the pieces of its mesh, which move along with the breakpoints: there the shape,
 and the strain of a tube, are smooth in all lengths.
@@ -13,21 +13,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ..block.transcription import arm as arms
-from ..block.transcription.collocated import ENDS
-from ..block.transcription.mesh import Mesh
-from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.arm_change import PARAMETERS
-from ..equilibrium.derivatives import Derivatives
-from ..equilibrium.general_derivatives import Change, Linearised, together
-from ..equilibrium.general_motion import GeneralMotion
-from ..equilibrium.margin import AtSolution, AtWorst
+from ..block.transcription.arm import ArmShape
+from ..block.transcription.standing import Standing
+from ..block.transcription.whole_arm import evaluate_arm
+from ..equilibrium.linearised import Change, Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded
-from ..equilibrium.result import Equilibrium
 from ..equilibrium.solving import reduced_assembly
-from ..equilibrium.state import arm_of
 from ..errors import SolveError
-from ..robots.assembly import ROUND_OFF, Assembly, assemble
+from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.newton import descend
@@ -87,134 +80,44 @@ def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
     return Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
 
 
-def mesh_slopes(assembly: Assembly, mesh: Mesh) -> tuple[Array, Array]:
-    """(P, 7 n) change of where the pieces begin and of their lengths, by `block.derivatives.PARAMETERS`."""
-    n, m = assembly.n_tubes, assembly.n_sections
-    cuts = np.zeros((m + 1, len(PARAMETERS) * n))
-    shift, longer = (PARAMETERS.index(name) * n for name in ("translations", "curved_length"))
-    for k, cut in enumerate(assembly.start + assembly.length, start=1):
-        near = np.abs(np.stack([assembly.transition, assembly.end], axis=1).ravel() - cut) <= 2 * ROUND_OFF
-        tube, at_end = divmod(int(np.argmax(near)), 2)
-        cuts[k, shift + tube] = 1.0
-        cuts[k, longer + tube] = at_end
-    count = np.bincount(mesh.section, minlength=m)
-    rank = np.arange(len(mesh.section)) - np.repeat(np.cumsum(count) - count, count)
-    length = (np.diff(cuts, axis=0) / count[:, None])[mesh.section]
-    return cuts[mesh.section] + rank[:, None] * length, length
-
-
 class Pose:
-    """A solved pose: values at once, derivatives by PARAMETERS (L = 7 n columns) where they are asked for.
+    """A solved pose: values at once; derivatives where they are asked for, (.., L) by what `wrt` names of PARAMETERS,
+    n columns each, then by what `more` says that changes.
 
-    n tubes, P pieces, m = 4 P + 1 shape points.
+    n tubes, m shape points.
     """
 
-    def __init__(self, solved: PlainPoint) -> None:
+    def __init__(
+        self,
+        solved: PlainPoint,
+        wrt: Sequence[str] = (),
+        more: Callable[[Linearised], Sequence[Change]] | None = None,
+    ) -> None:
         self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
-        self.arc_length = arms.arc_lengths(self.problem.mesh)
+        self._wrt, self._more = tuple(wrt), more
+
+    position, frame, arc_length = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
 
     @cached_property
-    def derivatives(self) -> Derivatives:
+    def arm(self) -> ArmShape:
+        """The shape."""
+        solved = self.solved
+        return evaluate_arm(self.problem, solved.member.rotations, solved.state, solved.torsion)
+
+    @cached_property
+    def derivatives(self) -> Linearised:
         """Derivatives at fixed arc lengths."""
-        carriages = tuple((i,) for i in range(self.problem.assembly.n_tubes))
-        return Derivatives(arm_of(self.solved), carriages, wrt=PARAMETERS, margin=self.margin)
+        member = self.solved.member
+        here = Standing(self.problem, member.rotations, self.solved.state.theta, self.arm)
+        return Linearised(here, member.robot.tubes, self.margin, self._wrt, more=self._more)
 
     @property
-    def position(self) -> Array:
-        """(m, 3) of the shape points, m."""
-        return self.derivatives.arm.position
-
-    @property
-    def frame(self) -> Array:
-        """(m, 3, 3) Bishop frame at the shape points."""
-        return self.derivatives.arm.frame
-
-    @property
-    def theta(self) -> Array:
-        """(P x 5, n) theta at ENDS of every piece."""
-        return self.derivatives.along[0].reshape(-1, self.problem.assembly.n_tubes)
-
-    @property
-    def bend(self) -> Array:
-        """(P x 5, 2) curvature there, 1/m."""
-        return self.derivatives.along[2].reshape(-1, 2)
-
-    @cached_property
-    def _moved(self) -> Array:
-        """(P, 5, L) change of the arc length of ENDS of every piece."""
-        start, length = mesh_slopes(self.problem.assembly, self.problem.mesh)
-        return start[:, None] + ENDS[:, None] * length[:, None]
-
-    @cached_property
-    def bend_slopes(self) -> tuple[Array, Array]:
-        """(P x 5, n, L) of `theta` and (P x 5, 2, L) of `bend`."""
-        of, moved = self.derivatives, self._moved[:, :, None]
-        _, slope, _, turned = of.along
-        theta, bend = of.along_change
-        theta, bend = theta + slope[..., None] * moved, bend + turned[..., None] * moved
-        return theta.reshape(-1, *theta.shape[2:]), bend.reshape(-1, *bend.shape[2:])
-
-    @cached_property
     def shape_slopes(self) -> tuple[Array, Array, Array]:
         """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
         of = self.derivatives
-        arc = np.concatenate([np.zeros((1, of.size)), self._moved[:, 1:].reshape(-1, of.size)])
-        position = of.position + self.frame[:, :, 2, None] * arc[:, None]
+        position = of.position + self.frame[:, :, 2, None] * of.moved[:, None]
         position[-1] = of.tip_position
-        turn = np.zeros_like(position)
-        bend = of.along[2][:, 1:].reshape(-1, 2)
-        rate = (self.frame[1:, :, :2] @ bend[..., None])[..., 0]
-        turn[1:] = of.turn_ahead[1:] + rate[..., None] * arc[1:, None]
-        return position, turn, arc
-
-    @property
-    def tip_slope(self) -> Array:
-        """(3, L) change of the tip's position."""
-        return self.derivatives.tip_position
-
-    @property
-    def tip_turn(self) -> Array:
-        """(3, L) change of the tip's frame (turn vector)."""
-        rate = self.frame[-1][:, :2] @ self.bend[-1]
-        return np.asarray(self.derivatives.turn_ahead[-1] + rate[:, None] * self._moved[-1, -1])
-
-    @cached_property
-    def margin_slope(self) -> Array:
-        """(L,) change of the margin; of a double eigenvalue, that of one mode."""
-        return self.derivatives.quotient(self.margin, AtSolution(), one_of_two=True)
-
-    @cached_property
-    def certificate(self) -> tuple[float, Array]:
-        """mu_cert at this pose's translations, and its change (L,); of a double eigenvalue, that of one mode."""
-        value = worst_case(self.problem)[0]
-        return value, self.derivatives.quotient(value, AtWorst(), one_of_two=True)
-
-
-class PiecePose:
-    """A solved pose of a design of pieces, as `Pose`, with derivatives (L,) by rotations, translations, and what
-    `changes` lists."""
-
-    def __init__(
-        self, solved: PlainPoint, tubes: Sequence[Tube], changes: Callable[[Linearised], Sequence[Change]]
-    ) -> None:
-        self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
-        self._tubes, self._changes = tuple(tubes), changes
-
-    position, frame, arc_length = Of[Array]("_equilibrium"), Of[Array]("_equilibrium"), Of[Array]("_equilibrium")
-
-    @cached_property
-    def _equilibrium(self) -> Equilibrium:
-        return to_equilibrium(self.solved, "guess")
-
-    @cached_property
-    def derivatives(self) -> GeneralMotion:
-        """Derivatives at fixed arc lengths."""
-        return GeneralMotion(self._equilibrium, more=self._changes)
-
-    @property
-    def shape_slopes(self) -> tuple[Array, Array, Array]:
-        """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
-        return self.derivatives.shape
+        return position, of.turned, of.moved
 
     @property
     def tip_slope(self) -> Array:
@@ -228,22 +131,21 @@ class PiecePose:
 
     @property
     def margin_slope(self) -> Array:
-        """(L,) change of the margin; NaN of a double eigenvalue."""
-        return self.derivatives.margin
+        """(L,) change of the margin; of a double eigenvalue, that of one mode."""
+        return self.derivatives.one_margin
 
     @cached_property
     def certificate(self) -> tuple[float, Array]:
-        """mu_cert at this pose's translations, and its change (L,), nought with the joints.
+        """mu_cert at this pose's translations, and its change (L,), at given rotations.
 
-        Where two tubes do better than at their worst it is the margin of the equilibrium that has the least. At that
-        one the margin does not change with the rotations, so its change with the pieces at given ones is that of the
-        least.
+        Where two tubes of pieces do better than at their worst it is the margin of the equilibrium that has the least.
+        At that one the margin does not change with the rotations.
         """
         value, mode, _ = worst_case(self.problem)
-        pair = pair_of(self.problem)
+        pair = pair_of(self.problem) if self.problem.assembly.general else None
         least = None if pair is None else least_margin_of_pair(pair)
         if pair is not None and least is not None and least.bound > value + 1e-6:  # else they are the same
-            tips = np.zeros((1, len(self._tubes)))
+            tips = np.zeros((1, self.problem.assembly.n_tubes))
             tips[0, pair.tubes[0]] = least.tip
             rotations = to_base(self.problem, tips)[0]
             theta = profiles(self.problem, tips)[0]
@@ -251,8 +153,5 @@ class PiecePose:
             found = member.solve(member.unknowns(theta))
             if found.converged:
                 solved = Point(0.0, member, found.state, least.margin)
-                slope = PiecePose(solved, self._tubes, self._changes).margin_slope
-                return least.margin, np.concatenate([np.zeros(2 * len(self._tubes)), slope[2 * len(self._tubes) :]])
-        here = Linearised(self.solved, self._equilibrium)
-        changed = here.certificate(value, mode, together(self._changes(here)))
-        return value, np.concatenate([np.zeros(2 * len(self._tubes)), changed])
+                return least.margin, Pose(solved, self._wrt, self._more).margin_slope
+        return value, self.derivatives.certificate(value, mode)

@@ -6,17 +6,14 @@ import numpy as np
 
 from ..block.quantities import PoseNumber
 from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.arm_change import PARAMETERS
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.linearised import Linearised
+from ..equilibrium.linearised import linearise
 from ..equilibrium.result import Equilibrium
-from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
-from .pieces import change_of, given_of
-from .state import State
+from .state import JOINTS, State
 
 STRONGEST = 10.0
 """N; a pose that bears more along its tip counts as one that bears this."""
@@ -30,11 +27,8 @@ def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, f
     does not bear it there."""
     plain, names, rows = _unloaded(state, index)
     pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
-    space = state.layout.space
-    given = given_of(space.unknowns, state.x[: state.layout.designs].tolist()) if space.pieced else {}
-    free = [k for k, one in enumerate(space.unknowns) if one.pieces]
-    of = Linearised(pushed, names, more=lambda here: [change_of(here, space.unknowns[k], given) for k in free])
-    moved = np.concatenate([rows, np.eye(state.layout.size)[free]])
+    of = linearise(pushed, names, more=state.piece_changes)
+    moved = np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]])
     change = of.tip_position @ moved - state.pose(index).tip_slope @ state.chain(index)
     return pushed.tip_position - plain.tip_position, change
 
@@ -49,30 +43,23 @@ def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
     found = stroke_slopes(plain, names, STRONGEST, varied=varied)
     if found is None:
         return STRONGEST, np.zeros(state.layout.size)
-    pieces = np.eye(state.layout.size)[[k for k, _, _ in free]]
+    pieces = np.eye(state.layout.size)[state.free_pieces]
     return found[0], found[1] @ np.concatenate([rows, pieces])
 
 
 def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
     """The equilibrium of a pose, the PARAMETERS that some unknown moves, and their change with the unknowns, n rows
     each: the others need not be differentiated. What is free of pieces moves none."""
-    pose, n = state.pose(index), state.layout.n
-    slopes = {name: state.slopes[name] for name in DIMENSIONS}
-    if state.layout.space.pieced:
-        slopes["curvature"] = np.zeros((n, state.layout.size))
-    rows = dict(zip(PARAMETERS, [*state.joint_slopes(index), *slopes.values()], strict=True))
+    rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
     moved = {name: part for name, part in rows.items() if part.any()}
-    return (
-        to_equilibrium(pose.solved, "guess"),
-        [*moved],
-        np.concatenate([np.zeros((0, state.layout.size)), *moved.values()]),
-    )
+    plain = to_equilibrium(state.pose(index).solved, "guess")
+    return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
 
 
 def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, ConcentricRobot]]]:
     """Column of every unknown of pieces, a step of it, and the robots a step further and a step back."""
     space, designs, out = state.layout.space, state.x[: state.layout.designs], []
-    for k in (k for k, one in enumerate(space.unknowns) if one.pieces):
+    for k in state.free_pieces:
         step = STEP * float(space.scale[k])
         row = step * np.eye(len(designs))[k]
         out.append(

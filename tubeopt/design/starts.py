@@ -12,7 +12,7 @@ from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..solvers.sampling import sobol
 from ..typing import Array
-from .pose import PiecePose, Pose, solve_pose, twist_at
+from .pose import Pose, solve_pose, twist_at
 from .program import Program, built_in, points_of
 from .requirements import Avoid
 from .state import FreePose
@@ -84,14 +84,14 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
 
 def _sample(
     tubes: tuple[Tube, ...], limits: JointLimits | None, random: np.random.Generator, count: int
-) -> tuple[list[Array], list[Pose | PiecePose]]:
+) -> tuple[list[Array], list[Pose]]:
     """Joint values (2 n,), rotations then beta, with carriages and ends in order, within the limits of translations
     where that leaves a range, and their poses."""
     n = len(tubes)
     length = np.array([tube.length for tube in tubes])
     straight = np.array([tube.straight_length for tube in tubes])
     joints: list[Array] = []
-    poses: list[Pose | PiecePose] = []
+    poses: list[Pose] = []
     for _ in range(count):
         rotations = random.uniform(-np.pi, np.pi, n)
         beta = np.zeros(n)
@@ -110,13 +110,11 @@ def _sample(
             continue
         if solved.margin > 0:
             joints.append(np.concatenate([rotations, beta]))
-            poses.append(
-                PiecePose(solved, tubes, lambda _: ()) if solved.member.problem.assembly.general else Pose(solved)
-            )
+            poses.append(Pose(solved))
     return joints, poses
 
 
-def _outside(program: Program, poses: Sequence[Pose | PiecePose]) -> Array:
+def _outside(program: Program, poses: Sequence[Pose]) -> Array:
     """(N,) how far, m, the worst point of each arm is where it must not be."""
     out = np.zeros(len(poses))
     for one in program.task.requirements:

@@ -8,15 +8,17 @@ from functools import cached_property
 import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
-from ..equilibrium.general_derivatives import Change, Linearised
-from ..equilibrium.member import PlainPoint
+from ..equilibrium.linearised import Change, Linearised
 from ..robots.breakpoints import DIMENSIONS
-from ..robots.tubes import STIFFNESSES, Tube
+from ..robots.tubes import Tube
 from ..typing import Array
 from .drawn import drawn_back
 from .parameters import DesignSpace
-from .pieces import change_of, given_of, resized_change
-from .pose import PiecePose, Pose, Twist, solve_pose, twist_at, without_solving
+from .pieces import change_of, given_of
+from .pose import Pose, Twist, solve_pose, twist_at, without_solving
+
+JOINTS = ("rotations", "translations")
+"""What every pose is differentiated by first."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class State:
         self.x = x
         self.guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
         self.known: dict[Quantity, tuple[Array, Array]] = {}
-        self._poses: dict[PoseNumber, Pose | PiecePose] = {}
+        self._poses: dict[PoseNumber, Pose] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
 
@@ -150,39 +152,38 @@ class State:
         straight = np.array([tube.straight_length for tube in self.tubes])
         return (self.x[alpha], unit[alpha]), (self.x[beta] + straight, unit[beta] + self.slopes["straight_length"])
 
-    def pose(self, index: PoseNumber) -> Pose | PiecePose:
+    def pose(self, index: PoseNumber) -> Pose:
         """The equilibrium of a pose."""
         if index not in self._poses:
             solved = solve_pose(self.tubes, *self.joint_values(index), self.guesses.get(index))
             self.guesses[index] = twist_at(solved)
-            self._poses[index] = self._pose(solved)
+            self._poses[index] = Pose(solved, (*JOINTS, *self.resized), self.piece_changes)
         return self._poses[index]
 
-    def _pose(self, solved: PlainPoint) -> Pose | PiecePose:
-        space = self.layout.space
-        return PiecePose(solved, self.tubes, self._piece_changes) if space.pieced else Pose(solved)
+    @cached_property
+    def resized(self) -> dict[str, Array]:
+        """(n, X) change of the DIMENSIONS that some unknown of whole tubes moves."""
+        names = [name for name in DIMENSIONS if name != "curvature" or not self.layout.space.pieced]
+        return {name: self.slopes[name] for name in names if self.slopes[name].any()}
 
-    def _piece_changes(self, here: Linearised) -> list[Change]:
-        """What every unknown piece changes along a solved arm."""
+    @cached_property
+    def free_pieces(self) -> list[int]:
+        """Columns of the unknowns of pieces."""
+        return [column for column, one in enumerate(self.layout.space.unknowns) if one.pieces]
+
+    def piece_changes(self, here: Linearised) -> list[Change]:
+        """What every unknown of pieces changes along a solved arm."""
         unknowns = self.layout.space.unknowns
-        slopes = {name: self.slopes[name] for name in ("straight_length", "curved_length", *STIFFNESSES)}
         given = given_of(unknowns, self.x[: self.layout.designs].tolist())
-        return [
-            change_of(here, one, given)
-            if one.pieces
-            else resized_change(here, {name: slope[:, column] for name, slope in slopes.items()})
-            for column, one in enumerate(unknowns)
-        ]
+        return [change_of(here, unknowns[column], given) for column in self.free_pieces]
 
     @cached_property
     def _reshaped(self) -> Array:
         """(L - 2 n, X) change of what a pose is differentiated by beside its joint values."""
-        if self.layout.space.pieced:
-            return np.eye(self.layout.designs, self.layout.size)
-        return np.concatenate([self.slopes[name] for name in DIMENSIONS])
+        return np.concatenate([*self.resized.values(), np.eye(self.layout.size)[self.free_pieces]])
 
     def chain(self, index: PoseNumber) -> Array:
-        """(L, X) change of what a pose is differentiated by: its joint values, then DIMENSIONS, or unknown pieces."""
+        """(L, X) change of what a pose is differentiated by: its joint values, dimensions that move, free pieces."""
         if index not in self._chains:
             self._chains[index] = np.concatenate([*self.joint_slopes(index), self._reshaped])
         return self._chains[index]
@@ -217,5 +218,6 @@ class State:
 
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""
-        value, slope = self._pose(without_solving(self.tubes, np.array(translations))).certificate
-        return value, slope[2 * self.layout.n :] @ self._reshaped
+        solved = without_solving(self.tubes, np.array(translations))
+        value, slope = Pose(solved, [*self.resized], self.piece_changes).certificate
+        return value, slope @ self._reshaped

@@ -6,14 +6,12 @@ import numpy as np
 
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.linear import rotation_change, rotation_rates_at, rotations_at, slopes_at
-from ..errors import InputError
 from ..typing import Array
 from .derivatives import Derivatives
-from .general_motion import GeneralMotion
 from .linearised import Linearised
 
 
-def place_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> Array:
+def place_at(of: Derivatives | Linearised, fraction: float) -> Array:
     """(3,) position at a fraction of the arm's length in front of the plate, m."""
     table = of.arm.position
     if len(of.cuts) < 2:
@@ -22,7 +20,7 @@ def place_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> A
     return np.asarray(weights @ table[4 * k : 4 * k + 5])
 
 
-def position_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[Array, Array]:
+def position_at(of: Derivatives | Linearised, fraction: float) -> tuple[Array, Array]:
     """(3,) position at a fraction of the arm's length in front of the plate, m, and its change (3, Q)."""
     table = of.arm.position
     change = of.position.copy()
@@ -36,18 +34,15 @@ def position_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -
     return weights @ table[own], np.tensordot(weights, change[own], 1) + fraction * np.outer(rates @ table[own], longer)
 
 
-def curvature_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[Array, Array]:
-    """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q).
-
-    Raises:
-        InputError: a tube is made of pieces.
-    """
-    if not isinstance(of, Derivatives):
-        raise InputError("an expression speaks of the curvature inside a pose; tubes made of pieces have none for it")
+def curvature_at(of: Derivatives | Linearised, fraction: float) -> tuple[Array, Array]:
+    """(2,) curvature in the Bishop frame at a fraction of the arm's length, 1/m, and its change (2, Q)."""
     if len(of.cuts) < 2:
         return np.zeros(2), of.per_tube(np.zeros((2, of.size)))
-    arm, n = of.arm, of.arm.n_tubes
     k, x = _place(of, fraction)
+    if isinstance(of, Linearised):
+        found = of.section(k, x, fraction * _longer(of))
+        return found.curvature, found.by_curvature
+    arm, n = of.arm, of.arm.n_tubes
     here = np.array([x])
     at = slopes_at(arm, rotations_at(arm, of.slopes, here))
     bent = at.curvature_slope[k, 0]
@@ -57,19 +52,19 @@ def curvature_at(of: Derivatives | GeneralMotion | Linearised, fraction: float) 
     return at.curvature[k, 0], change + fraction * np.outer(moved, _longer(of))
 
 
-def _longer(of: Derivatives | GeneralMotion | Linearised) -> Array:
+def _longer(of: Derivatives | Linearised) -> Array:
     """(Q,) change of the arm's length."""
     return np.asarray(of.per_tube(of.arm.frame[-1][:, 2] @ of.pushed))
 
 
-def _place(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[int, float]:
+def _place(of: Derivatives | Linearised, fraction: float) -> tuple[int, float]:
     """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
     s = fraction * of.cuts[-1]
     k = int(np.clip(np.searchsorted(of.cuts[:-1], s, side="right") - 1, 0, len(of.cuts) - 2))
     return k, float((s - of.cuts[k]) / (of.cuts[k + 1] - of.cuts[k]))
 
 
-def _weights(of: Derivatives | GeneralMotion | Linearised, fraction: float) -> tuple[int, Array, Array]:
+def _weights(of: Derivatives | Linearised, fraction: float) -> tuple[int, Array, Array]:
     """The piece in which a fraction of the length lies, and weights (5,) of its shape points in value and change per m,
     by the polynomial through them."""
     k, x = _place(of, fraction)

@@ -14,20 +14,11 @@ import numpy as np
 
 from ..block.transcription.buffered import section_function
 from ..block.transcription.collocated import ENDS
-from ..block.transcription.linear import (
-    Slopes,
-    cross,
-    cumulate,
-    poses_at_points,
-    rotation_change,
-    rotation_rates_at,
-    rotations_at,
-    slopes_at,
-)
+from ..block.transcription.linear import cross, cumulate, poses_at_points
 from ..robots.assembly import ROUND_OFF
 from ..typing import Array
 from .arm_change import ArmChange
-from .margin import AtSolution, Variation, quotient_change
+from .margin import quotient_change
 from .offset import offset_change
 
 FLAT = 1 - 1e-9
@@ -46,25 +37,6 @@ class Derivatives(ArmChange):
         return self.per_tube(self.response.end[index, np.arange(n)])
 
     # --- shape --------------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def along(self) -> tuple[Array, Array, Array, Array]:
-        """theta and theta' (P, 5, n), u and u' (P, 5, 2) at ENDS of every piece."""
-        theta, slope = (function(self.arm, self.slopes, ENDS) for function in (rotations_at, rotation_rates_at))
-        here = self._ends
-        return theta, slope, here.curvature, (here.curvature_slope[..., : self.arm.n_tubes] @ slope[..., None])[..., 0]
-
-    @cached_property
-    def _ends(self) -> Slopes:
-        """Cross-sections at ENDS, with their derivatives."""
-        return slopes_at(self.arm, rotations_at(self.arm, self.slopes, ENDS))
-
-    @cached_property
-    def along_change(self) -> tuple[Array, Array]:
-        """(P, 5, n, Q) of theta and (P, 5, 2, Q) of u at ENDS of every piece, at fixed arc lengths, by carriages."""
-        theta = rotation_change(self.arm, self.slopes, self.response, self.data, ENDS)
-        n, slope = self.arm.n_tubes, self._ends.curvature_slope
-        return theta, slope[..., :n] @ theta + slope[..., n:] @ self.data[:, None, : 2 * n]
 
     @cached_property
     def bent(self) -> Array:
@@ -138,15 +110,6 @@ class Derivatives(ArmChange):
         out[-1] = self._tip[0]
         return self.per_tube(out)
 
-    @cached_property
-    def turn_ahead(self) -> Array:
-        """(m, 3, Q) turn vector of the frames at the shape points at fixed arc lengths, by carriages, ahead of what a
-        breakpoint there adds."""
-        out = cumulate(self.arm.tableau, self._turning)
-        for column, index, gain in zip(self.jumps.column, self.jumps.index, self._turns, strict=True):
-            out[index * (len(ENDS) - 1) + 1 :, :, column] += gain
-        return out
-
     @property
     def total_bend(self) -> float:
         """int |u|^2 ds along the arm, 1/m."""
@@ -199,11 +162,12 @@ class Derivatives(ArmChange):
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
         if not self.arm.n_pieces:
             return self.per_tube(-self._softened @ self.jumps.spread)
-        if not self.arm.place:
-            return self.quotient(self.value, AtSolution())
-        if self.value >= FLAT or self.problem is None:
+        # No elastic coupling (or none that softens): it stays at its greatest value, 1.
+        if self.value >= FLAT or (self.arm.place and self.problem is None):
             return self.per_tube(np.zeros(self.size))
-        return self.per_tube(offset_change(self, self.problem()))
+        if self.arm.place and self.problem is not None:
+            return self.per_tube(offset_change(self, self.problem()))
+        return self.per_tube(quotient_change(self, self.value))
 
     @property
     def _softened(self) -> Array:
@@ -216,13 +180,6 @@ class Derivatives(ArmChange):
         second = -root[:, None] * jumps.gain(slope.reshape(-1, n, n)) * root
         symmetric = (second + second.swapaxes(1, 2)) / 2
         return np.asarray(np.linalg.eigvalsh(symmetric).max(1, initial=0.0))
-
-    def quotient(self, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
-        """(Q,) of a least Rayleigh quotient, the margin or the certificate; see `quotient_change`."""
-        # No elastic coupling (or none that softens): it stays at its greatest value, 1.
-        if value >= FLAT:
-            return self.per_tube(np.zeros(self.size))
-        return self.per_tube(quotient_change(self, value, variation, one_of_two=one_of_two))
 
 
 def _total(weights: Array, change: Array) -> Array:

@@ -16,7 +16,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
-from .linearised import Linearised
+from .linearised import Linearised, linearise
 from .result import Equilibrium, Jacobian
 from .state import arm_of_equilibrium, problem_of
 
@@ -37,7 +37,7 @@ def derivatives_of(
     """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
     are by default those of the robot."""
     if is_general(equilibrium.robot):
-        return Linearised(equilibrium, wrt, side)
+        return linearise(equilibrium, wrt, side)
     assembly = _assembly(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
@@ -132,6 +132,6 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
 def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Derivatives | Linearised:
     """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
     if equilibrium.load is not None:
-        return Linearised(equilibrium, wrt, side)
+        return linearise(equilibrium, wrt, side)
     by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
     return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel

@@ -22,26 +22,61 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ..block.transcription.buffered import bent_function
+from ..block.transcription.buffered import bent_function, mapped
+from ..block.transcription.collocated import ENDS
 from ..block.transcription.green import INWARDS
 from ..block.transcription.linear import cumulate
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.standing import Burden, Forcing, Response, Sections, Standing, cross, hat, sections_of
+from ..block.transcription.standing import (
+    Burden,
+    Forcing,
+    Response,
+    Sections,
+    Standing,
+    by_data_of,
+    cross,
+    hat,
+    sections_of,
+)
 from ..errors import InputError, SolveError
+from ..physics.certificate import worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections, Lengthwise
 from ..robots.load import FORCE, MOMENT, masses
-from ..robots.robot import Robot
+from ..robots.tubes import Tube
 from ..typing import Array, Index, Mask
 from .arm_change import check_wrt
 from .derivatives import FLAT
-from .general_derivatives import Change
 from .load_problem import loaded_problem
 from .result import Equilibrium, refuse_friction
 from .solving import discretisation_of, reduced_problem, sample_rotation
 
 APART = 1e-7
 """Margins of either sign smaller than this are those of a fold."""
+
+PLACES = tuple(ENDS.tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an unknown changes at fixed arc lengths: int ds / kt up to the plate (n,), at the points (P, K, n) 1 / kt,
+    kb, m and phase, and the natural turn (n,) up to the ends of the tubes."""
+
+    transmission: Array
+    rate: Array
+    stiffness: Array
+    moment: Array
+    phase: Array
+    wound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """u (2,) at a place of the arm, and the changes of theta, kb and m (3 n, Q) and of u (2, Q) while it moves."""
+
+    curvature: Array
+    by_tubes: Array
+    by_curvature: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +140,9 @@ class Linearised:
     """Derivatives of an equilibrium by what `wrt` names of its n tubes, n columns each, computed where asked for.
 
     Args:
-        equilibrium: of concentric tubes.
+        here: the arm in equilibrium.
+        tubes: of which it is.
+        margin: of the equilibrium.
         wrt: names of PARAMETERS.
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
@@ -119,20 +156,17 @@ class Linearised:
 
     def __init__(
         self,
-        equilibrium: Equilibrium,
+        here: Standing,
+        tubes: Sequence[Tube],
+        margin: float,
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
         more: Callable[[Linearised], Sequence[Change]] | None = None,
     ) -> None:
         check_wrt(wrt, side)
-        refuse_friction(equilibrium)
-        if abs(equilibrium.margin) < APART:
-            raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
-        self.equilibrium, self.wrt, self.side = equilibrium, tuple(wrt), side
-        straight = "curvature" in wrt and not all(tube.curvature for tube in equilibrium.robot.tubes)
-        self.here = standing_of(equilibrium, straight)
-        self.assembly = self.here.problem.assembly
-        self.n, self.arm, self.cuts = self.here.n, equilibrium.arm, self.here.cuts
+        self.here, self.tubes, self.value, self.wrt, self.side = here, tuple(tubes), margin, tuple(wrt), side
+        self.problem, self.assembly = here.problem, here.problem.assembly
+        self.n, self.arm, self.cuts = here.n, here.shape, here.cuts
         self._more = [] if more is None else list(more(self))
         self.size = self.n * len(self.wrt) + len(self._more)
 
@@ -154,41 +188,44 @@ class Linearised:
             side=self.side,
         )
         speed = np.zeros((len(self._breakpoints.tube), size))
-        for column, (name, i) in enumerate((name, i) for name in self.wrt for i in range(n)):
-            self._enter(forcing, (bases[2], speed), (column, name, i))
+        for k, name in enumerate(self.wrt):
+            self._enter(forcing, (bases[2], speed), (k * n, name))
         for column, change in enumerate(self._more, start=n * len(self.wrt)):
-            forcing.base[:, column], forcing.transmission[:, column] = change.base[0], change.transmission[0]
-            forcing.data[..., column], forcing.rate[..., column] = change.columns[0], change.rate[0]
-            bases[2][:, column] = change.wound[0]
+            forcing.transmission[:, column], forcing.rate[..., column] = change.transmission, change.rate
+            forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
+            bases[2][:, column] = change.wound
         np.add.at(forcing.jumps, self._breakpoints.index, self._strips[0][:, :, None] * speed[:, None])
         return forcing, bases[2], speed
 
-    def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int]) -> None:
-        """Enter what a parameter of a tube changes into a column."""
-        column, name, i = what
-        here, n, own, (wound, speed) = self.here, self.n, self.equilibrium.robot.tubes[i], more
-        kb, m = (into.data[..., k * n + i, column] for k in (1, 2))
+    def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str]) -> None:
+        """Enter what a parameter of the tubes changes into n columns from the first one on."""
+        (first, name), here, i = what, self.here, np.arange(self.n)
+        kb, m, column = self.n + i, 2 * self.n + i, first + i
         if name == "rotations":
             into.base[i, column] = 1.0
         elif name == "straight_length":
-            into.transmission[i, column] = float(_held(self.assembly, 0)[i])
+            into.transmission[i, column] = _held(self.assembly, 0)
         elif name == "curvature":
-            straight = here.stiffness[..., i] * self._bendable(i)
-            m += here.moments[..., i] / own.curvature if own.curvature else straight
+            bend = np.array([tube.curvature for tube in self.tubes])
+            into.data[..., m, column] = here.moments / np.where(bend, bend, 1.0)
+            for k in np.flatnonzero(bend == 0).tolist():
+                into.data[..., m[k], column[k]] = here.stiffness[..., k] * self._bendable(k)
         elif name == "bending_stiffness":
-            kb += here.stiffness[..., i] / own.bending_stiffness
-            m += here.moments[..., i] / own.bending_stiffness
+            stiffness = np.array([tube.bending_stiffness for tube in self.tubes], dtype=float)
+            into.data[..., kb, column], into.data[..., m, column] = here.stiffness / stiffness, here.moments / stiffness
         elif name == "torsional_stiffness":
-            into.rate[..., i, column] -= here.rate[..., i] / own.torsional_stiffness
-            into.transmission[i, column] -= here.transmission[i] / own.torsional_stiffness
+            stiffness = np.array([tube.torsional_stiffness for tube in self.tubes], dtype=float)
+            into.rate[..., i, column] = -here.rate / stiffness
+            into.transmission[i, column] = -here.transmission / stiffness
         else:
-            self._advance(into, (wound, speed), what)
+            for k in range(self.n):
+                self._advance(into, more, (first + k, name, k))
 
     def _advance(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str, int]) -> None:
         """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
         place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
         column, name, i = what
-        here, n, own, points = self.here, self.n, self.equilibrium.robot.tubes[i], self._breakpoints
+        here, n, own, points = self.here, self.n, self.tubes[i], self._breakpoints
         wound, speed = more
         held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
 
@@ -214,10 +251,10 @@ class Linearised:
             into.data[..., k * n + i, column] -= rate[..., i] * moved
         into.rate[..., i, column] -= self._passing[3][..., i] * moved
         if name == "curved_length":
-            straight = np.array([tube.straight_length for tube in self.equilibrium.robot.tubes])
+            straight = np.array([tube.straight_length for tube in self.tubes])
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
             into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
-            ends = np.array([tube.length for tube in self.equilibrium.robot.tubes])
+            ends = np.array([tube.length for tube in self.tubes])
             begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
             turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
             into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
@@ -232,7 +269,7 @@ class Linearised:
     def _density(self) -> Array:
         """(n,) mass per length of the tubes, kg/m; 0 where nothing weighs."""
         load = self.here.load
-        return np.zeros(self.n) if load is None else masses(self.equilibrium.robot.tubes, load)
+        return np.zeros(self.n) if load is None else masses(self.tubes, load)
 
     @property
     def _gravity(self) -> Array:
@@ -241,7 +278,7 @@ class Linearised:
 
     def _bendable(self, i: int) -> Array:
         """(P, K) where a straight tube would be curved if it had a curvature; straight pieces stay straight."""
-        own, place = self.equilibrium.robot.tubes[i], self._arc_length + self.assembly.transmission[i]
+        own, place = self.tubes[i], self._arc_length + self.assembly.transmission[i]
         return np.asarray((place > own.straight_length) & (not own.general))
 
     def _softness(self, i: int) -> float:
@@ -253,16 +290,6 @@ class Linearised:
         return passing(self.here.problem)
 
     # --- what a change of pieces needs to know ------------------------------------------------------------------------
-
-    @property
-    def robot(self) -> Robot:
-        """Of which the arm is."""
-        return self.equilibrium.robot
-
-    @property
-    def problem(self) -> ReducedProblem:
-        """Of the rotations."""
-        return self.here.problem
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -410,6 +437,64 @@ class Linearised:
         return np.asarray(self.response.state[index, np.arange(self.n)] + self._given[1])
 
     @cached_property
+    def moved(self) -> Array:
+        """(m, Q) motion of the shape points along the arm, if they keep their places in the pieces of the mesh."""
+        return self._moved(self.arm.arc_length)
+
+    def _moved(self, s: Array) -> Array:
+        """(len(s), Q) motion of places that divide the stretches between breakpoints as they do."""
+        index, first = np.unique(self._breakpoints.index, return_index=True)
+        index, first = index[index > 0], first[index > 0]
+        speed, knots = self._given[2][first], np.concatenate([[0.0], self.cuts[index]])
+        share = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
+        return np.stack(share, axis=1) @ speed if share else np.zeros((len(s), self.size))
+
+    @cached_property
+    def turned(self) -> Array:
+        """(m, 3, Q) turn vector of the frames at the shape points that move so, rad."""
+        here, n = self.here, self.n
+        rates = here.frame[..., :2] @ self.response.curvature
+        inside = here.t.basis(PLACES, 1)[1:] @ rates.reshape(here.pieces, here.degree, 3 * self.size)
+        inside = (here.h * inside).reshape(here.pieces, len(PLACES) - 1, 3, self.size)
+        ahead = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
+        bend = (self.arm.frame[1:, :, :2] @ self.arm.curvature[1:, :, None]) * self.moved[1:, None]
+        return np.concatenate([np.zeros((1, 3, self.size)), ahead + bend])
+
+    @cached_property
+    def _sections_along(self) -> tuple[Array, Array]:
+        """(P, K, n) phi' and (P, K, 3 n + 2) phase, kb, m and b at the points."""
+        here = self.here
+        return here.rate * here.torque, np.concatenate([here.phase, here.stiffness, here.moments, here.bent], axis=2)
+
+    @cached_property
+    def sections(self) -> tuple[Array, Array]:
+        """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every piece."""
+        here, n, (rate, table) = self.here, self.n, self._sections_along
+        at = here.t.basis(PLACES, 0) @ table
+        at[..., :n] += here.phi_ends[:-1, None] + here.h * (here.t.basis(PLACES, 1) @ rate)
+        found = sections_of(*_parts(at.reshape(-1, 3 * n + 2)))
+        return at[..., : 3 * n], found.curvature.reshape(*at.shape[:2], 2)
+
+    def section(self, k: int, x: float, moves: Array) -> Section:
+        """The cross-section at a fraction x of piece k, while the place moves along the arm by (Q,)."""
+        here, n, (rate, table) = self.here, self.n, self._sections_along
+        h, response, forcing = here.length[k], self.response, self._given[0]
+        inside, whole, slope = (here.t.basis((x,), times)[0] for times in (0, 1, -1))
+        at, by = inside @ table[k], slope @ table[k] / h
+        at[:n] += here.phi_ends[k] + h * (whole @ rate[k])
+        by[:n] += inside @ rate[k]
+        change = by[:, None] * moves
+        change[: 3 * n] += _at(inside, forcing.data[k])
+        if here.load is not None:
+            change[3 * n :] += _at(inside, response.bent[k])
+        gained = here.rate[k, ..., None] * response.torque[k] + forcing.rate[k] * here.torque[k, ..., None]
+        change[:n] += response.state[k, :n] + h * _at(whole, gained)
+        given = _parts(at[None])
+        found, own = sections_of(*given), by_data_of(*given)[1]
+        turned = found.by_curvature[0] @ np.concatenate([change[:n], change[3 * n :]]) + own[0] @ change[n : 3 * n]
+        return Section(found.curvature[0], change[: 3 * n], turned)
+
+    @cached_property
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
         here = self.here
@@ -452,15 +537,33 @@ class Linearised:
     @cached_property
     def margin(self) -> Array:
         """(Q,) of the margin; NaN where it is a double eigenvalue, and for loads without an energy."""
-        value = self.equilibrium.margin
+        return self._margin(one_of_two=False)
+
+    @cached_property
+    def one_margin(self) -> Array:
+        """(Q,) of the margin; that of one of its modes where it is a double eigenvalue."""
+        return self._margin(one_of_two=True)
+
+    def _margin(self, *, one_of_two: bool) -> Array:
         if not self.here.pieces:
             return np.asarray(-self._softened @ self._given[2])
+        if self.value >= FLAT:
+            return np.zeros(self.size)
+        load = self.here.load
+        known = (load is None or load.has_energy) and not np.isnan(self.value)
+        mode = mode_of(self.here, self.value, one_of_two) if known else None
+        return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
+
+    def certificate(self, value: float, y: Array) -> Array:
+        """(Q,) of the certificate that is `value` at its mode y (N, n), `stability.certificate.worst_case`."""
+        here, n, solved = self.here, self.n, self.here.mesh.collocated
         if value >= FLAT:
             return np.zeros(self.size)
-        load = self.equilibrium.load
-        known = load is None or load.has_energy
-        mode = mode_of(self.here, value) if known and not np.isnan(value) else None
-        return np.full(self.size, np.nan) if mode is None else self._quotient(*mode)
+        worst = mapped(worst_function(n), len(y))(self.problem.stiffness, self.problem.moment, y)[0]
+        pull = np.zeros(here.phase.shape)
+        pull[solved] = (worst.reshape(-1, n, n) @ y[..., None]).reshape(-1, here.degree, n)
+        softness = 1 / (1 - value)
+        return self._quotient(here.pulled(pull, softness), softness, worst=True)
 
     @property
     def _softened(self) -> Array:
@@ -475,40 +578,58 @@ class Linearised:
         """Every tube has a carriage of its own."""
         return columns
 
-    def _quotient(self, mode: Response, softness: float) -> Array:
-        """(Q,) of the margin, from its mode."""
+    def _form(
+        self, given: Sequence[Array], softness: float, *, worst: bool, data: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """What a mode has of the second variation per length (X,) at theta, kb, m, b, with g and y, its gradient
+        (X, n + 4) by theta, b, g and, where there are `data`, (X, 2 n) by kb and m; at the equilibrium or at the
+        `worst` rotations."""
+        count, n = given[0].shape
+        if worst:
+            _, form, slope, _ = mapped(worst_function(n), count)(given[1], given[2], given[5])
+            return form[:, 0].copy(), np.zeros((count, n + 4)), slope.reshape(count, 2 * n).copy()
+        form, slope = (part.copy() for part in bent_function("mode", count, n)(*given, softness))
+        own = bent_function("mode_data", count, n)(*given, softness)[0].copy() if data else np.zeros((count, 2 * n))
+        return form[:, 0], slope.reshape(count, -1), own.reshape(count, -1)
+
+    def _quotient(self, mode: Response, softness: float, *, worst: bool = False) -> Array:
+        """(Q,) of a least eigenvalue of the second variation, from its mode."""
         here, (forcing, _, speed), n, size = self.here, self._given, self.n, self.size
-        moved, weights = self.response, here.weights
-        y, psi, felt, torque, moment = (
-            part[..., 0] for part in (mode.phi, mode.psi, mode.bent, mode.torque, mode.moment)
-        )
-        count = len(here.at.energy)
+        weights, torque = here.weights, mode.torque[..., 0]
+        y, felt = mode.phi[..., 0], mode.bent[..., 0]
+        count, data = len(here.at.energy), bool(forcing.data.any())
         flat = (here.theta, here.stiffness, here.moments, here.bent, felt, y)
-        function = bent_function("mode", count, n)
-        slope = function(*(table.reshape(count, -1) for table in flat), softness)[1]
+        tables = [table.reshape(count, -1) for table in flat]
+        _, slope, own = self._form(tables, softness, worst=worst, data=data)
         by = weights.ravel()[:, None] * slope
-        out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
-        out += by[:, n : n + 2].ravel() @ moved.bent.reshape(-1, size)
-        if forcing.data.any():
-            own = bent_function("mode_data", count, n)(*(table.reshape(count, -1) for table in flat), softness)[0]
+        out = np.zeros(size) if worst else by[:, :n].ravel() @ self.response.phi.reshape(-1, size)
+        if data:
             whole = np.concatenate([by[:, :n], weights.ravel()[:, None] * own], axis=1)
             out += whole.ravel() @ forcing.data.reshape(-1, size)
+        if here.load is not None:
+            out += self._carried(mode, by)
+        out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
+        held = mode.state[0, n + 3 : 2 * n + 3, 0]
+        out -= softness * held**2 @ forcing.transmission
+        out += self._mode_gains(mode, softness, worst=worst) @ speed
+        return np.asarray(out / here.elastic(mode, softness))
+
+    def _carried(self, mode: Response, by: Array) -> Array:
+        """(Q,) what the change of forces, moments and of the frame adds to it, with the gradient (X, n + 4)."""
+        here, moved, n, size = self.here, self.response, self.n, self.size
+        psi, moment = mode.psi[..., 0], mode.moment[..., 0]
+        out = by[:, n : n + 2].ravel() @ moved.bent.reshape(-1, size)
         across = (here.frame[..., :2] @ by[:, n + 2 :].reshape(here.pieces, here.degree, 2, 1))[..., 0]
         turns = hat(psi)
-        twice = weights[..., None, None] * (turns @ turns)
+        twice = here.weights[..., None, None] * (turns @ turns)
         # g = (R'(dm + m x psi))_xy: by the moment, of which half is the costate's, and by the turn of the frame.
         whole = moment - (turns @ here.moment[..., None])[..., 0]
         out += ((turns @ across[..., None])[..., 0] / 2).ravel() @ moved.moment.reshape(-1, size)
         turning = cross(across, whole) - cross(here.axis, (twice @ here.force[..., None])[..., 0])
         out += turning.ravel() @ moved.psi.reshape(-1, size)
-        out -= (twice @ here.axis[..., None]).ravel() @ forcing.force.reshape(-1, size)
-        out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
-        held = mode.state[0, n + 3 : 2 * n + 3, 0]
-        out -= softness * held**2 @ forcing.transmission
-        out += self._mode_gains(mode, softness) @ speed
-        return np.asarray(out / here.elastic(mode, softness))
+        return np.asarray(out - (twice @ here.axis[..., None]).ravel() @ self._given[0].force.reshape(-1, size))
 
-    def _mode_gains(self, mode: Response, softness: float) -> Array:
+    def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
         """(J,) what the margin gains where a breakpoint moves."""
         here, points, n = self.here, self._breakpoints, self.n
         index, count = points.index, len(points.index)
@@ -521,12 +642,23 @@ class Linearised:
         felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
         _, rate, given = self._sections_there
         both = (np.concatenate([part, part]) for part in (felt, y))
-        form = bent_function("mode", 2 * count, n)(*given, *both, softness)[0][:, 0]
+        form = self._form([*given, *both], softness, worst=worst)[0]
         lean = (self._force_there * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
         twisted = torque**2
         density = form - softness * (rate * np.concatenate([twisted, twisted])).sum(1) - np.concatenate([lean, lean])
         density = density * points.there
         return np.asarray(self.side * (density[:count] - density[count:]))
+
+
+def _parts(table: Array) -> tuple[Array, Array, Array, Array]:
+    """theta, kb, m (X, n) and b (X, 2) of a table (X, 3 n + 2)."""
+    n = table.shape[1] // 3
+    return table[:, :n], table[:, n : 2 * n], table[:, 2 * n : 3 * n], table[:, 3 * n :]
+
+
+def _at(weights: Array, values: Array) -> Array:
+    """(r, Q) at a place, by weights (K,) of what is at the points (K, r, Q)."""
+    return np.asarray(weights @ values.reshape(len(values), -1)).reshape(values.shape[1:])
 
 
 @lru_cache(maxsize=64)
@@ -562,9 +694,30 @@ TIP = 1e-9
 
 
 @lru_cache(maxsize=8)
-def mode_of(here: Standing, margin: float) -> tuple[Response, float] | None:
+def mode_of(here: Standing, margin: float, one_of_two: bool) -> tuple[Response, float] | None:
     """See `Standing.mode`."""
-    return here.mode(margin)
+    return here.mode(margin, one_of_two=one_of_two)
+
+
+def linearise(
+    equilibrium: Equilibrium,
+    wrt: Sequence[str] = ("rotations", "translations"),
+    side: int = 1,
+    more: Callable[[Linearised], Sequence[Change]] | None = None,
+) -> Linearised:
+    """Derivatives of an equilibrium of concentric tubes; see `Linearised`.
+
+    Raises:
+        InputError: friction acts on it.
+        SolveError: it is a fold.
+    """
+    check_wrt(wrt, side)
+    refuse_friction(equilibrium)
+    if abs(equilibrium.margin) < APART:
+        raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+    tubes = equilibrium.robot.tubes
+    straight = "curvature" in wrt and not all(tube.curvature for tube in tubes)
+    return Linearised(standing_of(equilibrium, straight), tubes, equilibrium.margin, wrt, side, more)
 
 
 @lru_cache(maxsize=8)

@@ -7,71 +7,25 @@ breakpoints that move.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 import scipy
 
-from ..block.transcription.buffered import mapped, section_function
+from ..block.transcription.buffered import section_function
 from ..block.transcription.green import green_of
 from ..block.transcription.linear import Arm
-from ..physics.certificate import worst_function
 from ..typing import Array
 from .arm_change import ArmChange
 
 
-class Variation(Protocol):
-    """The part V'' of a second variation, with m (N, n) cross-sections."""
-
-    def matrix(self, of: ArmChange) -> Array:
-        """(P, K, n, n) at the points, each row over the torsional stiffness of its tube."""
-
-    def form(self, theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
-        """y' V'' y (N,) and its gradient (N, 3n) with respect to theta, kb and m."""
-
-
-class AtSolution:
-    """That of the margin of concentric tubes, at the solved rotations."""
-
-    def matrix(self, of: ArmChange) -> Array:
-        """(P, K, n, n): a moment is a slope of V."""
-        return of.slopes.rate_slope[..., : of.arm.n_tubes]
-
-    def form(self, theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
-        """y' V'' y (N,) and its gradient (N, 3n)."""
-        count, n = theta.shape
-        out = section_function("variation", count, n, False)(theta, kb, m, y)
-        return out[0][:, 0].copy(), out[1].reshape(count, 3 * n).copy()
-
-
-class AtWorst:
-    """That of the certificate: at rotations which are worst for every pair of tubes."""
-
-    def matrix(self, of: ArmChange) -> Array:
-        """(P, K, n, n)."""
-        _, kb, m = of.arm.flat
-        count, n = kb.shape
-        worst = mapped(worst_function(n), count)(kb, m, np.zeros_like(kb))[0]
-        return worst.reshape(*of.arm.inner.shape, n) / of.arm.torsional_stiffness[:, None]
-
-    def form(self, theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
-        """y' V'' y (N,) and its gradient (N, 3n)."""
-        count, n = theta.shape
-        _, form, slope, _ = mapped(worst_function(n), count)(kb, m, y)
-        return form[:, 0].copy(), np.concatenate([np.zeros((count, n)), slope.reshape(count, 2 * n)], axis=1)
-
-
-def quotient_change(of: ArmChange, value: float, variation: Variation, *, one_of_two: bool = False) -> Array:
-    """(Q,) change, by carriages, of a least Rayleigh quotient that is `value`.
-
-    Where it is a double eigenvalue it has no derivative: NaN, or, if `one_of_two`, that of one of its modes.
-    """
+def quotient_change(of: ArmChange, value: float) -> Array:
+    """(Q,) change, by carriages, of the margin that is `value`; NaN where it is a double eigenvalue."""
     arm, n, released = of.arm, of.arm.n_tubes, 1 - value
-    mode = _mode(of, variation.matrix(of), value, one_of_two)
+    # A moment is a slope of V.
+    mode = _mode(of, of.slopes.rate_slope[..., :n], value)
     if mode is None:
         return np.full(of.size, np.nan)
     y, base, inside, between = mode
-    form, gradient = variation.form(*arm.flat, y.reshape(-1, n))
+    form, gradient = _form(*arm.flat, y.reshape(-1, n))
     weights = (arm.length[:, None] * arm.tableau.weights).ravel()
     gradient *= weights[:, None]
     out = gradient[:, :n].ravel() @ of.response.inner.reshape(-1, of.size)
@@ -86,19 +40,26 @@ def quotient_change(of: ArmChange, value: float, variation: Variation, *, one_of
         twisted = weights @ inside.reshape(-1, n) ** 2
         out[first : first + n] += released * (twisted + arm.transmission * base**2)
     if len(of.jumps):
-        ends = variation.form(of.jumps.twice(arm.states[0]), of.jumps.solid, of.jumps.moment, of.jumps.twice(between))
+        ends = _form(of.jumps.twice(arm.states[0]), of.jumps.solid, of.jumps.moment, of.jumps.twice(between))
         out += of.side * of.jumps.gain(ends[0]) @ of.jumps.spread
     return np.asarray(out * (-released / (weights @ form)))
 
 
-def _mode(of: ArmChange, rate: Array, value: float, one_of_two: bool) -> tuple[Array, Array, Array, Array] | None:
+def _form(theta: Array, kb: Array, m: Array, y: Array) -> tuple[Array, Array]:
+    """y' V'' y (N,) and its gradient (N, 3n) with respect to theta, kb and m."""
+    count, n = theta.shape
+    out = section_function("variation", count, n, False)(theta, kb, m, y)
+    return out[0][:, 0].copy(), out[1].reshape(count, 3 * n).copy()
+
+
+def _mode(of: ArmChange, rate: Array, value: float) -> tuple[Array, Array, Array, Array] | None:
     """The mode y (P, K, n) at the points, y' at the plate (n,) and at the points, and y (P + 1, n) between the pieces.
 
     It solves (1 - mu) y = -C B V'' y, with C the compliance of the tubes between points: by inverse iteration, since mu
-    is known; `rate` (P, K, n, n) is V'' / kt. None where there are two such modes and not one of them is asked for.
+    is known; `rate` (P, K, n, n) is V'' / kt. None where there are two such modes.
     """
     arm, t = of.arm, of.arm.tableau
-    y = _eigenvector(_compliant(arm, rate), 1 - value, one_of_two)
+    y = _eigenvector(_compliant(arm, rate), 1 - value)
     if y is None:
         return None
     y = y.reshape(arm.inner.shape)
@@ -119,9 +80,8 @@ def _compliant(arm: Arm, rate: Array) -> Array:
     return np.asarray(-(reach[..., None] * weighted.swapaxes(0, 1)[None]).reshape(size, size))
 
 
-def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
-    """The right eigenvector of a matrix whose eigenvalue is very nearly `value`; None where that is double, unless one
-    of its vectors is asked for."""
+def _eigenvector(matrix: Array, value: float) -> Array | None:
+    """The right eigenvector of a matrix whose eigenvalue is very nearly `value`; None where that is double."""
     size = len(matrix)
     # A shift that is the eigenvalue to the last digit would leave nothing to divide by.
     matrix.ravel()[:: size + 1] -= value * (1 + 1e-11)
@@ -131,8 +91,6 @@ def _eigenvector(matrix: Array, value: float, one_of_two: bool) -> Array | None:
     grown = scipy.linalg.lapack.dgetrs(factors, pivots, start, trans=1)[0]
     right = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / np.abs(grown[:, 0]).max(), trans=1)[0]
     right /= np.abs(right).max()
-    if one_of_two:
-        return np.asarray(right)
     # Of what is left beside this mode, inverse iteration makes at most 1 / (distance to the next eigenvalue): two
     # that are closer than 1e-9 are one, whose mode, and so derivative, is not told.
     other = grown[:, 1] - right * ((right @ grown[:, 1]) / (right @ right))

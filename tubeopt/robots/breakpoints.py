@@ -19,9 +19,6 @@ from .assembly import ROUND_OFF, Assembly
 DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
 """Dimensions of the tubes on which an equilibrium depends, (n,) each, SI."""
 
-COINCIDE = 1e-9
-"""Breakpoints this near to one another, m, lie at one place."""
-
 
 @dataclass(frozen=True)
 class Breakpoint:
@@ -142,17 +139,3 @@ def places(translations: Any, straight_length: Any, curved_length: Any) -> tuple
 def dimensions_of(tubes: Sequence[Any]) -> dict[str, Array]:
     """The DIMENSIONS of tubes, (n,) each."""
     return {name: np.array([getattr(tube, name) for tube in tubes]) for name in DIMENSIONS}
-
-
-def of_pieces(assembly: Assembly) -> list[Array]:
-    """Arc lengths (m) of the breakpoints of every tube made of pieces, but for where it is held."""
-    assert assembly.lengthwise is not None
-    own = zip(assembly.lengthwise.cuts, assembly.transmission, strict=True)
-    return [np.asarray(cuts[1:]) - held for cuts, held in own]
-
-
-def coincides(assembly: Assembly, tube: int) -> bool:
-    """Whether a breakpoint of a tube made of pieces lies at the plate or at one of another tube."""
-    places = of_pieces(assembly)
-    others = np.concatenate([np.zeros(1), *places[:tube], *places[tube + 1 :]])
-    return bool((np.abs(places[tube][:, None] - others) <= COINCIDE).any())

@@ -316,9 +316,13 @@ def along(matrix: Array, values: Array) -> Array:
     return np.asarray((matrix @ values.reshape(pieces, count, n * size)).reshape(pieces, len(matrix), n, size))
 
 
+_ENDS = tuple(ENDS.tolist())
+
+
 def cumulate(t: Tableau, values: Array) -> Array:
     """Integrals (m, ...) from the plate to every shape point of values (P, K, ...) at the points, per piece."""
-    inner = np.einsum("jk,pk...->pj...", t.lagrange(ENDS, integrals=1), values)
+    flat = values.reshape(*values.shape[:2], int(np.prod(values.shape[2:])))
+    inner = (t.basis(_ENDS, 1) @ flat).reshape(len(flat), len(ENDS), *values.shape[2:])
     ends = np.concatenate([np.zeros((1, *inner.shape[2:])), np.cumsum(inner[:, -1], axis=0)])
     table = ends[:-1, None] + inner[:, 1:]
     return np.concatenate([ends[:1], table.reshape(-1, *table.shape[2:])])

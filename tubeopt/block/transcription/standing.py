@@ -13,7 +13,7 @@ turn psi of the frame about world axes changes the rest by
 
 These equations are collocated where the equilibrium was. The state (phi, psi, t, m) at the end of a piece is linear in
 that where it begins; plate and tip close the chain. A breakpoint that moves uncovers a stretch with other tubes, which
-is a jump of the rates there. Without a load m, n and l are 0.
+is a jump of the rates there. Without a load m, n and l are 0: phi and t close the chain, and psi follows.
 """
 
 from __future__ import annotations
@@ -76,6 +76,12 @@ def sections_of(theta: Array, stiffness: Array, moment: Array, bent: Array) -> S
     out = bent_function("linear", count, n)(theta, stiffness, moment, bent)
     torque, curvature, energy = (part.copy() for part in out[:3])
     return Sections(torque, curvature, energy[:, 0], *_by_rows(out[3:], n + 2))
+
+
+def by_data_of(theta: Array, stiffness: Array, moment: Array, bent: Array) -> tuple[Array, Array, Array]:
+    """Derivatives (X, n, 2 n), (X, 2, 2 n), (X, 2 n) of torque, curvature and energy there by kb and m."""
+    count, n = theta.shape
+    return _by_rows(bent_function("linear_data", count, n)(theta, stiffness, moment, bent), 2 * n)
 
 
 def _by_rows(parts: list[Array], columns: int) -> tuple[Array, Array, Array]:
@@ -151,6 +157,8 @@ class Standing:
         self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.pieces, self.degree = len(self.length), self.t.degree
+        self.own = self.n if burden is None else self.n + 3
+        self.kept = np.r_[: self.own, self.n + 3 : self.n + 3 + self.own]
         self.h = self.length[:, None, None]
         self.weights = self.length[:, None] * self.t.weights
         self.cuts = np.append(self.mesh.start, problem.assembly.total_length)
@@ -206,10 +214,14 @@ class Standing:
 
     def _moments(self) -> None:
         """The moment m at the points, and just ahead of and just behind the places between the pieces, world axes."""
+        kicks = np.zeros((self.pieces + 1, 3))
+        if self.load is None:
+            self.moment, self.moment_behind, self.moment_ahead = np.zeros(self.axis.shape), kicks, kicks
+            self.bent = np.zeros((*self.axis.shape[:2], 2))
+            return
         fall = cross(self.axis, self.force)
         if self.along is not None:
             fall += self.along
-        kicks = np.zeros((self.pieces + 1, 3))
         for k, _, moment in self.joints:
             kicks[k] += moment
         self.moment, self.moment_behind, self.moment_ahead = self._inwards(fall, kicks, self.tip_moment)
@@ -250,7 +262,8 @@ class Standing:
 
     @property
     def size(self) -> int:
-        """Length of a state: rotations, turn of the frame, torques, moment."""
+        """Length of a state: rotations, turn of the frame, torques, moment. The chain is of the rows `kept`: without a
+        load, of rotations and torques."""
         return 2 * self.n + 6
 
     @cached_property
@@ -276,7 +289,7 @@ class Standing:
         """At the points, of M (P, K, n, 3 n), u (P, K, 2, 3 n) and the energy (P, K, 3 n), by phase, kb and m."""
         n, points = self.n, (self.pieces, self.degree)
         tables = (table.reshape(-1, table.shape[-1]) for table in (self.theta, self.stiffness, self.moments, self.bent))
-        own = _by_rows(bent_function("linear_data", self.pieces * self.degree, n)(*tables), 2 * n)
+        own = by_data_of(*tables)
         turned = self.at.by_torque, self.at.by_curvature, self.at.by_energy
         out = [np.concatenate([a[..., :n], b], axis=-1) for a, b in zip(turned, own, strict=True)]
         return out[0].reshape(*points, n, -1), out[1].reshape(*points, 2, -1), out[2].reshape(*points, -1)
@@ -292,21 +305,24 @@ class Standing:
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
         """What changes of (phi, psi) at the points, by columns (P, K, n + 3, C), and of t and m where the pieces begin
         (P or 1, 1, r, C) make there of t, m, b, of t' and m', and of u at fixed b."""
-        n, (by_turn, across, twisting, leaning) = self.n, self._slopes
-        torque_by_phi, torque_by_bent, u_by_phi = self._by
-        phi, psi = q[..., :n, :], q[..., n:, :]
-        falling = leaning @ psi
-        if forcing is not None:
-            falling += forcing[3]
-        moment = self._swept(self.t.adjoint, falling)
-        moment += starts[1]
-        bent = across @ moment
-        bent += by_turn @ psi
-        twisted = torque_by_phi @ phi
-        twisted += torque_by_bent @ bent
-        if self.along is not None:
-            twisted += twisting @ psi
-        turned = u_by_phi @ phi
+        n, (torque_by_phi, torque_by_bent, u_by_phi) = self.n, self._by
+        phi, shape = q[..., :n, :], (self.pieces, self.degree)
+        twisted, turned = torque_by_phi @ phi, u_by_phi @ phi
+        if self.load is None:
+            moment, bent = (np.zeros((*shape, rows, q.shape[3])) for rows in (3, 2))
+            falling = moment
+        else:
+            (by_turn, across, twisting, leaning), psi = self._slopes, q[..., n:, :]
+            falling = leaning @ psi
+            if forcing is not None:
+                falling += forcing[3]
+            moment = self._swept(self.t.adjoint, falling)
+            moment += starts[1]
+            bent = across @ moment
+            bent += by_turn @ psi
+            twisted += torque_by_bent @ bent
+            if self.along is not None:
+                twisted += twisting @ psi
         if forcing is not None:
             twisted += forcing[1]
             turned += forcing[2]
@@ -316,8 +332,8 @@ class Standing:
 
     @cached_property
     def _unforced(self) -> tuple[Array, ...]:
-        """`_felt` by columns of (phi, psi) at the points, K (n + 3), then of the state where the pieces begin."""
-        inner, size, own = self.degree * (self.n + 3), self.size, self.n + 3
+        """`_felt` by columns of (phi, psi) at the points, then of the state where the pieces begin."""
+        own, size, inner = self.own, 2 * self.own, self.degree * self.own
         table = np.zeros((inner, inner + size))
         table.ravel()[:: inner + size + 1] = 1.0
         begin = np.zeros((size, inner + size))
@@ -326,30 +342,33 @@ class Standing:
         return self._felt(q, (begin[own : own + self.n], begin[own + self.n :]), None)
 
     def _ended(self, felt: tuple[Array, ...], turned: Array | None, softness: float) -> tuple[Array, Array]:
-        """(P, K (n + 3), C) integrals of the rates of (phi, psi) up to the points and (P, 2 n + 6, C) of those of the
-        state along whole pieces, from `_felt` and what is forced of phi'."""
-        (torque, _, bent, twisted, falling, bending), n, own, k = felt, self.n, self.n + 3, self.degree
+        """(P, K own, C) integrals of the rates of (phi, psi) up to the points and (P, 2 own, C) of those of the state
+        along whole pieces, from `_felt` and what is forced of phi'."""
+        (torque, _, bent, twisted, falling, bending), n, own, k = felt, self.n, self.own, self.degree
         count = torque.shape[-1]
-        rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, self.size, count))
+        rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, 2 * own, count))
         np.multiply(torque, softness * self.rate[..., None], out=rates[..., :n, :])
         if turned is not None:
             rates[..., :n, :] += turned
-        np.matmul(self.frame[..., :2], bent * (softness * self._give) + bending, out=rates[..., n:, :])
+        parts = [(rates, slice(own)), (twisted, slice(own, own + n))]
+        if own > n:
+            np.matmul(self.frame[..., :2], bent * (softness * self._give) + bending, out=rates[..., n:, :])
+            parts.append((falling, slice(own + n, None)))
         weights = self.weights[:, None]
-        for part, rows in ((rates, slice(own)), (twisted, slice(own, own + n)), (falling, slice(own + n, None))):
+        for part, rows in parts:
             np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
         return self._swept(self.t.matrix, rates).reshape(self.pieces, k * own, count), end
 
     def _maps(self, softness: float) -> Maps:
         """The linear maps of all pieces."""
-        inner = self.degree * (self.n + 3)
+        own, size, inner = self.own, 2 * self.own, self.degree * self.own
         there, end = self._ended(self._unforced, None, softness)
-        table = there.reshape(self.pieces, self.degree, self.n + 3, -1)
-        table[..., inner:] += np.eye(self.n + 3, self.size)
+        table = there.reshape(self.pieces, self.degree, own, -1)
+        table[..., inner:] += np.eye(own, size)
         matrix = -there[..., :inner]
         matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
         solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
-        ends = end[..., inner:] + np.eye(self.size) + end[..., :inner] @ solved
+        ends = end[..., inner:] + np.eye(size) + end[..., :inner] @ solved
         return Maps(matrix, end[..., :inner], solved, ends)
 
     @cached_property
@@ -358,10 +377,10 @@ class Standing:
         return self._maps(1.0)
 
     def _forced_maps(self, forcing: tuple[Array, ...]) -> tuple[Array, Array]:
-        """(P, K (n + 3), C) of (phi, psi) at the points and (P, 2 n + 6, C) of the state at the ends of the pieces by
+        """(P, K own, C) of (phi, psi) at the points and (P, 2 own, C) of the state at the ends of the pieces by
         what is forced."""
         count, maps = forcing[0].shape[-1], self._standing_maps
-        none = np.zeros((1, self.degree, self.n + 3, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
+        none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
         there, end = self._ended(self._felt(*none, forcing), forcing[0], 1.0)
         solved = np.asarray(np.linalg.solve(maps.matrix, there))
         return solved, end + maps.gathered @ solved
@@ -382,9 +401,9 @@ class Standing:
         return out
 
     def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
-        """The matrix of torques and moment (n + 3) at the plate, and of the states behind the places (P, 2 n + 6);
-        `turns` (P, 2 n + 6, 3) is what a turn of the tip makes of these, with which a force turns."""
-        n, size, own, pieces = self.n, self.size, self.n + 3, self.pieces
+        """The matrix of torques and moment (own) at the plate, and of the states behind the places (P, 2 own);
+        `turns` (P, 2 own, 3) is what a turn of the tip makes of these, with which a force turns."""
+        n, size, own, pieces = self.n, 2 * self.own, self.own, self.pieces
         total = own + pieces * size
         matrix = np.zeros((total, total))
         kicks = self._kicked()
@@ -405,6 +424,8 @@ class Standing:
             matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
         last, rows = total - size, slice(pieces * size, total)
         matrix[rows, last + own :] = np.eye(own)
+        if own == n:
+            return matrix
         tip = matrix[rows, last + n : last + own]
         if self.following:
             tip[n:] += hat(self.tip_moment)
@@ -425,18 +446,22 @@ class Standing:
         Raises:
             SolveError: the equilibrium is a fold.
         """
-        n, own, size, count = self.n, self.n + 3, self.size, forcing.base.shape[1]
+        n, own, size, count = self.n, self.own, 2 * self.own, forcing.base.shape[1]
         first = np.zeros((size, count))
         first[:n] = forcing.base + forcing.transmission * self.torque_ahead[0][:, None]
         if not self.pieces:
             nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
-            return Response(first + forcing.jumps, *nothing)
+            state = forcing.jumps.copy()
+            state[0, self.kept] += first
+            return Response(state, *nothing)
         forced, columns = self._forced(forcing)
         maps, turned = self._standing_maps, self._turns
         inner, gained = (None, None) if forced is None else self._forced_maps(forced)
         matrix = self._system(1.0, maps.ends, None if gained is None or not turned else gained[..., :turned])
         right, kicks = np.zeros((len(matrix), count)), self._kicked()
-        jumps = forcing.jumps if kicks is None or forcing.side > 0 else kicks @ forcing.jumps
+        jumps = forcing.jumps[:, self.kept]
+        if kicks is not None and forcing.side < 0:
+            jumps = kicks @ jumps
         start = first + jumps[0]
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
         if gained is not None:
@@ -464,7 +489,16 @@ class Standing:
                 turn = state[-1, n : n + 3]
                 q += inner[..., :turned] @ turn
                 wide[3][:] += self.turning @ turn
+        if self.load is None:
+            state = self._whole(state)
+            state[:, n : n + 3] = forcing.jumps[:, n : n + 3]
         return self._along(state, q, wide, 1.0)
+
+    def _whole(self, state: Array) -> Array:
+        """(P + 1, 2 n + 6, Q) states of the rows `kept`."""
+        out = np.zeros((len(state), self.size, state.shape[2]))
+        out[:, self.kept] = state
+        return out
 
     @property
     def _turns(self) -> int:
@@ -488,17 +522,36 @@ class Standing:
         return tuple(parts), columns
 
     def _along(self, state: Array, q: Array, forced: tuple[Array, ...] | None, softness: float) -> Response:
-        """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K (n + 3), Q)."""
+        """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K own, Q). Without a load the
+        states have, of psi, what it gains between the pieces."""
         n, begin = self.n, state[:-1, None]
-        q = q.reshape(self.pieces, self.degree, n + 3, -1)
+        q = q.reshape(self.pieces, self.degree, self.own, -1)
         starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
         torque, moment, bent, _, _, turned = self._felt(q, starts, forced)
-        bending = turned + softness * self._give * bent
-        return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
+        if self.load is not None:
+            bending = turned + softness * self._give * bent
+            return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
+        rates = self.frame[..., :2] @ turned
+        state[1:, n : n + 3] += (self.weights[:, None] @ rates.reshape(self.pieces, self.degree, -1)).reshape(
+            self.pieces, 3, -1
+        )
+        state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
+        psi = state[:-1, None, n : n + 3] + self._swept(self.t.matrix, rates)
+        return Response(state, q, psi, moment, torque, bent, turned)
 
-    def mode(self, margin: float) -> tuple[Response, float] | None:
+    def pulled(self, pull: Array, softness: float) -> Response:
+        """The mode in which torques fall by (P, K, n) towards the plate, and nothing bends: one column."""
+        n, none = self.n, np.zeros((*self.axis.shape, 1))
+        torque, behind, _ = self._inwards(-pull, np.zeros((self.pieces + 1, n)), np.zeros(n))
+        rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
+        whole = np.concatenate([softness * self.transmission * behind[:1], (self.weights[..., None] * rates).sum(1)])
+        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), behind
+        phi = state[:-1, None, :n, 0] + self.h * (self.t.matrix @ rates)
+        return Response(state, phi[..., None], none, none, torque[..., None], none[..., :2, :], none[..., :2, :])
+
+    def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
         """How the arm buckles when its elasticity is softened by its margin, one column, and 1 / (1 - margin); None
-        where two ways are equally easy, or the mesh is too coarse to show how."""
+        where the mesh is too coarse to show how, or two ways are equally easy and not `one_of_two` will do."""
         known = margin
         for _ in range(MODE_STEPS):
             # Beside the eigenvalue itself, where there would be nothing left to divide by.
@@ -515,20 +568,23 @@ class Standing:
             found /= np.abs(found).max()
             other = np.abs(grown[:, 1] - found * ((found @ grown[:, 1]) / (found @ found))).max()
             state = self._state(found, softness)
-            mode = self._along(state, maps.inner @ state[:-1], None, softness)
+            inner = maps.inner @ state[:-1]
+            mode = self._along(state if self.own > self.n else self._whole(state), inner, None, softness)
             margin = self.quotient(mode, softness)
             # Every mode grows by one over its distance, and is mixed into this one by as much.
             if abs(margin - beside) * size < DOUBLE * other:
-                return None
+                if not one_of_two:
+                    return None
+                break
             if other < MIXED * size:
                 break
         return (mode, softness) if abs(margin - known) < SAME_MODE else None
 
     def _state(self, found: Array, softness: float) -> Array:
-        """(P + 1, 2 n + 6, 1) behind all places, of torques and moment at the plate and what follows."""
-        n, own = self.n, self.n + 3
-        state = np.zeros((self.pieces + 1, self.size, 1))
-        state[1:, :, 0] = found[own:].reshape(self.pieces, self.size)
+        """(P + 1, 2 own, 1) behind all places, of torques and moment at the plate and what follows."""
+        n, own = self.n, self.own
+        state = np.zeros((self.pieces + 1, 2 * own, 1))
+        state[1:, :, 0] = found[own:].reshape(self.pieces, 2 * own)
         state[0, own:, 0] = found[:own]
         state[0, :n, 0] = softness * self.transmission * found[:n]
         return state

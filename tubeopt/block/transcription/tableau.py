@@ -47,7 +47,8 @@ class Tableau:
         return np.asarray(self.weights - self.matrix.T * self.weights / self.weights[:, None])
 
     def lagrange(self, at: ArrayLike, *, integrals: int = 0) -> Array:
-        """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0."""
+        """(T, K) values at `at` (T,) in [0, 1] of the Lagrange polynomials, integrated `integrals` times from 0, -1 for
+        their derivatives."""
         x = 2 * np.asarray(at, dtype=float) - 1
         coefficients = self.integrated(integrals)
         return np.asarray(legendre.legvander(x, len(coefficients) - 1) @ coefficients)
@@ -70,6 +71,8 @@ def _basis(family: str, degree: int, at: tuple[float, ...], integrals: int) -> A
 def _integrated(family: str, degree: int, integrals: int) -> Array:
     """Legendre coefficients, by column, of the Lagrange polynomials integrated from 0."""
     coefficients = tableau(family, degree).legendre_of_lagrange
+    if integrals < 0:
+        return np.asarray(legendre.legder(coefficients, m=-integrals, scl=2.0))
     return np.asarray(legendre.legint(coefficients, m=integrals, lbnd=-1, scl=0.5)) if integrals else coefficients
 
 
