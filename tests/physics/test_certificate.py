@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tubeopt.physics.certificate import base_determinant
+from tubeopt.physics.certificate import WHOLE, base_determinant
 
 
 @pytest.mark.parametrize("varying", [False, True])
@@ -35,4 +35,6 @@ def test_the_determinant_of_two_tubes_is_that_of_their_difference(varying: bool)
                 "stiffness": ca.DM(kb),
                 "moment": ca.DM(m),
             }
-            assert float(base_determinant(ca.DM(eigenvalue), given)) == pytest.approx(expected, rel=1e-8, abs=1e-8)
+            assert float(base_determinant(ca.DM(eigenvalue), given, WHOLE)) == pytest.approx(
+                expected, rel=1e-8, abs=1e-8
+            )

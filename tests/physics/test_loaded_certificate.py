@@ -7,7 +7,7 @@ import pytest
 from numpy.polynomial.legendre import Legendre, leggauss
 from scipy.linalg import eigh
 
-from tubeopt.physics.loaded_certificate import APART, OPPOSED, TURNED, largest_eigenvalue
+from tubeopt.physics.certificate import APART, OPPOSED, TURNED, largest_eigenvalue
 from tubeopt.typing import Array
 
 Sections = tuple[Array, Array, Array]

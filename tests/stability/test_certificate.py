@@ -67,8 +67,7 @@ def test_unequal_pairs_anywhere_have_the_exact_worst_margin() -> None:
 
 
 @pytest.mark.parametrize("n", [3, 4])
-def test_transfer_matrices_collocation_and_finite_elements_agree(n: int) -> None:
-    """certify's gradient is taken where the transfer matrices' determinant is 0; see also the next test."""
+def test_collocation_and_finite_elements_agree(n: int) -> None:
     random = np.random.default_rng([3, n])
     for _ in range(12):
         robot = random_robot(random, n, bend=random.uniform(0.3, 2.5))
@@ -98,6 +97,24 @@ def test_gradient_is_that_of_finite_differences(n: int) -> None:
                 up, down = (_moved(robot, shift, name, i, sign) for sign in (1, -1))
                 slope = (worst_by_elements(bundle(*up[:2])) - worst_by_elements(bundle(*down[:2]))) / (up[2] - down[2])
                 assert certificate.gradient[name][i] == pytest.approx(slope, rel=1e-5, abs=1e-5 * size + 1e-7), name
+
+
+@pytest.mark.parametrize("robot", [CRL, THESIS], ids=lambda robot: robot.name)
+def test_gradient_where_breakpoints_meet_is_that_of_growing_parameters(robot: ConcentricRobot) -> None:
+    # At home all transitions are at the plate, and tubes end together.
+    home = np.array(robot.home_translations)
+    certificate = certify(robot, home)
+    for i in range(robot.n_tubes):
+        ends = [home + step * np.eye(robot.n_tubes)[i] for step in (0, 1e-6, 2e-6)]
+        start, near, far = (snap_free_certificate(robot, shift) for shift in ends)
+        slope = (4 * near - 3 * start - far) / 2e-6
+        assert certificate.gradient["translation"][i] == pytest.approx(slope, rel=1e-4, abs=1e-4)
+        tube = robot.tubes[i]
+        longer = [replace(tube, curved_length=tube.curved_length + step) for step in (1e-6, 2e-6)]
+        grown = [replace(robot, tubes=(*robot.tubes[:i], one, *robot.tubes[i + 1 :])) for one in longer]
+        near, far = (snap_free_certificate(one, home) for one in grown)
+        slope = (4 * near - 3 * start - far) / 2e-6
+        assert certificate.gradient["curved_length"][i] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
 def _moved(robot: ConcentricRobot, shift: Array, name: str, i: int, sign: int) -> tuple[ConcentricRobot, Array, float]:

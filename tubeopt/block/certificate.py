@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, positive
-from ..physics.certificate import base_determinant
-from ..physics.loaded_certificate import (
+from ..physics.certificate import (
     APART,
+    ONCE,
     OPPOSED,
     TURNED,
+    base_determinant,
     crossing_function,
     largest_eigenvalue,
     plate_conditions,
@@ -26,9 +27,6 @@ from .stability import checked
 from .transcription.chain import Chain
 from .transcription.model import Model
 from .transcription.panel import CHANNELS
-
-ONCE = (18, 1)
-"""Terms of the series, and parts, for a piece of a block: to round-off where tubes can bend it by up to 1.5 rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +109,13 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
         "moment": ca.SX.sym("m", n, pieces),
     }
     symbol = ca.SX.sym("lambda")
-    determinant = base_determinant(symbol, given)
+    determinant = base_determinant(symbol, given, ONCE)
     function = ca.Function("certificate", [symbol, *given.values()], [determinant], {"cse": True})
     return function(eigenvalue, *own[:2], model.lengths, *own[2:])
 
 
 def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> None:
-    """The largest eigenvalue of `physics.loaded_certificate`, with its eigenfunction where pieces begin, as unknowns.
+    """The largest eigenvalue of `physics.certificate`, with its eigenfunction where pieces begin, as unknowns.
 
     Smooth since it is simple; the largest since its eigenfunction alone has one sign (Krein and Rutman), which is
     demanded. Of the two bounds of `stability.loaded_certificate` that is held which is larger where the block begins.

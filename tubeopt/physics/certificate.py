@@ -1,14 +1,23 @@
-"""The snap-free certificate as CasADi expressions: the worst second variation that any rotations can give.
+"""The snap-free certificate as CasADi expressions: the worst second variation that any rotations, and any force on the
+tip of at most F, can give.
 
-With every cos(theta_i - theta_j) replaced by -1 the second variation is
+With every cos(theta_i - theta_j) replaced by -1 the second variation without a force is
 
     Q(y) = sum_i int kt_i y_i'^2 - int sum_pairs |c_ij| (y_i - y_j)^2 + sum_i kt_i / |beta_i| y_i(0)^2,
 
-c_ij = m_i m_j / sum kb, constant on each section. mu_cert is its smallest eigenvalue relative to the torsional part:
-1 - lambda, with lambda the largest number for which the Jacobi equation  lambda kt y'' = -C y  (C the Laplacian matrix
-of the |c_ij|) has a solution with y' = 0 at the tip and y(0) = |beta| y'(0). From Y = 1, Y' = 0 at the tip it is
-carried to the base by transfer matrices, entire functions of the coefficients, and
-D(lambda) = det(Y(0) - |beta| Y'(0)) is 0.
+c_ij = m_i m_j / sum kb, constant on each section. mu_cert is its smallest eigenvalue relative to the torsional part,
+1 - lambda. Under a force, with A_i = |a_i| / K and M = F (L - s), which bounds the bending moment, what the second
+variation has beside T = int sum kt Y'^2 + K |r|^2 + springs is no less than -N,
+
+    N = int sum_pairs |c_ij| (Y_i + Y_j)^2 + sum_i M A_i Y_i^2 + 3/2 F phi^2,    phi' = sum A_i Y_i + r,  phi(0) = 0.
+
+Where lambda T - N is stationary, with P = kt Y' and p = K r and with mu = 1 / lambda,
+
+    Y' = P / kt,   phi' = A . Y + p / K,   P' = -mu (S + M diag A) Y - A p,   p' = -3/2 mu F phi,
+
+S the matrix of the sum over pairs, and P = 0, p = 0 at the tip, phi = 0 and Y = |beta| Y' at the plate. They are
+carried from the tip to the plate by power series in the distance, exact for the moment's linear growth. Without a
+force phi and p drop out.
 """
 
 from __future__ import annotations
@@ -18,12 +27,20 @@ from itertools import pairwise
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-TERMS = 12
-"""Terms of cos and sinc of the transfer matrices, for h^2 C / (kt lambda) up to SPLITS^2."""
+from ..typing import Array
 
-SPLITS = 4
-"""Parts in which every section is crossed."""
+WHOLE, ONCE = (24, 4), (18, 1)
+"""Terms of the series, and parts of a section that it crosses: to round-off where tubes can bend it by up to 16 rad;
+and where they can bend it by up to 1.5 rad, as a piece of a mesh, or every section where lambda is the eigenvalue."""
+
+OPPOSED, TURNED, APART = (1.0, 1.0), (1.0, -1.0), (0.0, 0.0)
+"""Pairs of tubes in N: (Y_i + Y_j)^2; (y_i - y_j)^2, which without force gives the certificate of tubes that bear
+none; and none, for the part of N by the force alone. Factors of Y_i^2 + Y_j^2 and of 2 Y_i Y_j."""
+
+ITERATIONS = 200
+"""Of Newton's method, which takes some ten: twice the digits each time, but one bit where an eigenvalue is double."""
 
 
 def pair_couplings(stiffness: Any, moment: Any) -> Any:
@@ -73,42 +90,125 @@ def worst_function(n: int) -> ca.Function:
     return ca.Function("worst", [stiffness, moment, y], outputs, {"cse": True})
 
 
-def base_determinant(eigenvalue: Any, given: dict[str, Any]) -> Any:
-    """D(lambda) of tubes with torsional_stiffness kt (n,) or (n, m), transmission (n,), and per section, base to tip,
-    length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m).
+@lru_cache(maxsize=32)
+def crossing_function(n: int, columns: int, terms: int, parts: int) -> ca.Function:
+    """(end, mu, pairs, F, h, lever, K, pull, kt) -> states (2 n + 2, `columns`) where a section begins.
 
-    Where kt changes from section to section kt y' is continuous, and `transmission` is kt of the first one times
-    int ds / kt up to the plate.
+    `end`: states (Y (n), phi, P (n), p) where it ends, at the distance `lever` from the tip; K and `pull` |a_i| (n,)
+    are constant on its length h; `pairs` as OPPOSED. In so many `parts`, by series of so many `terms`.
+    """
+    end, stiffness = ca.SX.sym("end", 2 * n + 2, columns), ca.SX.sym("K")
+    mu, force, h, lever = (ca.SX.sym(name) for name in ("mu", "F", "h", "lever"))
+    pairs, pull, kt = ca.SX.sym("pairs", 2), ca.SX.sym("pull", n), ca.SX.sym("kt", n)
+    coupled = pair_couplings(stiffness, pull)
+    opposing = pairs[0] * ca.diag(ca.sum2(coupled)) + pairs[1] * coupled
+    state, part = end, h / parts
+    for k in range(parts):
+        where = mu, force, lever + k * part, part
+        state = _series(state, where, (opposing, pull / stiffness, stiffness, kt), terms)
+    inputs = [end, mu, pairs, force, h, lever, stiffness, pull, kt]
+    return ca.Function("crossing", inputs, [state], {"cse": True})
+
+
+def _series(state: Any, where: tuple[Any, ...], section: tuple[Any, ...], terms: int) -> Any:
+    """States one part nearer to the plate: the sum of the terms x_k h^k."""
+    (mu, force, lever, h), (opposing, slope, stiffness, kt) = where, section
+    n = slope.shape[0]
+    last, total, term = ca.SX.zeros(n, state.shape[1]), state, state
+    for k in range(terms):
+        y, phi, torque, moment = term[:n, :], term[n, :], term[n + 1 : 2 * n + 1, :], term[2 * n + 1, :]
+        bent = ca.repmat(slope, 1, y.shape[1])
+        pulled = opposing @ y + force * bent * (lever * y + h * last)
+        change = ca.vertcat(
+            -torque / ca.repmat(kt, 1, y.shape[1]),
+            -slope.T @ y - moment / stiffness,
+            mu * pulled + slope @ moment,
+            1.5 * force * mu * phi,
+        )
+        last, term = y, h / (k + 1) * change
+        total = total + term
+    return total
+
+
+@lru_cache(maxsize=64)
+def _plate_function(n: int, sections: int) -> ca.Function:
+    """(mu, pairs, F, h (m,), K (m,), pull (n, m), kt (n, m), |beta| (n,)) -> (n + 1, n + 1) what the conditions at the
+    plate miss by for each way in which the tip may be turned, and its derivative by mu."""
+    mu, pairs, force = ca.MX.sym("mu"), ca.MX.sym("pairs", 2), ca.MX.sym("F")
+    h, stiffness, pull = ca.MX.sym("h", sections), ca.MX.sym("K", sections), ca.MX.sym("pull", n, sections)
+    kt, held = ca.MX.sym("kt", n, sections), ca.MX.sym("l", n)
+    crossing = crossing_function(n, n + 1, *WHOLE)
+    state: Any = ca.vertcat(ca.DM.eye(n + 1), ca.DM.zeros(n + 1, n + 1))
+    lever: Any = 0.0
+    for k in reversed(range(sections)):
+        state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt[:, k])
+        lever = lever + h[k]
+    missed = plate_conditions(state, kt[:, 0], held)
+    slope = ca.reshape(ca.jtimes(ca.vec(missed), mu, ca.MX(1)), n + 1, n + 1)
+    return ca.Function("plate", [mu, pairs, force, h, stiffness, pull, kt, held], [missed, slope])
+
+
+def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
+    """By what Y = |beta| Y' and phi = 0 are missed at the plate, where the states (2 n + 2, ...) are these."""
+    n = kt.shape[0]
+    springs = state[:n, :] - ca.repmat(held / kt, 1, state.shape[1]) * state[n + 1 : 2 * n + 1, :]
+    return ca.vertcat(springs, state[n, :])
+
+
+def largest_eigenvalue(
+    force: float, sections: tuple[Array, Array, Array], tubes: tuple[Array, Array], pairs: tuple[float, float] = OPPOSED
+) -> tuple[float, Array]:
+    """Largest eigenvalue lambda of N relative to T, and (n + 1,) its Y and phi at the tip, the largest being 1.
+
+    `sections`: length (m,), K (m,), |a_i| (m, n), plate to tip.   `tubes`: kt (n,) or (n, m), transmission (n,) with kt
+    at the plate. The eigenvalue is infinite where numbers overflow.
+
+    What the conditions at the plate miss by has a determinant, as a function of mu, with real roots alone, the
+    reciprocals of the eigenvalues: an entire function of order 1/2, so the product of its 1 - mu lambda_k. Newton's
+    method from mu = 0 therefore rises to the least root and never passes it: every iterate is a bound of lambda.
+    """
+    length, stiffness, pull = sections
+    kt = tubes[0] if np.ndim(tubes[0]) == 2 else np.repeat(tubes[0][:, None], len(length), axis=1)
+    function = _plate_function(len(kt), len(length))
+    given: list[Any] = [pairs, force, length, stiffness, pull.T, kt, tubes[1]]
+    mu, last = 0.0, np.inf
+    for _ in range(ITERATIONS):
+        missed, slope = (np.array(each) for each in function(mu, *given))
+        if not (np.isfinite(missed).all() and np.isfinite(slope).all()):
+            return np.inf, np.zeros(len(kt) + 1)
+        try:
+            # -D'/D of the determinant D.
+            rate = -float(np.trace(np.linalg.solve(missed, slope)))
+        except np.linalg.LinAlgError:
+            break
+        if not np.isfinite(rate):
+            return np.inf, np.zeros(len(kt) + 1)
+        if not rate > 0 or 1 / rate >= last:
+            break
+        last = 1 / rate
+        mu += last
+        if last < 1e-15 * mu:
+            break
+    tip = np.linalg.svd(missed)[2][-1]
+    return (1 / mu if mu > 0 else 0.0), tip / tip[np.argmax(np.abs(tip))]
+
+
+def base_determinant(eigenvalue: Any, given: dict[str, Any], across: tuple[int, int]) -> Any:
+    """D(lambda) without a force, of tubes with torsional_stiffness kt (n,) or (n, m), transmission (n,), and per
+    section, base to tip, length (m,), stiffness kb_i of the tubes present and moment m_i of the tubes curved, (n, m).
+
+    Its pairs are those of rotations that are worst for each: TURNED. Where kt changes from section to section
+    `transmission` is kt of the first one times int ds / kt up to the plate. `across`: terms and parts, as WHOLE.
     """
     n, sections = given["stiffness"].shape
     kt = ca.horzsplit(given["torsional_stiffness"])
     kt = kt if len(kt) == sections else kt * sections
-    identity = ca.DM.eye(n)
-    y: Any = identity
-    slope: Any = ca.DM.zeros(n, n)
+    crossing = crossing_function(n, n, *across)
+    state: Any = ca.vertcat(ca.DM.eye(n), ca.DM.zeros(n + 2, n))
     for k in reversed(range(sections)):
-        coupling = laplacian(given["stiffness"][:, k], given["moment"][:, k])
-        rate = ca.diag(1 / kt[k]) @ coupling / eigenvalue
-        if k + 1 < sections and kt[k] is not kt[k + 1]:
-            slope = ca.diag(kt[k + 1] / kt[k]) @ slope
-        h = given["length"][k] / SPLITS
-        cos, sinc, turned = _transfer(rate, h)
-        for _ in range(SPLITS):
-            # Backwards: the slope changes sign.
-            y, slope = cos @ y - h * (sinc @ slope), turned @ y + cos @ slope
-    return ca.det(y - ca.diag(given["transmission"]) @ slope)
-
-
-def _transfer(rate: Any, h: Any) -> tuple[Any, Any, Any]:
-    """cos(h sqrt(N)), sinc(h sqrt(N)) and h N sinc(h sqrt(N)) of a matrix N = `rate`, by their power series."""
-    identity = ca.DM.eye(rate.shape[0])
-    argument = h**2 * rate
-    cos: Any = identity
-    sinc: Any = identity
-    for k in reversed(range(1, TERMS + 1)):
-        cos = identity - argument @ cos / ((2 * k - 1) * (2 * k))
-        sinc = identity - argument @ sinc / ((2 * k) * (2 * k + 1))
-    return cos, sinc, h * rate @ sinc
+        stiffness, pull = ca.sum1(given["stiffness"][:, k]), ca.fabs(given["moment"][:, k])
+        state = crossing(state, 1 / eigenvalue, TURNED, 0.0, given["length"][k], 0.0, stiffness, pull, kt[k])
+    return ca.det(plate_conditions(state, kt[0], given["transmission"])[:n, :])
 
 
 PARAMETERS = (
@@ -126,8 +226,13 @@ Rows = tuple[tuple[int, ...], ...]
 Pattern = tuple[tuple[int, ...], Rows, Rows]
 
 
-def _posed(pattern: Pattern) -> tuple[Any, dict[str, Any], Any]:
-    """lambda, PARAMETERS (n,), and D(lambda)."""
+@lru_cache(maxsize=128)
+def determinant_function(pattern: Pattern) -> Any:
+    """(lambda, PARAMETERS...) -> D(lambda), of which 1 - mu_cert is the largest root.
+
+    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
+    i, 2 i + 1 for its end), and which tubes are present and curved on it.
+    """
     ends, present, curved = pattern
     n = len(present[0])
     symbols = {name: ca.SX.sym(name, n) for name in PARAMETERS}
@@ -144,27 +249,5 @@ def _posed(pattern: Pattern) -> tuple[Any, dict[str, Any], Any]:
         "moment": masks[1] * (symbols["bending_stiffness"] * symbols["curvature"]),
     }
     eigenvalue = ca.SX.sym("lambda")
-    return eigenvalue, symbols, base_determinant(eigenvalue, given)
-
-
-@lru_cache(maxsize=128)
-def determinant_function(pattern: Pattern) -> Any:
-    """(lambda, PARAMETERS...) -> D(lambda), of which 1 - mu_cert is the largest root."""
-    eigenvalue, symbols, determinant = _posed(pattern)
+    determinant = base_determinant(eigenvalue, given, ONCE)
     return ca.Function("determinant", [eigenvalue, *symbols.values()], [determinant], {"cse": True})
-
-
-@lru_cache(maxsize=128)
-def certificate_function(pattern: Pattern) -> Any:
-    """(lambda, PARAMETERS...) -> derivative of mu with respect to each of PARAMETERS, (n,).
-
-    `pattern` fixes the order of breakpoints: the breakpoint at the end of each section (2 i for the transition of tube
-    i, 2 i + 1 for its end), and which tubes are present and curved on it. lambda is the eigenvalue to about 1e-6. The
-    derivatives are those of the implicit function D = 0.
-    """
-    eigenvalue, symbols, determinant = _posed(pattern)
-    inputs, n = [eigenvalue, *symbols.values()], len(pattern[1][0])
-    ends = [0, *(1 + n * k for k in range(len(symbols) + 1))]
-    rate, *slopes = ca.vertsplit(ca.gradient(determinant, ca.vertcat(*inputs)), ends)
-    gradient = [slope / rate for slope in slopes]
-    return ca.Function("certificate", inputs, gradient, ["lambda", *symbols], [f"d_{name}" for name in symbols])

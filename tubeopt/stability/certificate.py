@@ -12,9 +12,13 @@ from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.second_variation import least
 from ..display import Displayed
+from ..equilibrium.derivatives import Derivatives
+from ..equilibrium.margin import AtWorst
+from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
+from ..equilibrium.state import arm_of
 from ..errors import InputError, positive
-from ..physics.certificate import PARAMETERS, Pattern, certificate_function, worst_function
+from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, is_general, shifts
 from ..solvers.parallel.blas import small
@@ -23,6 +27,9 @@ from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
 from .pair import least_margin_of_pair, margins, pair_of
+
+OWN_NAME = {"translation": "translations"}
+"""Of a parameter of the certificate among those of an equilibrium."""
 
 ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
@@ -56,8 +63,9 @@ class Certificate(Displayed):
     translations: Array
     """(n,) m."""
     gradient: dict[str, Array]
-    """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit; NaN where the eigenvalue
-    is double, so that the margin has no derivative, and with tubes made of pieces."""
+    """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit: where breakpoints meet,
+    as it changes when the parameter grows. NaN where the eigenvalue is double, so that the margin has no derivative,
+    and with tubes made of pieces."""
     pair: tuple[int, int] | None
     """The two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and for tubes
     off the centreline, of which three take it together."""
@@ -241,7 +249,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
     known = not double and not is_general(robot)
-    gradient = _gradient(robot, problem, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    gradient = _gradient(robot, shift, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
     return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, share)
 
 
@@ -258,7 +266,7 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
-    """The order of breakpoints, as `physics.certificate.certificate_function` takes it. Of breakpoints that coincide
+    """The order of breakpoints, as `physics.certificate.determinant_function` takes it. Of breakpoints that coincide
     the first tube's is taken."""
     ends = []
     for stop in assembly.start + assembly.length:
@@ -268,9 +276,10 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     return tuple(ends), present, curved
 
 
-def _gradient(robot: Robot, problem: ReducedProblem, margin: float) -> dict[str, Array]:
-    function = certificate_function(breakpoint_pattern(problem.assembly))
-    shift = problem.assembly.transition
-    values = [shift if name == "translation" else [getattr(tube, name) for tube in robot.tubes] for name in PARAMETERS]
-    out = function(1 - margin, *values)
-    return {name: np.array(part).ravel() for name, part in zip(PARAMETERS, out, strict=True)}
+def _gradient(robot: Robot, shift: Array, margin: float) -> dict[str, Array]:
+    """That of the eigenvalue, a Rayleigh quotient, which rotations do not change: at tubes without torsion."""
+    n, wrt = robot.n_tubes, tuple(OWN_NAME.get(name, name) for name in PARAMETERS)
+    member = Unloaded.of(robot, np.zeros(n), tuple(shift.tolist()))
+    straight = Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
+    of = Derivatives(arm_of(straight), tuple((i,) for i in range(n)), wrt=wrt, margin=1.0)
+    return dict(zip(PARAMETERS, of.quotient(margin, AtWorst()).reshape(-1, n), strict=True))

@@ -11,7 +11,7 @@ With |n| <= F, |m_w(s)| <= M(s) = F (L - s) and A_i = |a_i| / K, for every rotat
     Q >= T - N,    N = int sum_pairs |c_ij| (Y_i + Y_j)^2 + sum_i M A_i Y_i^2 + 3/2 F phi^2,
     Y_i = |y_i|,   phi' = sum A_i Y_i + |r|,   phi(0) = 0,
 
-so that 1 less the largest eigenvalue of N relative to T bounds the margin (see `physics.loaded_certificate`).
+so that 1 less the largest eigenvalue of N relative to T bounds the margin (see `physics.certificate`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..physics.loaded_certificate import APART, OPPOSED, largest_eigenvalue
+from ..physics.certificate import APART, OPPOSED, largest_eigenvalue
 from ..robots.assembly import merge
 from ..robots.robot import Robot
 from ..robots.variation import variation
