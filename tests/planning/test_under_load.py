@@ -10,7 +10,7 @@ import pytest
 
 from tests.command_line import THESIS as FILE
 from tests.command_line import Run, answer, refused
-from tests.examples import DEG, PIECES, THESIS, TWO_TUBE
+from tests.examples import DEG, PIECES, THESIS, TWO_TUBE, nested
 from tubeopt import (
     ConcentricRobot,
     InputError,
@@ -29,7 +29,7 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.outline import Outline
 from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.loaded_branch import _Bounds, _Moved, loaded_branch
+from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR
 from tubeopt.robots.robot import Robot
@@ -90,6 +90,20 @@ def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load
         assert min(e.margin for e in chain) >= convex[0] >= margins.min() - 0.2
         lost.append(bounds.curving()[0])
     assert lost[0] / lost[1] == pytest.approx(4, rel=0.25)
+
+
+def test_the_second_variation_of_two_tubes_curves_with_the_square_of_their_angle() -> None:
+    """V = c int cos(D) y^2 and T = int y'^2 / sigma: int y^2 is at most (2 L / pi)^2 sigma T; the bound has L^2."""
+    robot = nested((0.0, 0.1, 2.0), (0.0, 0.1, 2.0))
+    inner, outer = robot.tubes
+    stiffness, sigma = inner.bending_stiffness, 1 / inner.torsional_stiffness + 1 / outer.torsional_stiffness
+    other = outer.bending_stiffness
+    coupling = stiffness * other / (stiffness + other) * 2.0**2
+    turn = 0.2
+    chain = [forward_kinematics(robot, [angle, 0.0], load=Load()) for angle in (-turn / 2, turn / 2)]
+    bounds = _Bounds(intervals_of(chain, Load())[0])
+    true = coupling * sigma * (2 * 0.1 / np.pi) ** 2 * turn**2
+    assert 0.97 * true <= bounds.curving()[0] / SIXTH <= 1.05 * np.pi**2 / 4 * true
 
 
 @pytest.mark.parametrize("share", [1e-3, 0.3])
