@@ -3,6 +3,8 @@
    Unknowns z by tube, then by point: theta = alpha + L z at the collocation points where a tube is curved and coupled.
    The energy is z'z / 2 + sum of weights times V(theta). */
 
+#define WIDE ((MOST_DEGREE + 3) / 4 * 4)
+
 typedef struct {
     int degree;
     const double *nodes, *weights, *matrix; /* (K), (K), (K, K) by rows */
@@ -15,12 +17,14 @@ typedef struct {
     const Layout *layout;
     const Tubes *tubes;
     const Tableau *tableau;
-    int points, size, first[N], count[N], lead[N];
+    int points, size, first[N], count[N];
     int piece[MOST_POINTS], place[MOST_POINTS][N], point[MOST_UNKNOWNS];
     double s[MOST_POINTS], weight[MOST_POINTS];
-    double factor[FACTOR_SIZE], *part[N]; /* L of each tube, (count, lead) by rows, 0 above the diagonal */
+    /* L of each tube within its elements, by rows and by columns, 0 above the diagonal; and one row for all points further
+       out. */
+    double block[MOST_UNKNOWNS][WIDE], column[MOST_UNKNOWNS][WIDE], beyond[MOST_UNKNOWNS];
 #if ECCENTRIC
-    double compliance[FACTOR_SIZE]; /* L L' of each tube, as `factor` */
+    double compliance[FACTOR_SIZE], *whole[N]; /* L L' of each tube, (count, count) */
 #endif
 #if GENERAL
     double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], wound[MOST_POINTS][N];
@@ -37,12 +41,13 @@ typedef struct {
     double energy;
 } State;
 
-/* L L' = (transmission + min(s, r)) / kt, collocated: within an element h A diag(1/b) A' takes the place of min. */
+/* L L' = (transmission + min(s, r)) / kt, collocated: within an element h A diag(1/b) A' takes the place of min. Of a
+   point nearer to the base all points of an element see the same, and so do those of all elements further out. */
 static int factorise(Unknowns *q, int tube) {
     const Tableau *t = q->tableau;
     const Layout *l = q->layout;
-    int n = q->count[tube], lead = q->lead[tube], k = t->degree;
-    double *a = q->part[tube];
+    int k = t->degree;
+    double passed = 0; /* the square of that row */
 #if !GENERAL
     double scale = 1 / q->tubes->kt[tube], local[MOST_DEGREE][MOST_DEGREE];
     for (int i = 0; i < k; i++)
@@ -51,37 +56,52 @@ static int factorise(Unknowns *q, int tube) {
             for (int m = 0; m < k; m++) local[i][j] += t->matrix[i * k + m] * t->matrix[j * k + m] / t->weights[m];
         }
 #endif
-    for (int i = 0; i < n; i++) {
-        for (int j = i + 1; j < lead; j++) a[i * lead + j] = 0;
-        for (int j = 0; j <= i; j++) {
-            int x = q->point[q->first[tube] + i], y = q->point[q->first[tube] + j], p = q->piece[x];
+    for (int a = q->first[tube]; a < q->first[tube] + q->count[tube]; a += k) {
+        double(*block)[WIDE] = q->block + a, (*column)[WIDE] = q->column + a, *beyond = q->beyond + a;
+        int x = q->point[a], p = q->piece[x];
+        memset(block, 0, k * sizeof block[0]);
+        memset(column, 0, k * sizeof column[0]);
+        for (int i = 0; i < k; i++)
+            for (int j = 0; j <= i; j++) {
 #if GENERAL
-            double green = q->ahead[y][tube];
-            if (p == q->piece[y]) {
-                const double *both = q->both[x % k][y % k];
-                green = 0;
-                for (int o = 0; o < k; o++) green += both[o] * q->rate[p][o][tube];
+                double green = 0;
+                for (int o = 0; o < k; o++) green += q->both[i][j][o] * q->rate[p][o][tube];
                 green = q->reach[p][tube] + l->length[p] * green;
-            }
-            a[i * lead + j] = green;
 #else
-            double green = p == q->piece[y] ? l->start[p] + l->length[p] * local[x % k][y % k] : q->s[y];
-            a[i * lead + j] = (l->transmission[tube] + green) * scale;
+                double green = (l->transmission[tube] + l->start[p] + l->length[p] * local[i][j]) * scale;
 #endif
-#if ECCENTRIC
-            double *whole = q->compliance + (a - q->factor);
-            whole[i * lead + j] = whole[j * lead + i] = a[i * lead + j];
+                double rest = green - passed - dot(block[i], block[j], j);
+                if (i == j && !(rest > 0)) return 0;
+                block[i][j] = column[j][i] = i == j ? sqrt(rest) : rest / block[j][j];
+            }
+        for (int j = 0; j < k; j++) {
+#if GENERAL
+            double green = q->ahead[x + j][tube];
+#else
+            double green = (l->transmission[tube] + q->s[x + j]) * scale;
 #endif
+            beyond[j] = (green - passed - dot(beyond, block[j], j)) / block[j][j];
         }
-    }
-    for (int j = 0; j < n; j++) {
-        double *row = a + j * lead, pivot = row[j] - dot(row, row, j);
-        if (!(pivot > 0)) return 0;
-        row[j] = sqrt(pivot);
-        for (int i = j + 1; i < n; i++) a[i * lead + j] = (a[i * lead + j] - dot(a + i * lead, row, j)) / row[j];
+        passed += dot(beyond, beyond, k);
     }
     return 1;
 }
+
+#if ECCENTRIC
+/* L L' of each tube. */
+static void multiply_factor(Unknowns *q, int tube) {
+    int k = q->tableau->degree, n = q->count[tube];
+    const double(*block)[WIDE] = (const double(*)[WIDE])q->block + q->first[tube];
+    const double *beyond = q->beyond + q->first[tube];
+    for (int a = 0; a < n; a++)
+        for (int c = 0; c <= a; c++) {
+            int own = c / k * k;
+            const double *left = a / k == c / k ? block[a] : beyond + own;
+            double sum = dot(beyond, beyond, own) + dot(left, block[c], c - own + 1);
+            q->whole[tube][a * n + c] = q->whole[tube][c * n + a] = sum;
+        }
+}
+#endif
 
 #if GENERAL
 /* Cross-sections at the points, and the compliances up to them. */
@@ -136,7 +156,9 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
 #if GENERAL
     look_along(q);
 #endif
+#if ECCENTRIC
     size_t used = 0;
+#endif
     for (int i = 0; i < N; i++) {
         q->first[i] = q->size;
         for (int x = 0; x < q->points; x++) {
@@ -147,19 +169,50 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
             q->point[q->size++] = x;
         }
         q->count[i] = q->size - q->first[i];
-        q->lead[i] = filled_up(q->count[i]);
-        q->part[i] = q->factor + used;
-        used += (size_t)q->count[i] * q->lead[i];
         if (!factorise(q, i)) return 0;
+#if ECCENTRIC
+        q->whole[i] = q->compliance + used;
+        used += (size_t)q->count[i] * q->count[i];
+        multiply_factor(q, i);
+#endif
     }
     return 1;
 }
 
 /* out <- L x for all tubes */
 static void times_factor(const Unknowns *q, const double *x, double *out) {
-    for (int i = 0; i < N; i++)
-        for (int a = 0; a < q->count[i]; a++)
-            out[q->first[i] + a] = dot(q->part[i] + a * q->lead[i], x + q->first[i], a + 1);
+    int k = q->tableau->degree;
+    for (int i = 0; i < N; i++) {
+        double nearer = 0;
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a += k) {
+            for (int w = 0; w < k; w += 4) { /* what is too much is laid over by the next */
+                Four sum;
+                EACH(OF(sum) = x[a] * FOUR(q->column[a] + w) + nearer);
+                for (int b = 1; b < k; b++) EACH(OF(sum) += x[a + b] * FOUR(q->column[a + b] + w));
+                EACH(FOUR(out + a + w) = OF(sum));
+            }
+            nearer += dot(q->beyond + a, x + a, k);
+        }
+    }
+}
+
+/* x <- x + L' y for all tubes */
+static void add_by_factor(const Unknowns *q, const double *y, double *x) {
+    int k = q->tableau->degree;
+    for (int i = 0; i < N; i++) {
+        double further = 0;
+        for (int a = q->first[i] + q->count[i] - k; a >= q->first[i]; a -= k) {
+            for (int w = 0; w < k; w += 4) {
+                Four sum = {0};
+                for (int b = 0; b < k; b++) EACH(OF(sum) += y[a + b] * FOUR(q->block[a + b] + w));
+                EACH(FOUR(x + a + w) += OF(sum));
+            }
+            for (int b = 0; b < k; b++) {
+                x[a + b] += q->beyond[a + b] * further;
+            }
+            for (int b = 0; b < k; b++) further += y[a + b];
+        }
+    }
 }
 
 /* The largest turn that a step in z makes, rad. */
@@ -170,11 +223,15 @@ static double turn_of(const Unknowns *q, const double *step) {
 }
 
 static void to_unknowns(const Unknowns *q, const double *alpha, double theta[][N], double *z) {
+    int k = q->tableau->degree;
     for (int i = 0; i < N; i++) {
-        double *x = z + q->first[i];
-        for (int a = 0; a < q->count[i]; a++) {
-            const double *row = q->part[i] + a * q->lead[i];
-            x[a] = (theta[q->point[q->first[i] + a]][i] - alpha[i] - dot(row, x, a)) / row[a];
+        double nearer = alpha[i];
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a += k) {
+            for (int b = 0; b < k; b++) {
+                const double *row = q->block[a + b];
+                z[a + b] = (theta[q->point[a + b]][i] - nearer - dot(row, z + a, b)) / row[b];
+            }
+            nearer += dot(q->beyond + a, z + a, k);
         }
     }
 }
@@ -206,43 +263,62 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
         balance(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;
     }
+    double load[MOST_UNKNOWNS];
+    for (int i = 0; i < N; i++)
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++)
+            load[a] = q->weight[q->point[a]] * state->moment[q->point[a]][i];
     memcpy(state->gradient, state->z, q->size * sizeof(double));
-    for (int i = 0; i < N; i++) {
-        double *g = state->gradient + q->first[i];
-        for (int a = 0; a < q->count[i]; a++) {
-            const double *row = q->part[i] + a * q->lead[i];
-            int x = q->point[q->first[i] + a];
-            double load = q->weight[x] * state->moment[x][i];
-            for (int r = 0; r <= a; r++) g[r] += row[r] * load;
-        }
-    }
+    add_by_factor(q, load, state->gradient);
 }
 
-/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE, in squares of four by four: each is laid over what the one
-   before it has too much. */
-static void second_variation(const Unknowns *q, const State *state, double *h) {
+/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE: from the tip, the elements of tube i against all of tube j.
+   Fours that have too much are laid over by what comes after them. */
+ALWAYS_INLINE void vary(const Unknowns *q, const State *state, int k, double *h) {
     for (int i = 0; i < N; i++)
         for (int j = i; j < N; j++) {
-            double value[MOST_POINTS];
-            int place[MOST_POINTS];
-            for (int a = 0; a < q->count[i]; a++) {
-                int x = q->point[q->first[i] + a], c = q->place[x][j];
-                value[a] = c < 0 ? 0 : q->weight[x] * state->slope[x][j * N + i];
-                place[a] = c < 0 ? 0 : c;
-            }
-            for (int r = 0; r < q->count[i]; r += 4)
-                for (int k = i == j ? r : 0, from = r; k < q->count[j]; k += 4) {
-                    Four sum[4] = {{0}};
-                    while (from < q->count[i] && place[from] < k) from++; /* L is 0 above its diagonal */
-                    for (int a = from; a < q->count[i]; a++) {
-                        const double *left = q->part[i] + a * q->lead[i] + r, *right = q->part[j] + place[a] * q->lead[j] + k;
-                        for (int v = 0; v < 4; v++) EACH(OF(sum[v]) += value[a] * left[v] * FOUR(right));
+            const double *nearer = q->beyond + q->first[j];
+            double further = 0, outwards[MOST_UNKNOWNS]; /* of elements further out: B V'', and B V'' L of tube j */
+            int count = q->count[j], from = count, to;
+            for (int x = q->points - k; x >= 0; x -= k) {
+                int a = q->place[x][i], c = q->place[x][j], both = a >= 0 && c >= 0;
+                const double(*left)[WIDE] = (const double(*)[WIDE])q->block + q->first[i] + a;
+                const double(*right)[WIDE] = (const double(*)[WIDE])q->block + q->first[j] + c;
+                const double *beyond = q->beyond + q->first[i] + a;
+                double value[MOST_DEGREE], sum = 0;
+                for (int b = 0; b < k && both; b++)
+                    sum += value[b] = q->weight[x + b] * state->slope[x + b][j * N + i];
+                to = from;
+                if (c >= 0) from = c;
+                for (int r = 0; r < k && a >= 0; r++) {
+                    double *row = h + (size_t)(q->first[i] + a + r) * STRIDE + q->first[j], all = beyond[r] * further;
+                    Four here[WIDE / 4];
+                    for (int w = 0; w < k && c >= 0; w += 4) EACH(OF(here[w / 4]) = all * FOUR(nearer + c + w));
+                    for (int b = r; b < k && both; b++) {
+                        double part = left[b][r] * value[b];
+                        all += part;
+                        for (int w = 0; w < k; w += 4) EACH(OF(here[w / 4]) += part * FOUR(right[b] + w));
                     }
-                    double *square = h + (size_t)(q->first[i] + r) * STRIDE + q->first[j] + k;
-                    for (int v = 0; v < 4; v++) EACH(FOUR(square + (size_t)v * STRIDE) = OF(sum[v]));
+                    for (int s = 0; s < from && i != j; s += 4) EACH(FOUR(row + s) = all * FOUR(nearer + s));
+                    for (int w = 0; w < k && c >= 0; w += 4) EACH(FOUR(row + c + w) = OF(here[w / 4]));
+                    for (int s = to; s < count; s += 4) EACH(FOUR(row + s) = beyond[r] * FOUR(outwards + s));
                 }
+                for (int w = 0; w < k && c >= 0; w += 4) {
+                    Four here;
+                    EACH(OF(here) = further * FOUR(nearer + c + w));
+                    for (int b = 0; b < k && both; b++) EACH(OF(here) += value[b] * FOUR(right[b] + w));
+                    for (int s = w; s < w + 4 && s < k; s++) outwards[c + s] = here[s - w];
+                }
+                further += sum;
+            }
         }
     for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += 1;
+}
+
+static void second_variation(const Unknowns *q, const State *state, double *h) {
+    if (q->tableau->degree == MOST_DEGREE)
+        vary(q, state, MOST_DEGREE, h);
+    else
+        vary(q, state, COARSE_DEGREE, h);
 }
 
 /* The largest violation of the collocation equations, rad. */

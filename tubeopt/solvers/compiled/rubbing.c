@@ -110,11 +110,7 @@ static void add_rows(const Held *h, const double *y, double *x) {
         load[h->outer[r]] += y[r];
         load[h->inner[r]] -= y[r];
     }
-    for (int i = 0; i < N; i++)
-        for (int a = 0; a < q->count[i]; a++) {
-            const double *row = q->part[i] + a * q->lead[i];
-            for (int k = 0; k <= a; k++) x[q->first[i] + k] += row[k] * load[q->first[i] + a];
-        }
+    add_by_factor(q, load, x);
 }
 
 /* Energy and relative rotations at h->state.z. */
@@ -144,9 +140,9 @@ static int model_energy(const Held *h, Room *w) {
         for (int j = r; j < whole; j++) a[(size_t)r * STRIDE + j] = r == j && r < from;
     for (int r = 0; r < h->rows; r++)
         for (int side = 0; side < 2; side++) {
-            int i = h->pair[r] + side, at = (side ? h->outer[r] : h->inner[r]) - q->first[i];
-            const double *row = q->part[i] + at * q->lead[i];
-            for (int k = 0; k <= at; k++) a[(size_t)(q->first[i] + k) * STRIDE + from + r] += side ? row[k] : -row[k];
+            int at = side ? h->outer[r] : h->inner[r], own = at - h->point[r] % q->tableau->degree;
+            for (int k = q->first[h->pair[r] + side]; k <= at; k++)
+                a[(size_t)k * STRIDE + from + r] += (side ? 1 : -1) * (k < own ? q->beyond[k] : q->block[at][k - own]);
         }
     if (!eliminate(a, from, whole, STRIDE)) return 0;
     for (int r = 0; r < h->rows; r++) {

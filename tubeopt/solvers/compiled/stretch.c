@@ -40,13 +40,13 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
             state->extra[x][i] = (e->stretch[x][i] - 1) * e->twist[x][i];
         }
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->compliance + (q->part[i] - q->factor);
+        const double *compliance = q->whole[i];
         for (int a = 0; a < q->count[i]; a++) {
             int x = q->point[q->first[i] + a];
             double sum = state->theta[x][i] - alpha[i];
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                sum += compliance[a * q->lead[i] + c] * q->weight[y] * state->moment[y][i];
+                sum += compliance[a * q->count[i] + c] * q->weight[y] * state->moment[y][i];
             }
             for (int y = 0; y < q->points; y++) sum -= e->up_to[x][y] * state->extra[y][i];
             e->residual[q->first[i] + a] = sum;
@@ -58,7 +58,7 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
 static void stretched_jacobian(const Unknowns *q, const State *state, const Stretch *e, double soft,
                                double *restrict h) {
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->compliance + (q->part[i] - q->factor);
+        const double *compliance = q->whole[i];
         for (int a = 0; a < q->count[i]; a++) {
             int x = q->point[q->first[i] + a];
             double *restrict row = h + (size_t)(q->first[i] + a) * STRIDE, through[MOST_POINTS] = {0};
@@ -70,7 +70,7 @@ static void stretched_jacobian(const Unknowns *q, const State *state, const Stre
             }
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                through[y] += compliance[a * q->lead[i] + c] * q->weight[y];
+                through[y] += compliance[a * q->count[i] + c] * q->weight[y];
             }
             for (int j = 0; j < N; j++)
                 for (int c = 0; c < q->count[j]; c++) {
@@ -177,10 +177,10 @@ static int factorised(const Unknowns *q, const State *state, Stretch *e, double 
 static int never_stretched(const Unknowns *q, const State *state, const Stretch *e) {
     double most = 0, thick = 1, thin = 1, turned = 0;
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->compliance + (q->part[i] - q->factor);
+        const double *compliance = q->whole[i];
         double sum = 0;
         for (int a = 0; a < q->count[i]; a++)
-            sum += compliance[a * q->lead[i] + a] * q->weight[q->point[q->first[i] + a]];
+            sum += compliance[a * q->count[i] + a] * q->weight[q->point[q->first[i] + a]];
         most = fmax(most, sum);
     }
     for (int x = 0; x < q->points; x++) {
