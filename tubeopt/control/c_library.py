@@ -124,7 +124,7 @@ def _source(robot: Robot, space: JointSpace, name: str) -> str:
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
-        kernel_text(robot.n_tubes, home.eccentric, home.general, _room(space)),
+        kernel_text(robot.n_tubes, home.eccentric, _room(space), slopes=_plain(robot)),
         _data(robot, space),
         with_included(HERE / "quadratic.c"),
         *(with_included(C_FOLDER / file) for file in ("robot.c", slopes, "servo.c")),

@@ -45,9 +45,8 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
     generator.add(coupling_rate_function(n))
     defines = {
         "ECCENTRIC": 0,
-        "GENERAL": int(home.general),
-        "MOST_SECTIONS": pieces if home.general else 2 * n,
-        "MOST_CUTS": MOST_CUTS if home.general else 2 * n + 1,
+        "MOST_SECTIONS": pieces,
+        "MOST_CUTS": MOST_CUTS,
         "ROUND_OFF_LENGTH": ROUND_OFF,
         "SAME_END": SAME_END,
         "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
@@ -55,13 +54,13 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         "BEND_PER_PIECE": BEND_PER_PIECE,
     }
     kernel = SEEN.sub(r"static \1", loaded_text(n, generator, pieces))
-    lengthwise = [piece_constants(), with_included(HERE / "pieces.c")] if home.general else []
     parts = [
         f"/* {name} under load: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
         kernel,
         defined(defines),
-        *lengthwise,
+        piece_constants(),
+        with_included(HERE / "pieces.c"),
         with_included(HERE / "layout.c"),
         pieces_text(robot),
         f"static const Tubes ROBOT = {tubes_text(robot)};\nstatic const double MASS[] = {{{numbers(mass)}}};\n",

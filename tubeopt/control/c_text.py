@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..robots.lengthwise import lengthwise
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import piece_sizes, piece_tables, tube_rows
 from ..solvers.compiled.text import c_tables, numbers
@@ -24,17 +25,15 @@ HUSHED = """/* CasADi writes for every function more than is used here; vectors 
 
 
 def tubes_text(robot: Robot) -> str:
-    """The C struct Tubes; of tubes made of pieces, it points to PIECES."""
+    """The C struct Tubes, which points to PIECES."""
     home = robot.assembly(robot.home_translations)
     rows = ", ".join(f"{{{numbers(row)}}}" for row in tube_rows(robot))
-    return f"{{{rows}, {int(home.eccentric)}{', &PIECES' if home.general else ''}}}"
+    return f"{{{rows}, {int(home.eccentric)}, &PIECES}}"
 
 
 def pieces_text(robot: Robot) -> str:
-    """The C struct PIECES of tubes made of pieces and its tables; nothing of tubes of one arc each."""
-    table = robot.assembly(robot.home_translations).lengthwise
-    if table is None:
-        return ""
-    tables = {f"PIECES_{name}": array for name, array in piece_tables(table).items()}
-    entries = [*map(str, piece_sizes(piece_tables(table))), *tables, "0"]  # no refinement
+    """The C struct PIECES of the tubes of a robot, and its tables."""
+    own = piece_tables(lengthwise(robot.tubes))
+    tables = {f"PIECES_{name}": array for name, array in own.items()}
+    entries = [*map(str, piece_sizes(own)), *tables, "0"]  # no refinement
     return f"{c_tables(tables)}static const Pieces PIECES = {{{', '.join(entries)}}};\n"

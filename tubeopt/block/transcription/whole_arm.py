@@ -27,7 +27,13 @@ EXTRA_POINTS = 3
 SUBSTEPS = 2
 """Steps of the shape from one of its points to the next: the curvature of such arms turns as they go on."""
 
-FINE = ((np.arange(SUBSTEPS * STEPS)[:, None] + GAUSS_POINTS) / (SUBSTEPS * STEPS)).ravel()
+
+def gauss_fractions(steps: int) -> Array:
+    """(3 steps,) where along a piece so many Magnus steps need the curvature, 0 to 1."""
+    return np.asarray(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
+
+
+FINE = gauss_fractions(SUBSTEPS * STEPS)
 
 ROUGHER = np.vander(GAUSS_POINTS, 3 * SUBSTEPS) @ np.linalg.inv(np.vander(FINE[: 3 * SUBSTEPS] * STEPS))
 """(3, 3 SUBSTEPS) what makes of the curvature at the points of finer steps that at the points of the rougher one."""

@@ -36,37 +36,10 @@ typedef struct {
 
 size_t tubeopt_bearing_size(void) { return sizeof(Bearing); }
 
-#if GENERAL
-/* u*_z of a tube at fraction x of a piece. */
-static double twist_on(const Layout *l, int p, int tube, double x) {
-    double held = l->start[p] + l->transmission[tube], inside = held + (x + INWARDS * (0.5 - x)) * l->length[p];
-    return l->present[p][tube] ? twist_of(&PIECES, tube, panel_at(&ROBOT, l, p, tube, inside), held + x * l->length[p]) : 0;
-}
-
-/* Natural turn of a tube up to arc length s, from where it is held. */
-static double wound_at(const Layout *l, int tube, double s) {
-    double place = s + l->transmission[tube];
-    return section_of(&PIECES, tube, panel_of(&PIECES, tube, place), place, 1).wound;
-}
-#else
-typedef struct {
-    double stiffness, moment, phase, torsional, wound;
-} Section;
-
-static Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
-    Section s = {l->stiffness[p][tube], l->moment[p][tube], 0, t->kt[tube], 0};
-    (void)x;
-    return s;
-}
-
-#define twist_on(layout, piece, tube, x) 0
-#define wound_at(layout, tube, s) 0
-#endif
-
 /* A section of the arm as a row of pieces, short enough for coupling, bend and force; 0 where there is no room. */
 static int lay_section(Bed *bed, double from, double to, double force) {
     Layout *l = &bed->layout;
-    Across here = across(&ROBOT, l, (from + to) / 2);
+    Across here = across(&ROBOT, l, from, to);
     Needs needs = needs_of(&ROBOT, l, from, to - from, &here);
     double fast = sqrt(force / needs.softest), bend = fmin(2 * fast, force * bed->whole / needs.softest), mass = 0;
     double waves = fmax(fmax(needs.fastest, fast), sqrt(needs.pull * bend)) / LOADED_WAVES;
@@ -88,14 +61,8 @@ static int lay_bed(Bed *bed, const double *shift, const tubeopt_load *load) {
     if (count < 2) return 0;
     l->pieces = bed->tip_tube = 0;
     bed->whole = cuts[count - 1];
-    for (int i = 0; i < N; i++) {
-#if GENERAL
-        bed->held[i] = l->held[i];
-#else
-        bed->held[i] = l->transmission[i] / ROBOT.kt[i];
-#endif
-        weight += MASS[i] * fmax(l->end[i], 0);
-    }
+    memcpy(bed->held, l->held, sizeof bed->held);
+    for (int i = 0; i < N; i++) weight += MASS[i] * fmax(l->end[i], 0);
     /* Of the tubes that end at the tip, the innermost. */
     while (l->end[bed->tip_tube] < bed->whole - SAME_END) bed->tip_tube++;
     force += weight * sqrt(dot(load->gravity, load->gravity, 3));
@@ -125,7 +92,7 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
             along->stiffness[x][i] = here.stiffness;
             along->moment[x][i] = here.moment;
             along->phase[x][i] = here.phase;
-            along->rate[x][i] = 1 / here.torsional;
+            along->rate[x][i] = here.rate;
         }
         for (int r = 0; r < 3; r++) along->force[x][r] = load->force[r] + mass * load->gravity[r];
     }
@@ -147,8 +114,8 @@ static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
             b->ends_stiffness[x][i] = here.stiffness;
             b->ends_moment[x][i] = here.moment;
             b->ends_phase[x][i] = here.phase;
-            b->ends_rate[x][i] = 1 / here.torsional;
-            b->ends_twist[x][i] = twist_on(l, p, i, at);
+            b->ends_rate[x][i] = here.rate;
+            b->ends_twist[x][i] = twist_on(&ROBOT, l, p, i, at);
             b->ends_wound[x][i] = here.wound;
         }
     double mass = bed->beyond[0] + bed->mass[0] * l->length[0];
@@ -174,7 +141,7 @@ static void sample_arm(const Bed *bed, const Layout *from, int pieces, const dou
             double basis = 1;
             for (int j = 0; j <= STEPS; j++) basis *= j == k ? 1 : (t - j) / (k - j);
             for (int i = 0; i < N; i++)
-                theta[x][i] += basis * (rotation[i * apart + (e * STEPS + k) * next] - wound_at(from, i, s[e * STEPS + k]));
+                theta[x][i] += basis * (rotation[i * apart + (e * STEPS + k) * next] - wound_at(&PIECES, i, s[e * STEPS + k] + from->transmission[i]));
         }
     }
 }

@@ -6,18 +6,20 @@
 static void numbers_along(const Unknowns *q, const double *alpha, const State *state, const double *mode, Profile *arm,
                           double *out) {
     double poses[24] = {0}, each[STEPS * 12], turned[MOST_UNKNOWNS], form = 0;
-    const double *end = ENDS_BASIS + STEPS * 2 * MOST_DEGREE;
+    Place places[MOST_LOOKS];
     const Layout *l = q->layout;
     integrate(q, alpha, state, arm);
     for (int k = 0; k < 24; k += 12) poses[k] = poses[k + 4] = poses[k + 8] = 1;
-    for (int p = 0; p < l->pieces; p++) carry_poses(q, arm, p, poses, each);
+    for (int i = 0; i < N; i++) out[12 + i] = arm->rotation[0][i];
+    for (int p = 0; p < l->pieces; p++) {
+        const Looks *looks = looks_of(l, p);
+        look(q, arm, p, looks, places);
+        carry_poses(q, looks, places, l->length[p], poses, each);
+        for (int i = 0; i < N; i++)
+            if (l->start[p] < l->end[i] - ROUND_OFF_LENGTH) out[12 + i] = places[3 * looks->steps + STEPS].phi[i];
+    }
     memcpy(out, poses + 9, 3 * sizeof(double));
     for (int r = 0; r < 9; r++) out[3 + r] = poses[3 * (r % 3) + r / 3];
-    for (int i = 0; i < N; i++) {
-        int p = 0;
-        while (p + 1 < l->pieces && l->start[p + 1] < l->end[i] - ROUND_OFF_LENGTH) p++;
-        out[12 + i] = l->end[i] > ROUND_OFF_LENGTH ? rotation_at(q, arm, p, i, 1, end, end + MOST_DEGREE) : arm->rotation[0][i];
-    }
     times_factor(q, mode, turned);
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++)

@@ -24,7 +24,7 @@ static int solved_beside(tubeopt_memory *m, const tubeopt_joints *there, Workspa
     return 0;
 }
 
-#if GENERAL
+#if !ECCENTRIC
 #include "chords.c"
 #else
 static int prepare_sides(tubeopt_memory *m) {

@@ -24,7 +24,7 @@ typedef tubeopt_slopes Slopes;
 
 struct tubeopt_memory {
     Workspace work;
-#if GENERAL
+#if !SLOPES && !ECCENTRIC
     Workspace side; /* beside the last equilibrium */
     double numbers[13 + N];
 #endif

@@ -1,13 +1,11 @@
 /* From the solved rotations to the whole arm: what block/transcription/arm.py and solution.py do. */
 
+/* theta' = c t + extra with the torque t, t' = M, and the mean c of 1 / kt on the piece. */
 typedef struct {
-    double rotation[MOST_PIECES + 1][N], twist[MOST_PIECES][N]; /* where pieces begin; rotation at the tip, too */
-    double moment[MOST_PIECES][MOST_DEGREE * N]; /* M / kt, (K, n) */
-    double extra[MOST_PIECES][MOST_DEGREE * N];  /* (g - 1) w */
-#if GENERAL
-    /* c, the mean of 1 / kt on the piece: `twist` is then the torque t, `moment` M itself, `extra` (1 / kt - c) t */
-    double compliance[MOST_PIECES][N];
-#endif
+    double rotation[MOST_PIECES + 1][N], torque[MOST_PIECES][N]; /* where pieces begin; rotation at the tip, too */
+    double moment[MOST_PIECES][MOST_DEGREE * N];                 /* M, (K, n) */
+    double extra[MOST_PIECES][MOST_DEGREE * N];                  /* (g / kt - c) t, where it is not 0 */
+    double compliance[MOST_PIECES][N];                           /* c */
 } Profile;
 
 typedef struct {
@@ -19,7 +17,9 @@ typedef struct {
     double curvature[MOST_SHAPE][2], position[MOST_SHAPE][3], frame[MOST_SHAPE][9];
 } Answer;
 
-#if GENERAL
+/* Whether a tube turns by c t alone on a piece: it is even and on the centreline. */
+static int turns_evenly(const Unknowns *q, int p, int i) { return !ECCENTRIC && q->layout->even[p][i]; }
+
 /* The mean of 1 / kt on a piece; what the torque turns a tube by beyond it goes to arm->extra. */
 static double even_out(const Unknowns *q, Profile *arm, int p, int i) {
     const Tableau *t = q->tableau;
@@ -27,16 +27,15 @@ static double even_out(const Unknowns *q, Profile *arm, int p, int i) {
     int degree = t->degree;
     for (int k = 0; k < degree; k++) mean += t->weights[k] * q->rate[p][k][i];
     for (int k = 0; k < degree; k++) {
-        double torque = arm->twist[p][i];
+        double torque = arm->torque[p][i];
         for (int j = 0; j < degree; j++)
             torque += q->layout->length[p] * t->matrix[k * degree + j] * arm->moment[p][j * N + i];
         arm->extra[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
     }
     return mean;
 }
-#endif
 
-/* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what the twist' gains at the
+/* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what t' gains at the
    beginnings of pieces and at the tip, or NULL. Of an arm of length zero, theta and theta' at the plate. */
 static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N], Profile *arm) {
     const Layout *l = q->layout;
@@ -46,30 +45,24 @@ static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N
     for (int p = l->pieces - 1; p >= 0; p--) {
         double h = l->length[p];
         for (int i = 0; i < N; i++) {
-            double gain = 0, later = 0, stretched = 0, even = 1;
+            double gain = 0, later = 0, extra = 0;
             for (int k = 0; k < t->degree; k++) {
                 double m = arm->moment[p][k * N + i];
                 gain += t->weights[k] * m;
                 later += t->weights[k] * (1 - t->nodes[k]) * m;
             }
             at[i] -= h * gain;
-            arm->twist[p][i] = at[i];
-#if GENERAL
-            even = arm->compliance[p][i] = even_out(q, arm, p, i);
-#endif
-            for (int k = 0; k < t->degree; k++) stretched += t->weights[k] * arm->extra[p][k * N + i];
-            turn[p][i] = even * (h * at[i] + h * h * later) + h * stretched;
+            arm->torque[p][i] = at[i];
+            arm->compliance[p][i] = l->even[p][i] ? l->rate[p][i] : even_out(q, arm, p, i);
+            for (int k = 0; k < t->degree && !turns_evenly(q, p, i); k++)
+                extra += t->weights[k] * arm->extra[p][k * N + i];
+            turn[p][i] = arm->compliance[p][i] * (h * at[i] + h * h * later) + h * extra;
             if (kicks) at[i] -= kicks[p][i];
         }
     }
-#if GENERAL
-    const double *held = l->held;
-#else
-    const double *held = l->transmission;
-#endif
     for (int i = 0; i < N; i++) {
-        if (!l->pieces) arm->twist[0][i] = at[i];
-        at[i] = alpha[i] + held[i] * at[i];
+        if (!l->pieces) arm->torque[0][i] = at[i];
+        at[i] = alpha[i] + l->held[i] * at[i];
     }
     for (int p = 0; p <= l->pieces; p++)
         for (int i = 0; i < N; i++) {
@@ -85,35 +78,34 @@ static void integrate(const Unknowns *q, const double *alpha, const State *state
         int collocated = q->layout->collocated[p];
         for (int k = 0; k < degree; k++)
             for (int i = 0; i < N; i++) {
-                double kt = GENERAL ? 1 : q->tubes->kt[i];
-                arm->moment[p][k * N + i] = collocated ? state->moment[x + k][i] / kt : 0;
-                arm->extra[p][k * N + i] = collocated && !GENERAL ? state->extra[x + k][i] : 0;
+                arm->moment[p][k * N + i] = collocated ? state->moment[x + k][i] : 0;
+#if ECCENTRIC
+                arm->extra[p][k * N + i] = collocated ? state->extra[x + k][i] : 0;
+#endif
             }
         if (collocated) x += degree;
     }
     turn_along(q, alpha, NULL, arm);
 }
 
-/* theta of a tube at fraction x of a piece, without (g - 1) w; `once`, `twice`: the Lagrange basis (degree) there,
-   integrated. */
+/* theta of a tube at fraction x of a piece, of tubes off the centreline without `extra`; `once`, `twice`: the Lagrange
+   basis (degree) there, integrated. */
 static double rotation_at(const Unknowns *q, const Profile *arm, int p, int i, double x, const double *once,
                           const double *twice) {
-    double h = q->layout->length[p], bent = 0, uneven = 0, even = 1;
-    for (int k = 0; k < q->tableau->degree; k++) bent += twice[k] * arm->moment[p][k * N + i];
-#if GENERAL
-    even = arm->compliance[p][i];
-    for (int k = 0; k < q->tableau->degree; k++) uneven += once[k] * arm->extra[p][k * N + i];
-#endif
-    return arm->rotation[p][i] + h * (even * (x * arm->twist[p][i] + h * bent) + uneven);
+    double h = q->layout->length[p], bent = 0, uneven = 0;
+    int degree = q->tableau->degree;
+    for (int k = 0; k < degree; k++) bent += twice[k] * arm->moment[p][k * N + i];
+    for (int k = 0; k < degree && !q->layout->even[p][i]; k++) uneven += once[k] * arm->extra[p][k * N + i];
+    return arm->rotation[p][i] + h * (arm->compliance[p][i] * (x * arm->torque[p][i] + h * bent) + uneven);
 }
 
-/* theta at the points of `fine`, from the arm on the tableau of `coarse`; `bases` is the Lagrange basis integrated twice,
-   (fine K, coarse K), of tubes made of pieces once and twice, (2, fine K, coarse K). */
+/* theta at the points of `fine`, from the arm on the tableau of `coarse`; `bases` is the Lagrange basis integrated once
+   and twice, (2, fine K, coarse K). */
 static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknowns *fine, const double *bases,
                         double theta[][N]) {
     int degree = coarse->tableau->degree, k = fine->tableau->degree;
     for (int x = 0; x < fine->points; x++) {
-        const double *once = bases + (x % k) * degree, *twice = once + GENERAL * k * degree;
+        const double *once = bases + (x % k) * degree, *twice = once + k * degree;
         for (int i = 0; i < N; i++)
             theta[x][i] = rotation_at(coarse, arm, fine->piece[x], i, fine->tableau->nodes[x % k], once, twice);
     }
@@ -154,7 +146,6 @@ static void carry_over(const Unknowns *coarse, State *rough, const Unknowns *fin
     to_unknowns(fine, none, y, z);
 }
 
-#if GENERAL
 /* Whether all tubes with unknowns act on one another, be it through others. */
 static int all_coupled(const Unknowns *q) {
     int reached = 0, all = 0;
@@ -168,7 +159,6 @@ static int all_coupled(const Unknowns *q) {
         }
     return reached == all;
 }
-#endif
 
 /* Least eigenvalue of the second variation at a solved state, at most 1, and where it is less its direction z; not positive
    where it is not stable. Lanczos starts from the softest direction on the coarse points. */
@@ -182,12 +172,10 @@ static double margin_of(const Unknowns *fine, const Unknowns *coarse, const doub
     evaluate(coarse, alpha, rough);
     memset(z, 0, MOST_UNKNOWNS * sizeof(double));
     if (softest(coarse, rough, h, z)) carry_over(coarse, rough, fine, arm, z);
-#if GENERAL
     /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
     double all[MOST_UNKNOWNS], part = (all_coupled(fine) ? 1e-3 : 0.3) * sqrt(dot(z, z, fine->size) / fine->size);
     anywhere(all, fine->size);
     for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
-#endif
     if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
     second_variation(fine, state, h);
     if (!cholesky(h, fine->size, STRIDE)) return -1;
@@ -206,7 +194,8 @@ typedef struct {
 
 /* theta at the points from a guess; cubic between samples. */
 static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
-    int k = 0, count = (int)g->count, same = g->points == q->points;
+    int k = 0, count = (int)g->count, same = g->points == q->points, winding[N];
+    for (int i = 0; i < N; i++) winding[i] = winds(q->tubes->pieces, i);
     for (int x = 0; x < q->points && same; x++) same = g->point[x] == q->s[x];
     for (int x = 0; x < q->points; x++) {
         while (k + 2 < count && g->s[k + 1] <= q->s[x]) k++;
@@ -220,59 +209,179 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
             else
                 theta[x][i] = r[0] * (1 + 2 * t) * u * u + r[1] * t * t * (3 - 2 * t) + h * t * u * (w[0] * u - w[1] * t);
             theta[x][i] += g->turn[i];
-#if GENERAL
-            double held = fmax(q->tubes->straight[i] - g->shift[i], 0);
-            int panel = panel_of(q->tubes->pieces, i, q->s[x] + held);
-            theta[x][i] -= section_of(q->tubes->pieces, i, panel, q->s[x] + held, 1).wound;
-#endif
+            if (winding[i])
+                theta[x][i] -= wound_at(q->tubes->pieces, i, q->s[x] + fmax(q->tubes->straight[i] - g->shift[i], 0));
         }
     }
 }
 
-#if GENERAL
-#include "pieces_arm.c"
-#endif
+/* Where the shape is looked at along a piece: at 3 points of each of `steps` Magnus steps, at the shape points, and at
+   those of a finer quadrature; with the Lagrange basis at all `count` points, integrated once and twice, (K, count). */
+typedef struct {
+    int steps, count;
+    const double *points, *once, *twice;
+} Looks;
 
-/* One piece: its STEPS + 1 shape points into the answer, poses carried on. Returns its bending energy per length. */
-#if !GENERAL
-static double add_piece(const Unknowns *q, const Profile *arm, int p, double *poses, double *defects, Answer *out) {
-    const Layout *l = q->layout;
-    double theta[(STEPS + 1) * N], slope[(STEPS + 1) * N], u[(STEPS + 1) * 2], fine[STEPS * 12], end[24], bending;
-    const double *in[11] = {poses, arm->rotation[p], arm->twist[p], arm->moment[p], l->stiffness[p], l->moment[p],
-                            q->tubes->kt, &l->length[p], arm->extra[p], q->tubes->offset, q->tubes->angle};
-    double *res[7] = {end, theta, slope, u, fine, defects, &bending};
-    piece(in, res, 0, 0, 0);
-    memcpy(poses, end, sizeof end);
-    for (int k = p ? 1 : 0; k <= STEPS; k++) {
-        int at = p * STEPS + k;
-        out->arc_length[at] = l->start[p] + l->length[p] * k / STEPS;
-        memcpy(out->rotation[at], theta + k * N, sizeof out->rotation[at]);
-        memcpy(out->torsion[at], slope + k * N, sizeof out->torsion[at]);
-        memcpy(out->curvature[at], u + k * 2, sizeof out->curvature[at]);
-        if (!k) continue;
-        for (int r = 0; r < 9; r++) out->frame[at][r] = fine[(k - 1) * 12 + 3 * (r % 3) + r / 3];
-        memcpy(out->position[at], fine + (k - 1) * 12 + 9, sizeof out->position[at]);
+#define CHECK_DEGREE (MOST_DEGREE + EXTRA_POINTS)
+#define MOST_LOOKS VARIED_COUNT
+
+static const Looks EVEN = {STEPS, EVEN_COUNT, EVEN_POINTS, EVEN_ONCE, EVEN_TWICE};
+static const Looks VARIED = {SUBSTEPS * STEPS, VARIED_COUNT, VARIED_POINTS, VARIED_ONCE, VARIED_TWICE};
+
+/* All tubes at a point: phi, the directions of their pulls, and what they are. */
+typedef struct {
+    double phi[N], direction[N], stiffness[N], moment[N], rate[N], wound[N];
+} Place;
+
+/* Where tubes do not vary along a piece, the curvature turns but as they are twisted. */
+static const Looks *looks_of(const Layout *l, int p) { return l->steady[p] ? &EVEN : &VARIED; }
+
+static void look(const Unknowns *q, const Profile *arm, int p, const Looks *at, Place *places) {
+    double h = q->layout->length[p];
+    for (int i = 0; i < N; i++) {
+        double phi[MOST_LOOKS], c = arm->compliance[p][i], torque = arm->torque[p][i];
+        int evenly = turns_evenly(q, p, i);
+        for (int g = 0; g < at->count; g += 4) {
+            Four bent = {0}, extra = {0};
+            for (int k = 0; k < MOST_DEGREE; k++)
+                EACH(OF(bent) += arm->moment[p][k * N + i] * FOUR(at->twice + k * at->count + g));
+            for (int k = 0; k < MOST_DEGREE && !evenly; k++)
+                EACH(OF(extra) += arm->extra[p][k * N + i] * FOUR(at->once + k * at->count + g));
+            EACH(FOUR(phi + g) = h * (c * (torque * FOUR(at->points + g) + h * OF(bent)) + OF(extra)) + arm->rotation[p][i]);
+        }
+        for (int g = 0; g < at->count; g++) {
+            Section here = section_on(q->tubes, q->layout, p, i, at->points[g]);
+            places[g].phi[i] = phi[g];
+            places[g].direction[i] = phi[g] + here.phase;
+            places[g].stiffness[i] = here.stiffness;
+            places[g].moment[i] = here.moment;
+            places[g].rate[i] = here.rate;
+            places[g].wound[i] = here.wound;
+        }
     }
-    return bending;
 }
-#endif
+
+/* u at a place, and g. */
+static void bend_at(const Unknowns *q, const Place *at, double *u, double *stretch) {
+    const double *in[5] = {at->direction, at->stiffness, at->moment, q->tubes->offset, q->tubes->angle};
+    double *out[2] = {u, stretch};
+    section_curvature(in, out, 0, 0, 0);
+}
+
+/* A pose, R by columns and p, carried over a step of a length with u at its three points. */
+static void carry_step(const double *u, double length, double *pose) {
+    double turn[9], shift[3], next[12];
+    const double *in[2] = {u, &length};
+    double *out[2] = {turn, shift};
+    step_of_shape(in, out, 0, 0, 0);
+    for (int c = 0; c < 3; c++)
+        for (int r = 0; r < 3; r++) {
+            next[3 * c + r] = 0;
+            for (int j = 0; j < 3; j++) next[3 * c + r] += pose[3 * j + r] * turn[3 * c + j];
+        }
+    for (int r = 0; r < 3; r++) {
+        next[9 + r] = pose[9 + r];
+        for (int j = 0; j < 3; j++) next[9 + r] += pose[3 * j + r] * shift[j];
+    }
+    memcpy(pose, next, sizeof next);
+}
+
+/* Two poses carried over a piece: the first by all steps, where `each` gets it at the shape points, the other by one step
+   for two, whose curvature lies on the polynomial through that of both. */
+static void carry_poses(const Unknowns *q, const Looks *at, const Place *places, double length, double *poses, double *each) {
+    double u[12], stretch[N], rougher[6];
+    for (int s = 0; s < at->steps; s++) {
+        double *own = u + s % 2 * 6;
+        for (int g = 0; g < 3; g++) bend_at(q, places + 3 * s + g, own + 2 * g, stretch);
+        carry_step(own, length / at->steps, poses);
+        if ((s + 1) * STEPS % at->steps == 0) memcpy(each + ((s + 1) * STEPS / at->steps - 1) * 12, poses, 12 * sizeof(double));
+        if (s % 2 == 0) continue;
+        memset(rougher, 0, sizeof rougher);
+        for (int g = 0; g < 6; g++)
+            for (int j = 0; j < 6; j++) rougher[j] += ROUGHER[j / 2 * 6 + g] * u[2 * g + j % 2];
+        carry_step(rougher, 2 * length / at->steps, poses + 12);
+    }
+}
+
+/* What a quadrature with more points, at `places`, says is wrong in phi, and the bending energy of the piece where none is
+   known. */
+static double check_piece(const Unknowns *q, const Profile *arm, int p, const Place *places, double *wrong) {
+    const Layout *l = q->layout;
+    double h = l->length[p], bending, energy = 0, stretch[N], moment[CHECK_DEGREE][N], rate[CHECK_DEGREE][N];
+    int alone = !l->collocated[p] && l->steady[p]; /* where no tube is turned by another one, one point tells it */
+    for (int k = 0; k < (alone ? 1 : CHECK_DEGREE); k++) {
+        const Place *at = places + k;
+        const double *in[5] = {at->direction, at->stiffness, at->moment, q->tubes->offset, q->tubes->angle};
+        double *out[3] = {moment[k], stretch, &bending};
+        section_moment(in, out, 0, 0, 0);
+        energy += h * (alone ? 1 : CHECK_WEIGHTS[k]) * bending;
+        for (int i = 0; i < N; i++) rate[k][i] = stretch[i] * at->rate[i];
+    }
+    for (int i = 0; i < N && !alone; i++) {
+        double turned[CHECK_DEGREE], torque[CHECK_DEGREE], worst = 0, gained = 0;
+        for (int k = 0; k < CHECK_DEGREE; k++) {
+            torque[k] = arm->torque[p][i];
+            turned[k] = arm->rotation[p][i];
+        }
+        for (int j = 0; j < CHECK_DEGREE; j++) {
+            gained += h * CHECK_WEIGHTS[j] * moment[j][i];
+            for (int k = 0; k < CHECK_DEGREE; k++) torque[k] += h * CHECK_COLUMNS[j * CHECK_DEGREE + k] * moment[j][i];
+        }
+        for (int j = 0; j < CHECK_DEGREE; j++)
+            for (int k = 0; k < CHECK_DEGREE; k++)
+                turned[k] += h * CHECK_COLUMNS[j * CHECK_DEGREE + k] * torque[j] * rate[j][i];
+        for (int k = 0; k < CHECK_DEGREE; k++) worst = fmax(worst, fabs(turned[k] - places[k].phi[i]));
+        for (int k = 0; k < MOST_DEGREE; k++) gained -= h * q->tableau->weights[k] * arm->moment[p][k * N + i];
+        wrong[i] += worst + fabs(gained) * q->reach[p + 1][i];
+    }
+    return l->collocated[p] ? 0 : energy;
+}
+
+/* One piece: its shape points into the answer, poses carried on, and what `check_piece` says. Returns the largest sum of |m|
+   over that of kb at them. */
+static double add_piece(const Unknowns *q, const Profile *arm, int p, double *poses, double *wrong, Answer *out) {
+    const Layout *l = q->layout;
+    const Looks *looks = looks_of(l, p);
+    const Place *ends;
+    double each[STEPS * 12], stretch[N], pull = 0;
+    Place places[MOST_LOOKS];
+    look(q, arm, p, looks, places);
+    carry_poses(q, looks, places, l->length[p], poses, each);
+    ends = places + 3 * looks->steps;
+    for (int k = 0; k <= STEPS; k++) {
+        int at = p * STEPS + k;
+        double total = 0, stiff = 0;
+        for (int i = 0; i < N; i++) {
+            total += fabs(ends[k].moment[i]);
+            stiff += ends[k].stiffness[i];
+        }
+        pull = fmax(pull, total / stiff);
+        if (p && !k) continue;
+        bend_at(q, ends + k, out->curvature[at], stretch);
+        out->arc_length[at] = l->start[p] + l->length[p] * k / STEPS;
+        for (int i = 0; i < N; i++) {
+            double torque = arm->torque[p][i];
+            for (int j = 0; j < MOST_DEGREE; j++)
+                torque += l->length[p] * looks->once[j * looks->count + 3 * looks->steps + k] * arm->moment[p][j * N + i];
+            out->rotation[at][i] = ends[k].phi[i] + ends[k].wound[i];
+            out->torsion[at][i] = stretch[i] * torque * ends[k].rate[i] + twist_on(q->tubes, l, p, i, (double)k / STEPS);
+        }
+        if (!k) continue;
+        const double *here = each + (k - 1) * 12;
+        for (int r = 0; r < 9; r++) out->frame[at][r] = here[3 * (r % 3) + r / 3];
+        memcpy(out->position[at], here + 9, sizeof out->position[at]);
+    }
+    out->energy += check_piece(q, arm, p, ends + STEPS + 1, wrong);
+    return pull;
+}
 
 static void tips_and_lever(const Unknowns *q, const double *pulls, Answer *out, double error) {
     const Layout *l = q->layout;
     int last = l->pieces * STEPS;
     double lever = 0, tip = out->arc_length[last];
     for (int p = 0; p < l->pieces; p++) {
-        double pull = 0, stiff = 0, ahead = tip - l->start[p], h = l->length[p];
-#if GENERAL
-        pull = pulls[p];
-        stiff = 1;
-#else
-        for (int i = 0; i < N; i++) {
-            pull += fabs(l->moment[p][i]);
-            stiff += l->stiffness[p][i];
-        }
-#endif
-        lever += pull / stiff * h * (ahead - h / 2);
+        double ahead = tip - l->start[p], h = l->length[p];
+        lever += pulls[p] * h * (ahead - h / 2);
     }
     out->tip_error += error * lever;
     for (int i = 0, k = 0; i < N; i++) {
@@ -288,14 +397,7 @@ static void at_plate(const Unknowns *q, const Profile *arm, Answer *out) {
     memset(out->torsion[0], 0, sizeof out->torsion[0]);
     memset(out->curvature[0], 0, sizeof out->curvature[0]);
     memcpy(out->rotation[0], arm->rotation[0], sizeof out->rotation[0]);
-#if GENERAL
-    for (int i = 0; i < N; i++) {
-        double held = q->layout->transmission[i];
-        out->rotation[0][i] += section_of(q->tubes->pieces, i, panel_of(q->tubes->pieces, i, held), held, 0).wound;
-    }
-#else
-    (void)q;
-#endif
+    for (int i = 0; i < N; i++) out->rotation[0][i] += wound_at(q->tubes->pieces, i, q->layout->transmission[i]);
 }
 
 /* Everything along the arm, and what mesh and steps get wrong; out->energy is that of the elements already. */
@@ -308,20 +410,8 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     if (!l->pieces) at_plate(q, arm, out);
     out->elements = 0;
     for (int p = 0; p < l->pieces; p++) {
-#if GENERAL
-        pulls[p] = add_general(q, arm, p, poses, out);
-        out->energy += check_piece(q, arm, p, wrong);
+        pulls[p] = add_piece(q, arm, p, poses, wrong, out);
         out->elements += l->collocated[p];
-#else
-        double defects[2 * N], bending = add_piece(q, arm, p, poses, defects, out);
-        if (!l->collocated[p]) {
-            out->energy += l->length[p] * bending;
-            continue;
-        }
-        out->elements++;
-        double reach = l->start[p] + l->length[p];
-        for (int i = 0; i < N; i++) wrong[i] += defects[i] + defects[N + i] * (l->transmission[i] + reach);
-#endif
     }
     error = largest(wrong, N) / fmax(fmin(1, fabs(out->margin)), 1e-6);
     double gap[3] = {poses[9] - poses[21], poses[10] - poses[22], poses[11] - poses[23]};
@@ -333,10 +423,8 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     memcpy(out->section_start, l->section_start, sizeof l->section_start);
     memcpy(out->point, q->s, q->points * sizeof(double));
     memcpy(out->point_rotation, state->theta, q->points * sizeof(state->theta[0]));
-#if GENERAL
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->wound[x][i];
-#endif
     tips_and_lever(q, pulls, out, error);
 }
 

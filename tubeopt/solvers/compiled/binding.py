@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...block.transcription.collocated import STEPS
 from ...robots.assembly import ROUND_OFF
-from ...robots.lengthwise import Lengthwise
+from ...robots.lengthwise import Lengthwise, lengthwise
 from ...robots.robot import Robot, is_general
 from ...typing import Array, Mask
 from ..time_limit import check_time
@@ -131,7 +131,7 @@ def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
 
 
 def _pieces(table: Lengthwise, refinement: int) -> Any:
-    """The C struct Pieces."""
+    """The C struct Pieces of a mesh that is halved `refinement` times."""
     tables = piece_tables(table)
     out: Any = _Pieces(*piece_sizes(tables), *(address(array) for array in tables.values()), refinement)
     out.keep = tables  # the structure points into them
@@ -139,7 +139,7 @@ def _pieces(table: Lengthwise, refinement: int) -> Any:
 
 
 def tube_rows(robot: Robot) -> Array:
-    """(7, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, those that these tell are 0."""
+    """(7, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, those of tubes of one arc are 0."""
     home = robot.assembly(robot.home_translations)
     own = (
         np.zeros((3, robot.n_tubes))
@@ -150,32 +150,24 @@ def tube_rows(robot: Robot) -> Array:
     return np.array([*own, *lengths, home.offset, home.offset_angle])
 
 
-def _tubes(robot: Robot, pieces: Any = None) -> Array:
-    """The C struct Tubes of a robot, and of tubes made of pieces where these are."""
-    out = np.append(tube_rows(robot), [0.0, 0.0])
-    eccentric = robot.assembly(robot.home_translations).eccentric
-    out[-2:].view(np.int64)[:] = eccentric, 0 if pieces is None else ctypes.addressof(pieces)
-    return out
-
-
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Kernel | None:
     """The compiled kernel for a robot, None where there is none for it."""
     if robot.n_tubes > MOST_TUBES:
         return None
-    home = robot.assembly(robot.home_translations)
-    return library(robot.n_tubes, home.eccentric, home.general)
+    return library(robot.n_tubes, robot.assembly(robot.home_translations).eccentric)
 
 
 @lru_cache(maxsize=64)
 def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Kernel, Any, int] | None:
-    """Kernel of a robot, its tubes, and where these are; None where there is no kernel, or none for a refined mesh."""
+    """Kernel of a robot, its tubes with a mesh that is halved `refinement` times, and where these are; None where there
+    is no kernel."""
     kernel = kernel_of(robot)
-    if kernel is None or (refinement and not is_general(robot)):
+    if kernel is None:
         return None
-    table = robot.assembly(robot.home_translations).lengthwise
-    pieces = None if table is None else _pieces(table, refinement)
-    tubes = _tubes(robot, pieces)
+    pieces = _pieces(lengthwise(robot.tubes), refinement)
+    tubes = np.append(tube_rows(robot), [0.0, 0.0])
+    tubes[-2:].view(np.int64)[:] = robot.assembly(robot.home_translations).eccentric, ctypes.addressof(pieces)
     return kernel, (tubes, pieces), address(tubes)
 
 
@@ -261,7 +253,7 @@ def slopes_compiled(
     of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or has none.
     """
     prepared = with_kernel(robot, 0)
-    if prepared is None or not prepared[0].differentiable:
+    if prepared is None or not prepared[0].differentiable or is_general(robot):
         return None
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
@@ -312,8 +304,7 @@ def solve_many_compiled(
     rotations (n), margin, residual, mesh error, tip error and energy; and (N,) bool, which were declined. `arms`
     (N, 2, m, n) gets rotations and torsion at the m points of the arms, which all must have.
 
-    None where there is no kernel, and of tubes not made of pieces where `refinement` (of the mesh, by halves) is asked
-    for. The interpreter is free while it runs.
+    None where there is no kernel. The interpreter is free while it runs.
     """
     check_time()
     prepared = with_kernel(robot, refinement)

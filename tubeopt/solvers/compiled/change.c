@@ -3,7 +3,7 @@
 
    At fixed arc lengths theta = alpha - C W M(theta), C the torsional compliance, W the weights. Where e is what changes on
    the right-hand side with theta held, d theta = L H^-1 L^-1 e, with C = L L' and H the second variation. A breakpoint
-   that moves uncovers a stretch of another cross-section, which kicks the twist there and bends the arm. */
+   that moves uncovers a stretch of another cross-section, which kicks the torque there and bends the arm. */
 
 #define FLAT (1 - 1e-9) /* margin above which nothing softens */
 
@@ -24,7 +24,7 @@ typedef struct {
 } Jump;
 
 /* What one parameter changes: breakpoints that move towards `side`, base rotations, and bends at the points at fixed theta,
-   or NULL; what energy and y'V''y gain at fixed theta; and how far the end of the arm moves along. Beside it, what the twist
+   or NULL; what energy and y'V''y gain at fixed theta; and how far the end of the arm moves along. Beside it, what the torque
    gains at the points stands in Around. */
 typedef struct {
     int count, side, pushed;
@@ -80,7 +80,7 @@ static void add_jumps(const Unknowns *q, const int *begins, const int *ends, Cha
 }
 
 /* Cross-section on what a jump uncovers (0) or what was there (1); 0 where there is no tube. */
-static int section_at(const Tubes *t, const Jump *jump, int which, double *kb, double *m) {
+static int section_of_jump(const Tubes *t, const Jump *jump, int which, double *kb, double *m) {
     int any = 0;
     for (int i = 0; i < N; i++) {
         kb[i] = jump->present[which][i] ? t->kb[i] : 0;
@@ -90,21 +90,21 @@ static int section_at(const Tubes *t, const Jump *jump, int which, double *kb, d
     return any;
 }
 
-/* What w' (n), u (2), the energy per length and, with a mode y, y'V''y gain at a jump with rotations theta. */
+/* What t' (n), u (2), the energy per length and, with a mode y, y'V''y gain at a jump with rotations theta. */
 static double gains_of(const Tubes *t, const Jump *jump, int side, const double *theta, const double *y, double *kick,
                        double *bend, double *stored) {
     double form = 0;
     memset(kick, 0, N * sizeof(double));
     bend[0] = bend[1] = *stored = 0;
     for (int which = 0; which < 2; which++) {
-        double kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], part, sign = which ? -side : side;
-        if (!section_at(t, jump, which, kb, m)) continue;
+        double kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], stretch[N], part, sign = which ? -side : side;
+        if (!section_of_jump(t, jump, which, kb, m)) continue;
         const double *in[4] = {theta, kb, m, y};
-        double *balanced[3] = {moment, slope, &energy}, *bent[1] = {u}, *varied[2] = {&part, gradient};
+        double *balanced[3] = {moment, slope, &energy}, *bent[2] = {u, stretch}, *varied[2] = {&part, gradient};
         balance(in, balanced, 0, 0, 0);
-        curvature(in, bent, 0, 0, 0);
+        section_curvature(in, bent, 0, 0, 0);
         variation(in, varied, 0, 0, 0);
-        for (int i = 0; i < N; i++) kick[i] += sign * moment[i] / t->kt[i];
+        for (int i = 0; i < N; i++) kick[i] += sign * moment[i];
         for (int j = 0; j < 2; j++) bend[j] += sign * u[j];
         *stored += sign * energy;
         form += sign * part;
@@ -117,7 +117,7 @@ static double inside(const Unknowns *q, const Profile *arm, int p, int b, int i)
     double h = q->layout->length[p], bent = 0;
     int k = q->tableau->degree;
     for (int c = 0; c < k; c++) bent += TWICE_INSIDE[b * k + c] * arm->moment[p][c * N + i];
-    return arm->rotation[p][i] + h * (q->tableau->nodes[b] * arm->twist[p][i] + h * bent);
+    return arm->rotation[p][i] + h * arm->compliance[p][i] * (q->tableau->nodes[b] * arm->torque[p][i] + h * bent);
 }
 
 /* Frame and position at point b of piece p: polynomials through the shape points with the slopes R hat(u), R e3 there. */
@@ -151,7 +151,7 @@ static void look_around(const Unknowns *q, const Profile *arm, const Answer *out
         }
 }
 
-/* V''y over kt at the collocated points, from y of the unknowns, added to a->moments. */
+/* V''y at the collocated points, from y of the unknowns, added to a->moments. */
 static void add_stiffness(const Unknowns *q, const State *state, const double *y, Around *a) {
     int k = q->tableau->degree;
     for (int x = 0; x < q->points; x++)
@@ -159,7 +159,7 @@ static void add_stiffness(const Unknowns *q, const State *state, const double *y
             double sum = 0;
             for (int j = 0; j < N; j++)
                 if (q->place[x][j] >= 0) sum += state->slope[x][j * N + i] * y[q->first[j] + q->place[x][j]];
-            a->moments[q->piece[x]][x % k * N + i] += sum / q->tubes->kt[i];
+            a->moments[q->piece[x]][x % k * N + i] += sum;
         }
 }
 
@@ -269,7 +269,7 @@ static void swing(const Answer *out, const double *turn, int from, int at, doubl
     add_cross(turn, lever, shift);
 }
 
-/* What a change makes of the arm, with what the twist gains at the points in a->moments, and H factorised. The shape points
+/* What a change makes of the arm, with what the torque gains at the points in a->moments, and H factorised. The shape points
    go to a->shift where `whole`. */
 static void change_by(const Unknowns *q, const State *state, const Answer *out, const double *h, const Change *c, int whole,
                       Around *a, Column *column) {
@@ -307,7 +307,7 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
 
 /* A transmission that grows by `by`: it turns the base on, and at a fixed shape is a softer spring, kt / |beta|. */
 static void lengthen(const Unknowns *q, const Profile *arm, const Around *a, double released, int tube, double by, Change *c) {
-    double kt = q->tubes->kt[tube], twist = arm->twist[0][tube], swayed = a->mode.twist[0][tube];
+    double kt = q->tubes->kt[tube], twist = arm->torque[0][tube] / kt, swayed = a->mode.torque[0][tube] / kt;
     c->base[tube] = by * twist;
     c->energy -= by * kt * twist * twist / 2;
     c->formed -= by * kt * swayed * swayed * released;

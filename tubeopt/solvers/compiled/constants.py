@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...block.transcription.collocated import ENDS
+from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.green import INWARDS
 from ...block.transcription.linear import hermite
 from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
 from ...block.transcription.tableau import tableau
-from ...block.transcription.whole_arm import EXTRA_POINTS, FINE, ROUGHER, SUBSTEPS
+from ...block.transcription.whole_arm import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..rubbing import HONEST
@@ -21,44 +21,39 @@ DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
 
 
-def rule_constants(general: bool) -> str:
-    """The two rules of the kernel, and what carries over between them: the Lagrange basis integrated twice, for tubes
-    made of pieces once and twice, of the coarse points at the fine ones, and back."""
+def rule_constants() -> str:
+    """The two rules of the kernel, and what carries over between them: the Lagrange basis integrated once and twice, of
+    the coarse points at the fine ones, and back."""
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
-    kinds = (1, 2) if general else (2,)
-    tables = {
-        f"{name}_{part.upper()}": getattr(rule, part)
-        for name, rule in (("COARSE", coarse), ("FINE", fine))
-        for part in ("nodes", "weights", "matrix")
-    }
-    tables["TO_FINE"] = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in kinds])
-    tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in kinds])
+    tables: dict[str, Array] = {}
+    for name, rule in (("COARSE", coarse), ("FINE", fine)):
+        both = rule.matrix[:, None] * rule.matrix / rule.weights
+        own = {"nodes": rule.nodes, "weights": rule.weights, "matrix": rule.matrix}
+        own |= {"both": both, "within": both.sum(-1)}
+        tables |= {f"{name}_{part.upper()}": table for part, table in own.items()}
+    tables["TO_FINE"] = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in (1, 2)])
+    tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in (1, 2)])
     return c_tables(tables)
 
 
-def general_constants() -> str:
-    """Numbers of which the kernel for tubes made of pieces is made, as C."""
+def arm_constants() -> str:
+    """Numbers of `pieces.c`, of the mesh and of the arm, as C. Tables have a column for each point of a piece where the
+    shape or the check needs the tubes: the Gauss points of the Magnus steps of even tubes, or of those that vary; ENDS;
+    and the nodes of the check. The last point fills them up to a multiple of four."""
     fine, check = tableau("gauss", DEGREE), tableau("gauss", DEGREE + EXTRA_POINTS)
-
-    def bases(x: Array) -> Array:
-        return np.stack([fine.lagrange(x, integrals=1), fine.lagrange(x, integrals=2)], axis=1)
-
-    tables = {
-        "FINE_POINTS": FINE,
-        "FINE_BASIS": bases(FINE),
-        "ROUGHER": ROUGHER,
-        "ENDS_BASIS": bases(ENDS),
-        "CHECK_NODES": check.nodes,
-        "CHECK_WEIGHTS": check.weights,
-        "CHECK_MATRIX": check.matrix,
-        "CHECK_BASIS": bases(check.nodes),
-    }
     numbers = {"SUBSTEPS": SUBSTEPS, "EXTRA_POINTS": EXTRA_POINTS}
+    tables = {"ROUGHER": ROUGHER, "CHECK_WEIGHTS": check.weights, "CHECK_COLUMNS": check.matrix.T}
+    for name, inside in (("EVEN", gauss_fractions(STEPS)), ("VARIED", gauss_fractions(SUBSTEPS * STEPS))):
+        x = np.concatenate([inside, ENDS, check.nodes])
+        x = np.pad(x, (0, -len(x) % 4), "edge")
+        numbers[f"{name}_COUNT"] = len(x)
+        tables[f"{name}_POINTS"] = x
+        tables |= {f"{name}_{word}": fine.lagrange(x, integrals=k).T for k, word in ((1, "ONCE"), (2, "TWICE"))}
     return piece_constants() + defined(numbers) + c_tables(tables)
 
 
 def piece_constants() -> str:
-    """Numbers of which `pieces.c` and the mesh of tubes made of pieces are made, as C."""
+    """Numbers of which `pieces.c` and the mesh are made, as C."""
     nodes, weights = gauss_rule()
     numbers = {
         "QUADRATURE": len(nodes),

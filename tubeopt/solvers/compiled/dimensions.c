@@ -1,4 +1,4 @@
-/* What dimensions and stiffnesses of the tubes change at a solved equilibrium of concentric tubes. Those of the
+/* What dimensions and stiffnesses of the tubes change at a solved equilibrium of concentric tubes of one arc each. Those of the
    cross-sections change moments, bends, energy and y'V''y at fixed rotations, by `linear` and `variation`. */
 
 /* Slopes of the cross-sections at the points of all pieces, by columns theta, kb, m; that of y'V''y weighted. */
@@ -48,7 +48,7 @@ static void reshape(const Unknowns *q, int tube, double stiffer, double bent, Se
                 int column = (1 + part) * N + tube;
                 double weight = l->length[p] * q->tableau->weights[b] * by[part];
                 for (int i = 0; i < N; i++)
-                    a->moments[p][b * N + i] += by[part] * s->moment_slope[x][column * N + i] / q->tubes->kt[i];
+                    a->moments[p][b * N + i] += by[part] * s->moment_slope[x][column * N + i];
                 for (int j = 0; j < 2; j++) s->sway[x][j] += by[part] * s->bend_slope[x][column * 2 + j];
                 c->energy += weight * s->energy_slope[x][column];
                 c->formed += by[part] * s->form_slope[x][column];
@@ -61,23 +61,23 @@ static void reshape(const Unknowns *q, int tube, double stiffer, double bent, Se
 static double twisted(const Unknowns *q, const Profile *arm, int tube) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
-    double sum = l->transmission[tube] * arm->twist[0][tube] * arm->twist[0][tube];
+    double kt = q->tubes->kt[tube], sum = l->transmission[tube] * arm->torque[0][tube] * arm->torque[0][tube];
     for (int p = 0; p < l->pieces; p++)
         for (int b = 0; b < t->degree; b++) {
-            double twist = arm->twist[p][tube];
+            double torque = arm->torque[p][tube];
             for (int o = 0; o < t->degree; o++)
-                twist += l->length[p] * t->matrix[b * t->degree + o] * arm->moment[p][o * N + tube];
-            sum += l->length[p] * t->weights[b] * twist * twist;
+                torque += l->length[p] * t->matrix[b * t->degree + o] * arm->moment[p][o * N + tube];
+            sum += l->length[p] * t->weights[b] * torque * torque;
         }
-    return sum;
+    return sum / (kt * kt);
 }
 
 /* A tube whose kt grows by 1: it twists less under the same moment. */
 static void harden(const Unknowns *q, const Profile *arm, double released, int tube, const Sections *s, Around *a,
                    Change *c) {
     int k = q->tableau->degree;
-    double kt = q->tubes->kt[tube];
-    for (int x = 0; x < q->layout->pieces * k; x++) a->moments[x / k][x % k * N + tube] = -s->moment[x][tube] / (kt * kt);
+    for (int x = 0; x < q->layout->pieces * k; x++)
+        a->moments[x / k][x % k * N + tube] = -s->moment[x][tube] / q->tubes->kt[tube];
     c->energy = twisted(q, arm, tube) / 2;
     c->formed = released * twisted(q, &a->mode, tube);
 }

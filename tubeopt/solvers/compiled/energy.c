@@ -8,10 +8,11 @@
 typedef struct {
     int degree;
     const double *nodes, *weights, *matrix; /* (K), (K), (K, K) by rows */
+    const double *both, *within; /* (K, K, K) A_ik A_jk / b_k; its sum (K, K) */
 } Tableau;
 
-static const Tableau COARSE = {COARSE_DEGREE, COARSE_NODES, COARSE_WEIGHTS, COARSE_MATRIX};
-static const Tableau FINE = {MOST_DEGREE, FINE_NODES, FINE_WEIGHTS, FINE_MATRIX};
+static const Tableau COARSE = {COARSE_DEGREE, COARSE_NODES, COARSE_WEIGHTS, COARSE_MATRIX, COARSE_BOTH, COARSE_WITHIN};
+static const Tableau FINE = {MOST_DEGREE, FINE_NODES, FINE_WEIGHTS, FINE_MATRIX, FINE_BOTH, FINE_WITHIN};
 
 typedef struct {
     const Layout *layout;
@@ -26,62 +27,44 @@ typedef struct {
 #if ECCENTRIC
     double compliance[FACTOR_SIZE], *whole[N]; /* L L' of each tube, (count, count) */
 #endif
-#if GENERAL
     double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], wound[MOST_POINTS][N];
-    double rate[MOST_PIECES][MOST_DEGREE][N];                 /* 1 / kt, at the points that all pieces would have */
-    double both[MOST_DEGREE][MOST_DEGREE][MOST_DEGREE];       /* A_ik A_jk / b_k of the tableau */
+    double rate[MOST_PIECES][MOST_DEGREE][N];                /* 1 / kt, at the points that all pieces would have */
     double reach[MOST_PIECES + 1][N], ahead[MOST_POINTS][N]; /* int ds / kt up to the pieces, and to the points */
-#endif
 } Unknowns;
 
 typedef struct {
     double z[MOST_UNKNOWNS], gradient[MOST_UNKNOWNS];
     double theta[MOST_POINTS][N], moment[MOST_POINTS][N], slope[MOST_POINTS][N * N];
-    double extra[MOST_POINTS][N]; /* (g - 1) w, 0 for concentric tubes */
+    double extra[MOST_POINTS][N]; /* (g - 1) t / kt, of tubes off the centreline */
     double energy;
 } State;
 
-/* L L' = (transmission + min(s, r)) / kt, collocated: within an element h A diag(1/b) A' takes the place of min. Of a
+/* L L' = int ds / kt up to the nearer of two points, collocated: within an element h A diag(1/b) A' takes its place. Of a
    point nearer to the base all points of an element see the same, and so do those of all elements further out. */
 static int factorise(Unknowns *q, int tube) {
     const Tableau *t = q->tableau;
     const Layout *l = q->layout;
     int k = t->degree;
     double passed = 0; /* the square of that row */
-#if !GENERAL
-    double scale = 1 / q->tubes->kt[tube], local[MOST_DEGREE][MOST_DEGREE];
-    for (int i = 0; i < k; i++)
-        for (int j = 0; j < k; j++) {
-            local[i][j] = 0;
-            for (int m = 0; m < k; m++) local[i][j] += t->matrix[i * k + m] * t->matrix[j * k + m] / t->weights[m];
-        }
-#endif
     for (int a = q->first[tube]; a < q->first[tube] + q->count[tube]; a += k) {
         double(*block)[WIDE] = q->block + a, (*column)[WIDE] = q->column + a, *beyond = q->beyond + a;
-        int x = q->point[a], p = q->piece[x];
+        int x = q->point[a], p = q->piece[x], even = l->even[p][tube];
+        double before = q->reach[p][tube] - passed, scale = l->length[p] * l->rate[p][tube];
         memset(block, 0, k * sizeof block[0]);
         memset(column, 0, k * sizeof column[0]);
         for (int i = 0; i < k; i++)
             for (int j = 0; j <= i; j++) {
-#if GENERAL
-                double green = 0;
-                for (int o = 0; o < k; o++) green += q->both[i][j][o] * q->rate[p][o][tube];
-                green = q->reach[p][tube] + l->length[p] * green;
-#else
-                double green = (l->transmission[tube] + l->start[p] + l->length[p] * local[i][j]) * scale;
-#endif
-                double rest = green - passed - dot(block[i], block[j], j);
+                double green = scale * t->within[i * k + j];
+                if (!even) {
+                    green = 0;
+                    for (int o = 0; o < k; o++) green += t->both[(i * k + j) * k + o] * q->rate[p][o][tube];
+                    green *= l->length[p];
+                }
+                double rest = before + green - dot(block[i], block[j], j);
                 if (i == j && !(rest > 0)) return 0;
                 block[i][j] = column[j][i] = i == j ? sqrt(rest) : rest / block[j][j];
             }
-        for (int j = 0; j < k; j++) {
-#if GENERAL
-            double green = q->ahead[x + j][tube];
-#else
-            double green = (l->transmission[tube] + q->s[x + j]) * scale;
-#endif
-            beyond[j] = (green - passed - dot(beyond, block[j], j)) / block[j][j];
-        }
+        for (int j = 0; j < k; j++) beyond[j] = (q->ahead[x + j][tube] - passed - dot(beyond, block[j], j)) / block[j][j];
         passed += dot(beyond, beyond, k);
     }
     return 1;
@@ -103,25 +86,20 @@ static void multiply_factor(Unknowns *q, int tube) {
 }
 #endif
 
-#if GENERAL
 /* Cross-sections at the points, and the compliances up to them. */
 static void look_along(Unknowns *q) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
     int x = 0, degree = t->degree;
-    for (int i = 0; i < degree; i++)
-        for (int j = 0; j < degree; j++)
-            for (int k = 0; k < degree; k++)
-                q->both[i][j][k] = t->matrix[i * degree + k] * t->matrix[j * degree + k] / t->weights[k];
     memcpy(q->reach[0], l->held, sizeof l->held);
     for (int p = 0; p < l->pieces; p++) {
         double h = l->length[p];
         for (int i = 0; i < N; i++) {
             double sum = 0;
-            for (int k = 0; k < t->degree; k++) {
+            for (int k = 0; k < degree; k++) {
                 Section here = section_on(q->tubes, l, p, i, t->nodes[k]);
-                q->rate[p][k][i] = 1 / here.torsional;
-                sum += t->weights[k] * q->rate[p][k][i];
+                q->rate[p][k][i] = here.rate;
+                sum += t->weights[k] * here.rate;
                 if (!l->collocated[p]) continue;
                 q->stiffness[x + k][i] = here.stiffness;
                 q->moment[x + k][i] = here.moment;
@@ -129,16 +107,18 @@ static void look_along(Unknowns *q) {
                 q->wound[x + k][i] = here.wound;
             }
             q->reach[p + 1][i] = q->reach[p][i] + h * sum;
-            for (int k = 0; k < t->degree && l->collocated[p]; k++) {
-                double part = 0;
-                for (int o = 0; o < t->degree; o++) part += t->matrix[k * t->degree + o] * q->rate[p][o][i];
+            for (int k = 0; k < degree && l->collocated[p]; k++) {
+                double part = t->nodes[k] * l->rate[p][i];
+                if (!l->even[p][i]) {
+                    part = 0;
+                    for (int o = 0; o < degree; o++) part += t->matrix[k * degree + o] * q->rate[p][o][i];
+                }
                 q->ahead[x + k][i] = q->reach[p][i] + h * part;
             }
         }
-        if (l->collocated[p]) x += t->degree;
+        if (l->collocated[p]) x += degree;
     }
 }
-#endif
 
 /* The unknowns are rotations of tubes that are curved; with `all`, of those that are present. */
 static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const Tableau *t, int all) {
@@ -153,9 +133,7 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
             q->s[q->points] = l->start[p] + l->length[p] * t->nodes[k];
             q->weight[q->points++] = l->length[p] * t->weights[k];
         }
-#if GENERAL
     look_along(q);
-#endif
 #if ECCENTRIC
     size_t used = 0;
 #endif
@@ -250,15 +228,9 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
     turn_points(q, alpha, state);
     state->energy = 0.5 * dot(state->z, state->z, q->size);
     for (int x = 0; x < q->points; x++) {
-        double bending;
-#if GENERAL
-        double direction[N];
+        double bending, direction[N];
         for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + q->phase[x][i];
         const double *in[3] = {direction, q->stiffness[x], q->moment[x]};
-#else
-        int p = q->piece[x];
-        const double *in[3] = {state->theta[x], q->layout->stiffness[p], q->layout->moment[p]};
-#endif
         double *out[3] = {state->moment[x], state->slope[x], &bending};
         balance(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;

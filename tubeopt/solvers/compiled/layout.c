@@ -1,27 +1,26 @@
 /* Joint values -> sections -> pieces of the mesh: what robots/assembly.py and block/transcription/mesh.py do. */
 
 typedef struct {
-    int pieces, sections, tubes_shown;
+    int pieces, sections;
     double start[MOST_PIECES], length[MOST_PIECES];
     int section[MOST_PIECES], collocated[MOST_PIECES];
-    double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N];
     int present[MOST_PIECES][N], curved[MOST_PIECES][N];
-#if GENERAL
-    int panel[MOST_PIECES][N]; /* of each tube along the piece; -1 where it changes */
-    double at[MOST_PIECES][N], span[MOST_PIECES][N]; /* where the piece begins on it, from -1 to 1, and how far it goes */
-#endif
+    int even[MOST_PIECES][N], steady[MOST_PIECES]; /* tubes that are the same all along the piece; whether all of them are */
+    double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N], phase[MOST_PIECES][N]; /* of even tubes */
+    double wound[MOST_PIECES][N], rate[MOST_PIECES][N];
+    /* Of the others, the panel along the piece, -1 where it changes; where the piece begins on it, from -1 to 1, and how far
+       it goes. */
+    int panel[MOST_PIECES][N];
+    double at[MOST_PIECES][N], span[MOST_PIECES][N];
     double transmission[N], end[N], section_start[MOST_SECTIONS + 1];
-#if GENERAL
     double held[N]; /* int ds / kt of the transmissions */
-#endif
 } Layout;
 
 typedef struct {
-    double kb[N], kt[N], curvature[N], straight[N], whole[N], offset[N], angle[N];
+    double kb[N], kt[N], curvature[N]; /* of tubes of one arc each; 0 of others */
+    double straight[N], whole[N], offset[N], angle[N];
     long long eccentric;
-#if GENERAL
-    const Pieces *pieces; /* in place of kb, kt and curvature */
-#endif
+    const Pieces *pieces;
 } Tubes;
 
 static int compare(const void *a, const void *b) {
@@ -46,17 +45,14 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *cuts)
         double beta = fmin(shift[i] - t->straight[i], 0.0);
         l->transmission[i] = -beta;
         l->end[i] = beta + t->whole[i];
-        cuts[count++] = fmax(beta + t->straight[i], 0.0);
         cuts[count++] = fmax(l->end[i], 0.0);
-#if GENERAL
         l->held[i] = compliant(t->pieces, i, -beta);
         for (int k = 0; k < t->pieces->most_cuts; k++) {
             double cut = beta + t->pieces->cuts[i * t->pieces->most_cuts + k];
             if (!isfinite(cut) || count == MOST_CUTS) break;
-            cuts[count++] = fmax(cut, 0.0);
+            if (cut > 0) cuts[count++] = cut;
         }
         if (count == MOST_CUTS) return 0;
-#endif
     }
     qsort(cuts, count, sizeof(double), compare);
     for (int k = 1; k < count; k++)
@@ -64,28 +60,30 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *cuts)
     return kept;
 }
 
-/* The tubes on a section, of which `bent` are curved. */
+/* The tubes on a section, of which `bent` are curved, and those that are the same all along it. */
 typedef struct {
-    int present[N], curved[N], bent;
-#if !GENERAL
-    double kb[N], m[N];
-#endif
+    int present[N], curved[N], bent, even[N], steady;
+    double stiffness[N], moment[N], phase[N], wound[N], rate[N];
 } Across;
 
-/* Those at arc length s. */
-static Across across(const Tubes *t, const Layout *l, double s) {
-    Across a = {.bent = 0};
+static Across across(const Tubes *t, const Layout *l, double low, double high) {
+    Across a = {.bent = 0, .steady = 1};
     for (int i = 0; i < N; i++) {
-        a.present[i] = s < l->end[i];
-#if GENERAL
-        int panel = panel_of(t->pieces, i, s + l->transmission[i]);
+        double held = l->transmission[i], place = (low + high) / 2 + held;
+        int panel = panel_of(t->pieces, i, place);
+        a.present[i] = (low + high) / 2 < l->end[i];
         a.curved[i] = a.present[i] && t->pieces->bent[i * t->pieces->most + panel];
-#else
-        a.curved[i] = a.present[i] && s > t->straight[i] - l->transmission[i] && t->curvature[i] != 0;
-        a.kb[i] = a.present[i] ? t->kb[i] : 0;
-        a.m[i] = a.curved[i] ? t->kb[i] * t->curvature[i] : 0;
-#endif
         a.bent += a.curved[i];
+        a.even[i] = count_of(t->pieces, i, panel, CHANNELS) == 1 && count_of(t->pieces, i, panel, 4) == 1 &&
+                    panel_between(t->pieces, i, low + held, high + held) == panel;
+        a.steady &= a.even[i];
+        if (!a.even[i]) continue;
+        Section here = section_of(t->pieces, i, panel, place, a.present[i]);
+        a.stiffness[i] = here.stiffness;
+        a.moment[i] = here.moment;
+        a.phase[i] = here.phase;
+        a.wound[i] = here.wound;
+        a.rate[i] = here.rate;
     }
     return a;
 }
@@ -96,19 +94,19 @@ typedef struct {
     double fastest, steepest, finest, softest, pull;
 } Needs;
 
-#if GENERAL
 static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const Across *a) {
     Needs needs = {0, 0, 0, INFINITY, 0};
-    for (int g = 0; g < 8; g++) {
+    for (int g = 0; g < (a->steady ? 1 : 8); g++) {
         double s = start + length * SAMPLES[g], kb[N], m[N], kt[N], most = -INFINITY, least = INFINITY, sum = 0;
         for (int i = 0; i < N; i++) {
             double place = s + l->transmission[i];
             int own = panel_of(t->pieces, i, place);
             size_t panel = i * t->pieces->most + own;
-            Section here = section_of(t->pieces, i, own, place, a->present[i]);
+            Section here = {a->stiffness[i], a->moment[i], 0, a->rate[i], 0};
+            if (!a->even[i]) here = section_of(t->pieces, i, own, place, a->present[i]);
             kb[i] = here.stiffness;
             m[i] = fabs(here.moment);
-            kt[i] = here.torsional;
+            kt[i] = 1 / here.rate;
             sum += kb[i];
             if (!a->present[i]) continue;
             needs.finest = fmax(needs.finest, t->pieces->detail[panel] / DETAIL_PER_PIECE);
@@ -127,9 +125,10 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
     return needs;
 }
 
-/* Where the tubes are along a piece. */
+/* Where the tubes that vary are along a piece. */
 static void place_tubes(const Tubes *t, Layout *l, int p) {
     for (int i = 0; i < N; i++) {
+        if (l->even[p][i]) continue;
         double held = l->start[p] + l->transmission[i];
         int own = l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
         if (own < 0) continue;
@@ -138,18 +137,6 @@ static void place_tubes(const Tubes *t, Layout *l, int p) {
         l->at[p][i] = (2 * held - breaks[0] - breaks[1]) / (breaks[1] - breaks[0]);
     }
 }
-#else
-static Needs needs_of(const Tubes *t, const Layout *l, double start, double length, const Across *a) {
-    Needs needs = {fastest_growth(t->kt, a->m, a->kb), 0, 0, 0, 0};
-    for (int i = 0; i < N; i++) {
-        needs.softest += a->kb[i];
-        if (!a->curved[i]) continue;
-        needs.steepest = fmax(needs.steepest, fabs(t->curvature[i]));
-        needs.pull = fmax(needs.pull, fabs(a->m[i]) / t->kt[i]);
-    }
-    return needs;
-}
-#endif
 
 /* A section as `count` pieces of one length; 0 where there is no room for them. */
 static int add_pieces(const Tubes *t, Layout *l, int section, double from, double length, double count, const Across *a,
@@ -161,14 +148,16 @@ static int add_pieces(const Tubes *t, Layout *l, int section, double from, doubl
         l->start[p] = from + j * l->length[p];
         l->section[p] = section;
         l->collocated[p] = collocated;
-#if GENERAL
-        place_tubes(t, l, p);
-#else
-        memcpy(l->stiffness[p], a->kb, sizeof a->kb);
-        memcpy(l->moment[p], a->m, sizeof a->m);
-#endif
+        l->steady[p] = a->steady;
         memcpy(l->present[p], a->present, sizeof a->present);
         memcpy(l->curved[p], a->curved, sizeof a->curved);
+        memcpy(l->even[p], a->even, sizeof a->even);
+        memcpy(l->stiffness[p], a->stiffness, sizeof a->stiffness);
+        memcpy(l->moment[p], a->moment, sizeof a->moment);
+        memcpy(l->phase[p], a->phase, sizeof a->phase);
+        memcpy(l->wound[p], a->wound, sizeof a->wound);
+        memcpy(l->rate[p], a->rate, sizeof a->rate);
+        place_tubes(t, l, p);
     }
     return 1;
 }
@@ -181,31 +170,22 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
     l->sections = count - 1;
     for (int k = 0; k + 1 < count; k++) {
         double length = cuts[k + 1] - cuts[k];
-        Across here = across(t, l, (cuts[k] + cuts[k + 1]) / 2);
+        Across here = across(t, l, cuts[k], cuts[k + 1]);
         Needs needs = needs_of(t, l, cuts[k], length, &here);
         double shape = fmax(needs.steepest / BEND_PER_PIECE, needs.finest);
-#if GENERAL
         if (here.bent < 2 && needs.finest > 0) shape *= KNOWN;
-#endif
         double need = length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
-        double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) : 1;
-#if GENERAL
-        if (need > 0) wanted *= 1 << t->pieces->refinement;
-#endif
+        double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
         l->section_start[k] = cuts[k];
         if (!add_pieces(t, l, k, cuts[k], length, wanted, &here, here.bent >= (t->eccentric ? 1 : 2))) return 0;
     }
     return 1; /* no piece: an arm of length zero */
 }
 
-#if GENERAL
-/* The panel of a tube at a place of a piece. */
-static int panel_at(const Tubes *t, const Layout *l, int p, int tube, double place) {
-    return l->panel[p][tube] < 0 ? panel_of(t->pieces, tube, place) : l->panel[p][tube];
-}
-
 /* A tube at fraction x of a piece, looked for a little inwards where it may jump. */
 static inline Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
+    if (l->even[p][tube])
+        return (Section){l->stiffness[p][tube], l->moment[p][tube], l->phase[p][tube], l->rate[p][tube], l->wound[p][tube]};
     int panel = l->panel[p][tube], present = l->present[p][tube];
     if (panel >= 0) {
         double at = l->at[p][tube] + x * l->span[p][tube];
@@ -215,4 +195,11 @@ static inline Section section_on(const Tubes *t, const Layout *l, int p, int tub
     panel = panel_of(t->pieces, tube, held + (x + INWARDS * (0.5 - x)) * l->length[p]);
     return section_of(t->pieces, tube, panel, held + x * l->length[p], present);
 }
-#endif
+
+/* u*_z of a tube at fraction x of a piece, the same. */
+static double twist_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
+    double held = l->start[p] + l->transmission[tube], inside = held + (x + INWARDS * (0.5 - x)) * l->length[p];
+    if (l->even[p][tube] || !l->present[p][tube]) return 0;
+    int panel = l->panel[p][tube] < 0 ? panel_of(t->pieces, tube, inside) : l->panel[p][tube];
+    return twist_of(t->pieces, tube, panel, held + x * l->length[p]);
+}

@@ -27,14 +27,14 @@ import platformdirs
 
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
-from ...block.transcription.whole_arm import COARSE_STEPS, SHAPE_RATIO, piece_function
+from ...block.transcription.whole_arm import SHAPE_RATIO
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import step_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.order import SAME_END
 from ..settings import NEWTON
-from .constants import COARSE_DEGREE, DEGREE, general_constants, rule_constants, slope_constants
+from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .remembered import note_of, remember, remembered
 from .text import HERE, c_text
@@ -46,7 +46,7 @@ OWN_PROCESSOR = "-march=native"
 """Uses all that the processor has. Not every compiler knows it for every processor: left out where it fails."""
 
 MOST_CUTS = 512
-"""Breakpoints of tubes made of pieces that the kernel has room for."""
+"""Breakpoints that the kernel has room for."""
 
 MOST_PIECES, MOST_UNKNOWNS = 32, 404
 """What the kernel has room for, four unknowns of it to fill up squares; larger arms go to the general solver."""
@@ -77,7 +77,7 @@ class Kernel:
 
     @property
     def differentiable(self) -> bool:
-        """Whether it has derivatives: that of concentric tubes of one curvature."""
+        """Whether it has derivatives: that of concentric tubes, for tubes of one arc each."""
         return hasattr(self.functions, "differentiate")
 
 
@@ -87,47 +87,43 @@ def cache_directory() -> Path:
     return Path(own) if own else platformdirs.user_cache_path("tubeopt", appauthor=False)
 
 
-def source(n: int, eccentric: bool, general: bool = False) -> str:
-    """The C text of the kernel for n tubes: concentric, off the centreline, or `general`, with tubes made of pieces."""
-    dimensions = not general and not eccentric
-    return kernel_text(n, eccentric, general, dimensions=dimensions) + (HERE / "entries.c").read_text()
+def source(n: int, eccentric: bool) -> str:
+    """The C text of the kernel for n tubes, concentric or off the centreline."""
+    return kernel_text(n, eccentric, dimensions=not eccentric) + (HERE / "entries.c").read_text()
 
 
 def kernel_text(
-    n: int, eccentric: bool = False, general: bool = False, room: Room = ROOM, *, dimensions: bool = False
+    n: int, eccentric: bool = False, room: Room = ROOM, *, slopes: bool = True, dimensions: bool = False
 ) -> str:
     """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside. With
-    derivatives by `dimensions` of concentric tubes, or by joint values alone."""
+    `slopes` of concentric tubes of one arc each by joint values, and by `dimensions`, or without them."""
+    slopes = slopes and not eccentric
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
     generator.add(coupling_rate_function(n))
-    if general:
-        for name, function in (
-            ("section_curvature", section_functions(n, False)["curvature"]),
-            ("section_moment", section_functions(n, False)["moment"]),
-            ("step_of_shape", step_function()),
-        ):
-            symbols = function.sx_in()
-            generator.add(ca.Function(name, symbols, function.call(symbols), {"cse": True}))
-    else:
-        generator.add(piece_function(n, eccentric, "gauss", DEGREE))
-    if not general and not eccentric:
-        for name in ("curvature", "curvature_slope", "variation", *["linear"] * dimensions):
+    section = section_functions(n, eccentric)["section"]
+    symbols = section.sx_in()
+    moment, stretch, curvature, bending = section.call(symbols)
+    for name, given, outputs in (
+        ("section_curvature", symbols, [curvature, stretch]),
+        ("section_moment", symbols, [moment, stretch, bending]),
+        ("step_of_shape", *signature(step_function())),
+    ):
+        generator.add(ca.Function(name, given, [ca.densify(out) for out in outputs], {"cse": True}))
+    if slopes:
+        for name in ("curvature_slope", "variation", *["linear"] * dimensions):
             generator.add(section_functions(n, False)[name])
     if eccentric:
-        balance = section_functions(n, True)["balance"]
-        inputs = balance.sx_in()
-        generator.add(ca.Function("stretched", inputs, balance.call(inputs), {"cse": True}))
+        generator.add(ca.Function("stretched", *signature(section_functions(n, True)["balance"]), {"cse": True}))
     constants = {
         "ECCENTRIC": int(eccentric),
-        "GENERAL": int(general),
-        "SLOPES": int(not general and not eccentric),
-        "DIMENSIONS": int(dimensions),
-        "MOST_SECTIONS": room.pieces if general else most_sections(n, general),
-        "MOST_CUTS": MOST_CUTS if general else 2 * n + 1,
+        "SLOPES": int(slopes),
+        "DIMENSIONS": int(slopes and dimensions),
+        "MOST_SECTIONS": room.pieces,
+        "MOST_CUTS": MOST_CUTS,
         "N": n,
         "STEPS": STEPS,
-        "SHAPE_RATIO": SHAPE_RATIO if general else (STEPS / COARSE_STEPS) ** 6 - 1,
+        "SHAPE_RATIO": SHAPE_RATIO,
         "COARSE_DEGREE": COARSE_DEGREE,
         "MOST_DEGREE": DEGREE,
         "MOST_PIECES": room.pieces,
@@ -141,8 +137,14 @@ def kernel_text(
         "LAST_STEP": NEWTON.last_step,
         "LONGEST_STEP": NEWTON.longest_step,
     }
-    tables = general_constants() if general else "" if eccentric else slope_constants()
-    return rule_constants(general) + tables + c_text(constants, generator, "kernel.c")
+    tables = rule_constants() + arm_constants() + slope_constants() * slopes
+    return tables + c_text(constants, generator, "kernel.c")
+
+
+def signature(function: ca.Function) -> tuple[list[Any], list[Any]]:
+    """Symbols of a function, and its outputs."""
+    symbols = function.sx_in()
+    return symbols, list(function.call(symbols))
 
 
 def compiler() -> list[str] | None:
@@ -232,12 +234,7 @@ def _own_folder() -> Path:
     return Path(folder)
 
 
-def most_sections(n: int, general: bool) -> int:
-    """Sections that the kernel has room for."""
-    return MOST_PIECES if general else 2 * n
-
-
-def _answer(n: int, general: bool) -> np.dtype[np.void]:
+def _answer(n: int) -> np.dtype[np.void]:
     """The C struct Answer."""
     points, shape = MOST_PIECES * DEGREE, MOST_PIECES * STEPS + 1
     reals = ("margin", "residual", "mesh_error", "tip_error", "energy", "contraction", "largest_change")
@@ -246,7 +243,7 @@ def _answer(n: int, general: bool) -> np.dtype[np.void]:
     fields += [
         ("tip_rotations", "f8", n),
         ("tube_end", "f8", n),
-        ("section_start", "f8", most_sections(n, general) + 1),
+        ("section_start", "f8", MOST_PIECES + 1),
     ]
     fields += [("point", "f8", points), ("point_rotation", "f8", (points, n))]
     fields += [("arc_length", "f8", shape), ("rotation", "f8", (shape, n)), ("torsion", "f8", (shape, n))]
@@ -297,10 +294,10 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 
 
 @lru_cache(maxsize=16)
-def library(n: int, eccentric: bool, general: bool = False) -> Kernel | None:
+def library(n: int, eccentric: bool) -> Kernel | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
-    what = "general" if general else "eccentric" if eccentric else "concentric"
-    kernel = load_kernel((n, what), lambda: source(n, eccentric, general), _answer(n, general))
+    what = "eccentric" if eccentric else "concentric"
+    kernel = load_kernel((n, what), lambda: source(n, eccentric), _answer(n))
     if kernel is None:
         return None
     pointer, whole, functions = ctypes.c_void_p, ctypes.c_longlong, kernel.functions

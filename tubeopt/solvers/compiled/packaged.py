@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 Kind = tuple[int, str]
-"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "general" (made of pieces), "loaded" or
+"""Of a kernel: for how many tubes, and what: "concentric", "eccentric", "loaded" or
 "rubbing"; 0 and "heating" or "quadratic" are those of
 heat and of small least squares, for all robots."""
 

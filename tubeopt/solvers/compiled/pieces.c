@@ -1,4 +1,4 @@
-/* Tubes made of pieces: precurvature and stiffness along them, as robots/lengthwise.py has them. */
+/* Precurvature and stiffness along the tubes, as robots/lengthwise.py has them. */
 
 #define CHANNELS 5 /* EI, GJ, u*_x or the signed bend in one plane, u*_y, integral of u*_z */
 
@@ -18,7 +18,7 @@ typedef struct {
 } Pieces;
 
 typedef struct {
-    double stiffness, moment, phase, torsional, wound;
+    double stiffness, moment, phase, rate, wound; /* rate: 1 / GJ */
 } Section;
 
 /* A polynomial of n coefficients, LANES apart, by Clenshaw's recurrence. */
@@ -82,7 +82,7 @@ static inline Section section_at(const Pieces *t, int tube, int panel, double x,
     else
         chebyshev_of_four(c, count, x, here);
     double wound = winding <= 2 && t->width > 1 ? c[4] + x * c[4 + LANES] : chebyshev(c + 4, winding, x);
-    Section s = {present ? here[0] : 0, here[2], 0, here[1], wound};
+    Section s = {present ? here[0] : 0, here[2], 0, 1 / here[1], wound};
     if (isinf(direction)) {
         direction = atan2(here[3], here[2]);
         s.moment = sqrt(here[2] * here[2] + here[3] * here[3]);
@@ -123,4 +123,16 @@ static double twist_of(const Pieces *t, int tube, int panel, double place) {
         second = next;
     }
     return sum * 2 / (breaks[1] - breaks[0]);
+}
+
+/* The integral of u*_z of a tube up to `place`. */
+static double wound_at(const Pieces *t, int tube, double place) {
+    return section_of(t, tube, panel_of(t, tube, place), place, 1).wound;
+}
+
+/* Whether a tube has any u*_z. */
+static int winds(const Pieces *t, int tube) {
+    for (int k = 0; k < t->most; k++)
+        if (t->twist[tube * t->most + k] > 0) return 1;
+    return 0;
 }

@@ -57,22 +57,19 @@ static int lay_out_rubbing(const Tubes *t, const Friction *f, Layout *l) {
     Layout fine = *l;
     fine.pieces = 0;
     for (int p = 0, next; p < l->pieces; p = next) {
-        Across here = {.bent = 0}; /* `curved` tells the unknowns */
         int any = 0;
         double longest = INFINITY;
         for (next = p; next < l->pieces && l->section[next] == l->section[p];) next++;
-        for (int i = 0; i < N; i++) here.bent += l->curved[p][i];
-        for (int i = 0; i < N; i++) here.curved[i] = here.bent >= 2 && l->curved[p][i];
+        double whole = l->length[p] * (next - p);
+        Across here = across(t, l, l->start[p], l->start[p] + whole);
+        for (int i = 0; i < N; i++) here.curved[i] &= here.bent >= 2; /* `curved` tells the unknowns */
         for (int i = 0; i + 1 < N; i++) {
             if (!(l->present[p][i + 1] && f->torque[i] > 0)) continue;
             here.curved[i] = here.curved[i + 1] = 1;
             longest = fmin(longest, overlap[i] / f->pieces);
         }
         for (int i = 0; i < N; i++) any |= here.curved[i];
-        double whole = l->length[p] * (next - p), wanted = fmax(next - p, ceil(whole / longest - 1e-9));
-        memcpy(here.present, l->present[p], sizeof here.present);
-        memcpy(here.kb, l->stiffness[p], sizeof here.kb);
-        memcpy(here.m, l->moment[p], sizeof here.m);
+        double wanted = fmax(next - p, ceil(whole / longest - 1e-9));
         if (!add_pieces(t, &fine, l->section[p], l->start[p], whole, wanted, &here, any)) return 0;
     }
     *l = fine;
@@ -218,8 +215,8 @@ static int settle(Held *h, int wanted, Room *w) {
     for (int r = 0; r < h->rows; r++) {
         int x = h->point[r], i = h->pair[r], at = x % q->tableau->degree * N;
         double *m = h->arm.moment[q->piece[x]] + at, per_length = h->torque[r] / q->weight[x];
-        m[i + 1] += per_length / q->tubes->kt[i + 1];
-        m[i] -= per_length / q->tubes->kt[i];
+        m[i + 1] += per_length;
+        m[i] -= per_length;
     }
     turn_along(q, h->alpha, NULL, &h->arm);
     h->margin = 1;
@@ -237,7 +234,7 @@ static int settle(Held *h, int wanted, Room *w) {
 
 /* --- from one to the next -------------------------------------------------------------------------------------------- */
 
-/* theta of a tube at arc length s, constant beyond the tip, behind the plate by the twist of the transmission. */
+/* theta of a tube at arc length s, constant beyond the tip, behind the plate by the torque of the transmission. */
 static double theta_at(const Held *h, int tube, double s) {
     const Layout *l = &h->layout;
     double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, bent = 0;
@@ -250,8 +247,8 @@ static double theta_at(const Held *h, int tube, double s) {
         for (int j = 0; j < degree + 2; j++) basis += legendre[j] * TWICE_LEGENDRE[j * degree + k];
         bent += basis * h->arm.moment[p][k * N + tube];
     }
-    double theta = h->arm.rotation[p][tube] + x * along * h->arm.twist[p][tube] + along * along * bent;
-    return theta + fmin(s, 0) * h->arm.twist[0][tube];
+    double turned = along * (x * h->arm.torque[p][tube] + along * bent) + fmin(s, 0) * h->arm.torque[0][tube];
+    return h->arm.rotation[p][tube] + turned / h->q.tubes->kt[tube];
 }
 
 /* The largest turn of a point in one step from a state of a margin. */

@@ -1,4 +1,4 @@
-/* What joint values, and a small wrench at the tip, change at a solved equilibrium of concentric tubes. */
+/* What joint values, and a small wrench at the tip, change at a solved equilibrium of concentric tubes of one arc each. */
 
 #define MODE_ERROR 1e-26 /* square of how far off its direction may be */
 #define ONE_VALUE 1e-9   /* between eigenvalues that are one */
@@ -71,11 +71,11 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
             double pull = 0;
             for (int r = 0; r < 3; r++) pull += a->frame[x][3 * r + j] * moment[r];
             for (int i = 0; i < N; i++)
-                a->moments[x / k][x % k * N + i] -= pull * a->bend_slope[x][2 * i + j] / q->tubes->kt[i];
+                a->moments[x / k][x % k * N + i] -= pull * a->bend_slope[x][2 * i + j];
             sway[x][j] = pull / stiffness;
         }
     }
-    if (v >= 3) a->kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2] / q->tubes->kt[held];
+    if (v >= 3) a->kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2];
     respond(q, state, h, none, a);
     tip_change(q, out, a, (const double(*)[2])sway, tip, NULL);
     for (int r = 0; r < 6; r++) {
@@ -130,7 +130,7 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
     }
     for (int i = 0; i < N; i++) {
         /* The equilibrium is a minimum of the energy: only what a joint does at a fixed shape counts. */
-        Change change = {.energy = -q->tubes->kt[i] * arm->twist[0][i]};
+        Change change = {.energy = -arm->torque[0][i]};
         Column column;
         int first = 1;
         change.base[i] = 1;

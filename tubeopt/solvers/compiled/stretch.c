@@ -25,9 +25,8 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
     turn_points(q, alpha, state);
     state->energy = 0;
     for (int x = 0; x < q->points; x++) {
-        int p = q->piece[x];
         double bending;
-        const double *in[5] = {state->theta[x], q->layout->stiffness[p], q->layout->moment[p], t->offset, t->angle};
+        const double *in[5] = {state->theta[x], q->stiffness[x], q->moment[x], t->offset, t->angle};
         double *out[5] = {state->moment[x], state->slope[x], &bending, e->stretch[x], e->stretch_slope[x]};
         stretched(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;
@@ -259,12 +258,12 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
 static double stretched_torsion(const Unknowns *q, const State *state, const Stretch *e, const Profile *arm) {
     double sum = 0;
     for (int i = 0; i < N; i++) {
-        double inside = 0, held = q->layout->pieces ? arm->twist[0][i] : 0;
+        double kt = q->tubes->kt[i], inside = 0, held = q->layout->pieces ? arm->torque[0][i] / kt : 0;
         for (int x = 0; x < q->points; x++)
             inside += q->weight[x] * e->twist[x][i] * (e->twist[x][i] + state->extra[x][i]);
         for (int p = 0; p < q->layout->pieces; p++)
-            if (!q->layout->collocated[p]) inside += q->layout->length[p] * arm->twist[p][i] * arm->twist[p][i];
-        sum += q->tubes->kt[i] * (inside + q->layout->transmission[i] * held * held);
+            if (!q->layout->collocated[p]) inside += q->layout->length[p] * arm->torque[p][i] * arm->torque[p][i] / (kt * kt);
+        sum += kt * (inside + q->layout->transmission[i] * held * held);
     }
     return sum / 2;
 }

@@ -64,7 +64,6 @@ def texts() -> dict[Kind, str]:
         found |= {
             (n, "concentric"): source(n, False),
             (n, "eccentric"): source(n, True),
-            (n, "general"): source(n, False, True),
             (n, "loaded"): loaded_source(n),
             (n, "rubbing"): rubbing_source(n),
         }
