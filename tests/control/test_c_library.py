@@ -492,7 +492,7 @@ def preprocessed(text: str, folder: Path) -> str:
 
 
 def test_c_for_other_compilers_has_no_word_of_gcc(tmp_path: Path) -> None:
-    texts = [source(2, False), source(2, True), source(2, False, True), loaded_source(2), rubbing_source(2)]
+    texts = [source(2, False), source(2, True), loaded_source(2), rubbing_source(2)]
     texts += [
         heating_source(),
         *(text for name, text in c_library(PIECES, loads=True).files.items() if name.endswith(".c")),

@@ -53,12 +53,12 @@ def test_where_the_system_does_not_tell_the_processor_has_the_same_generation() 
     assert by_numpy == by_linux if new else all(a <= b for a, b in zip(by_numpy, by_linux, strict=True))
 
 
-@pytest.mark.parametrize("general", [False, True])
+@pytest.mark.parametrize("eccentric", [False, True])
 @pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-linux-gnu"])
-def test_it_compiles_for_other_machines(target: str, general: bool, tmp_path: Path) -> None:
+def test_it_compiles_for_other_machines(target: str, eccentric: bool, tmp_path: Path) -> None:
     """By clang: for Windows with what Python calls to be seen from outside, for ARM with its vectors."""
     pytest.importorskip("ziglang", reason="no ziglang")
-    (tmp_path / "kernel.c").write_text(building.source(2, False, general))
+    (tmp_path / "kernel.c").write_text(building.source(2, eccentric))
     zig = [sys.executable, "-m", "ziglang", "cc", f"--target={target}", "-O2", "-w", "-S", "kernel.c"]
     subprocess.run(zig, cwd=tmp_path, check=True, timeout=240)
     assembly = (tmp_path / "kernel.s").read_bytes()
@@ -83,9 +83,9 @@ def test_a_generation_that_the_compiler_does_not_know_is_left_out_and_no_kernel_
     monkeypatch.setattr(wheel, "compile_to", compile_to)
     kinds = packaged.Generation("new", ("-march=unheard-of",)), packaged.Generation("any")
     chosen = wheel.known(kinds)
-    texts = {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "general"): "c"}
+    texts = {(1, "concentric"): "a", (2, "eccentric"): "b", (2, "loaded"): "c"}
     made = wheel.build_kernels(texts, tmp_path / "kernels", chosen)
-    assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "general-2-any.so"]
+    assert [path.name for path in made] == ["concentric-1-any.so", "eccentric-2-any.so", "loaded-2-any.so"]
     with pytest.raises(subprocess.TimeoutExpired):
         wheel.build_kernels(texts | {(3, "loaded"): "broken"}, tmp_path / "kernels", chosen)
 
@@ -103,7 +103,7 @@ def test_without_a_compiler_the_kernel_of_the_package_answers(
     assert kernel is not None
     assert kernel.path.parent == tmp_path
     monkeypatch.setattr(
-        binding, "with_kernel", lambda robot, _: (kernel, tubes := binding._tubes(robot), binding.address(tubes))
+        binding, "with_kernel", lambda robot, n: (kernel, own := binding._tubes(robot, n), binding.address(own[0]))
     )
     answer = binding.solve_compiled(TWO_TUBE, np.array([0.0, 1.0]), TWO_TUBE.home_translations)
     assert answer is not None
@@ -127,7 +127,7 @@ def test_where_there_is_no_kernel_it_is_said_once(
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_every_kernel_compiles_for_processors_with_fused_multiplication() -> None:
     # Where it does not, it is compiled without the processor's own instructions, and is half as fast, unnoticed.
-    texts = [building.source(2, *kind) for kind in ((False, False), (True, False), (False, True))]
+    texts = [building.source(2, eccentric) for eccentric in (False, True)]
     for text in (*texts, loaded_source(2), rubbing_source(2), heating_source(), quadratic_source()):
         told = subprocess.run(
             ["cc", "-fsyntax-only", "-D__FMA__", "-w", "-x", "c", "-"], input=text, text=True, capture_output=True

@@ -72,6 +72,16 @@ class Lengthwise:
         """Whether GJ is the same all along every panel."""
         return not self.coefficients[:, :, 1, 1:].any()
 
+    @cached_property
+    def _varied(self) -> Mask:
+        """(n, B) whether there is anything along a panel that varies, the natural turn included."""
+        return np.asarray(self.coefficients[..., 1:].any((2, 3)))
+
+    def steady(self, low: Array, high: Array) -> Mask:
+        """(P,) whether no tube varies along stretches from `low` to `high` (P, n) from the held ends, m."""
+        panel, tube = self.panel(low), np.arange(self.n_tubes)
+        return np.asarray(((panel == self.panel(high)) & ~self._varied[tube, panel]).all(1))
+
     def panel(self, place: Array) -> NDArray[np.intp]:
         """(X, n) panel of each tube at arc lengths (X, n) from its held end, m; those outside are of the nearest."""
         last = np.isfinite(self.breaks).sum(1) - 2

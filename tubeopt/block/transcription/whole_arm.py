@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ...physics.shape import GAUSS_POINTS, magnus_step, step_function
 from ...robots.lengthwise import CrossSections
@@ -14,18 +15,19 @@ from ...typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at, tubes_along
 from .buffered import chained, mapped, section_function
 from .collocated import ENDS, STEPS, Grid, Torsion, symbols
-from .green import reach, sections_at
+from .green import INWARDS, reach, sections_at
 from .reduced import Evaluation, ReducedProblem
 from .tableau import tableau
 
-COARSE_STEPS = 2
+COARSE_STEPS = STEPS // 2
 """Steps of the shape per piece of the mesh of the rougher integration that tells the error of the STEPS."""
 
 EXTRA_POINTS = 3
 """Collocation points by which the check of the mesh is finer than the solution."""
 
 SUBSTEPS = 2
-"""Steps of the shape from one of its points to the next: the curvature of such arms turns as they go on."""
+"""Steps of the shape from one of its points to the next where tubes vary along a piece: there the curvature turns as it
+goes on."""
 
 
 def gauss_fractions(steps: int) -> Array:
@@ -33,13 +35,11 @@ def gauss_fractions(steps: int) -> Array:
     return np.asarray(((np.arange(steps)[:, None] + GAUSS_POINTS) / steps).ravel())
 
 
-FINE = gauss_fractions(SUBSTEPS * STEPS)
+ROUGHER = np.vander(GAUSS_POINTS, 6) @ np.linalg.inv(np.vander(gauss_fractions(2)))
+"""(3, 6) what makes of the curvature at the points of two steps that at the points of one step for both."""
 
-ROUGHER = np.vander(GAUSS_POINTS, 3 * SUBSTEPS) @ np.linalg.inv(np.vander(FINE[: 3 * SUBSTEPS] * STEPS))
-"""(3, 3 SUBSTEPS) what makes of the curvature at the points of finer steps that at the points of the rougher one."""
-
-SHAPE_RATIO = SUBSTEPS**6 - 1
-"""How far a rougher integration, of one step, is off the finer one, over what is wrong with that."""
+SHAPE_RATIO = (STEPS // COARSE_STEPS) ** 6 - 1
+"""How far the rougher integration, of order 6, is off the finer one, over what is wrong with that."""
 
 _HOME = np.tile(np.concatenate([np.eye(3).ravel(), np.zeros(3)]), 2)
 
@@ -68,8 +68,7 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
         curvature=along_pieces(u, pieces),
         position=np.concatenate([_HOME[None, 9:12], poses[:, 9:]]),
         frame=np.concatenate([np.eye(3)[None], poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2)]),
-        # Order 6: steps half as long divide the error by 2^6.
-        shape_error=float(np.linalg.norm(end[-1, 9:12] - end[-1, 21:])) / ((STEPS / COARSE_STEPS) ** 6 - 1),
+        shape_error=float(np.linalg.norm(end[-1, 9:12] - end[-1, 21:])) / SHAPE_RATIO,
         defect=_defect(problem, defects.reshape(pieces, 2, n)) if problem.size else 0.0,
         energy=_energy(problem, torsion, state, bending[:, 0]),
     )
@@ -168,11 +167,12 @@ def _general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) -
     mesh, n = problem.mesh, problem.assembly.n_tubes
     pieces = len(mesh.length)
     theta, slope, pull = tubes_along(problem, torsion)
-    _, _, inside = _points(problem, torsion, FINE)
-    u = section_function("curvature", len(inside[0]), n, False)(*inside)[0].reshape(pieces, -1, 2).copy()
-    turn, position = (part[::SUBSTEPS] for part in _poses(u, mesh.length / (SUBSTEPS * STEPS)))
-    rougher = (ROUGHER @ u.reshape(pieces * STEPS, -1, 2)).reshape(pieces, -1, 2)
-    rough = _poses(rougher, mesh.length / STEPS)[1][-1]
+    steps, u = _steps(problem, torsion)
+    length = np.repeat(mesh.length / steps, steps)
+    turn, position = _poses(u, length)
+    rough = _poses(ROUGHER @ u.reshape(-1, 6, 2), 2 * length[::2])[1][-1]
+    first = np.cumsum(steps) - steps
+    ends = np.append(0, (first[:, None] + steps[:, None] // STEPS * np.arange(1, STEPS + 1)).ravel())
     defect, bending = _check(problem, torsion)
     curvature = section_function("curvature", len(pull[0]), n, False)(*pull)[0].copy()
     return Arm(
@@ -180,18 +180,35 @@ def _general_arm(problem: ReducedProblem, state: Evaluation, torsion: Profile) -
         rotation=along_pieces(theta, pieces).T,
         torsion=along_pieces(slope, pieces).T,
         curvature=along_pieces(curvature, pieces),
-        position=position,
-        frame=turn,
+        position=position[ends],
+        frame=turn[ends],
         shape_error=float(np.linalg.norm(position[-1] - rough)) / SHAPE_RATIO,
         defect=defect,
         energy=state.energy + float(bending[~mesh.collocated].sum()),
     )
 
 
-def _poses(u: Array, step: Array) -> tuple[Array, Array]:
-    """Frames (m, 3, 3) and positions (m, 3) between steps of lengths (P,) with u (P, 3 steps, 2) at their points."""
-    lengths = np.repeat(step, u.shape[1] // 3)[:, None]
-    turns, shifts = mapped(step_function(), len(lengths))(u.reshape(-1, 6), lengths)
+def _steps(problem: ReducedProblem, torsion: Profile) -> tuple[NDArray[np.intp], Array]:
+    """(P,) Magnus steps on every piece, and the curvature (S, 3, 2) at the points of all of them."""
+    mesh, assembly = problem.mesh, problem.assembly
+    assert assembly.lengthwise is not None
+    ends = (
+        mesh.start[:, None] + mesh.length[:, None] * x + assembly.transmission for x in (INWARDS / 2, 1 - INWARDS / 2)
+    )
+    steady, size = assembly.lengthwise.steady(*ends), SUBSTEPS * STEPS
+    u, used = np.zeros((len(steady), size, 3, 2)), np.ones((len(steady), size), dtype=bool)
+    used[steady, STEPS:] = False
+    for these, steps in ((steady, STEPS), (~steady, size)):
+        if these.any():
+            _, _, inside = _points(problem, torsion, gauss_fractions(steps))
+            at = section_function("curvature", len(inside[0]), assembly.n_tubes, False)(*inside)[0]
+            u[these, :steps] = at.reshape(len(steady), steps, 3, 2)[these]
+    return used.sum(1), u[used]
+
+
+def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
+    """Frames (S + 1, 3, 3) and positions (S + 1, 3) between steps of lengths (S,) with u (S, 3, 2) at their points."""
+    turns, shifts = mapped(step_function(), len(lengths))(u.reshape(-1, 6), lengths[:, None])
     turns = turns.reshape(-1, 3, 3).swapaxes(1, 2)
     frame, position = np.empty((len(lengths) + 1, 3, 3)), np.zeros((len(lengths) + 1, 3))
     frame[0] = np.eye(3)

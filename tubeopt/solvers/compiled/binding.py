@@ -150,6 +150,14 @@ def tube_rows(robot: Robot) -> Array:
     return np.array([*own, *lengths, home.offset, home.offset_angle])
 
 
+def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:
+    """The C struct Tubes of a robot, and the struct Pieces to which it points."""
+    pieces = _pieces(lengthwise(robot.tubes), refinement)
+    tubes = np.append(tube_rows(robot), [0.0, 0.0])
+    tubes[-2:].view(np.int64)[:] = robot.assembly(robot.home_translations).eccentric, ctypes.addressof(pieces)
+    return tubes, pieces
+
+
 @lru_cache(maxsize=64)
 def kernel_of(robot: Robot) -> Kernel | None:
     """The compiled kernel for a robot, None where there is none for it."""
@@ -165,10 +173,8 @@ def with_kernel(robot: Robot, refinement: int = 0) -> tuple[Kernel, Any, int] | 
     kernel = kernel_of(robot)
     if kernel is None:
         return None
-    pieces = _pieces(lengthwise(robot.tubes), refinement)
-    tubes = np.append(tube_rows(robot), [0.0, 0.0])
-    tubes[-2:].view(np.int64)[:] = robot.assembly(robot.home_translations).eccentric, ctypes.addressof(pieces)
-    return kernel, (tubes, pieces), address(tubes)
+    own = _tubes(robot, refinement)
+    return kernel, own, address(own[0])
 
 
 def address(array: NDArray[Any]) -> int:
