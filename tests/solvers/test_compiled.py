@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,9 +80,9 @@ def check_same(one: Equilibrium, other: Equilibrium) -> None:
     assert one.statistics.elements == other.statistics.elements
 
 
-def _with_kernel(robot: Robot, kernel: building.Kernel) -> tuple[building.Kernel, Array, int]:
-    tubes = binding._tubes(robot)
-    return kernel, tubes, binding.address(tubes)
+def _with_kernel(robot: Robot, kernel: building.Kernel) -> tuple[building.Kernel, Any, int]:
+    own = binding._tubes(robot, 0)
+    return kernel, own, binding.address(own[0])
 
 
 def joints_of(robot: Robot, random: np.random.Generator) -> tuple[Array, Array]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import accumulate
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..typing import Array, Mask
-from .series import breaks_of, on_panels, zeros
+from .series import Quantity, Series, breaks_of, on_panels, zeros
 from .tubes import Tube, stretches
 
 QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
@@ -150,30 +153,40 @@ def gauss_rule() -> tuple[Array, Array]:
     return (x + 1) / 2, w / 2
 
 
+@dataclass(frozen=True)
+class _Panel:
+    """A stretch of a tube between two arc lengths from its held end, m, with the coefficients of QUANTITIES, and with
+    direction, detail and twist as of `Lengthwise`; int ds / GJ along it; and where its bend changes sides, m."""
+
+    low: float
+    high: float
+    channels: Sequence[Sequence[float] | Array]
+    direction: float
+    detail: float
+    twist: float
+    compliance: float
+    sides: tuple[float, ...] = ()
+
+
 @lru_cache(maxsize=128)
 def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     """The table of a bundle of tubes."""
     panels = [_panels(tube) for tube in tubes]
-    n, most = len(tubes), max(len(own) for own, _ in panels)
-    width = max(2, *(len(c) for own, _ in panels for _, _, table in own for c in table))
+    n, most = len(tubes), max(len(own) for own in panels)
+    width = max(2, *(len(c) for own in panels for panel in own for c in panel.channels))
     breaks, table = np.full((n, most + 1), np.inf), np.zeros((n, most, len(QUANTITIES), width))
-    bent, detail, twist = np.zeros((n, most), dtype=bool), np.zeros((n, most)), np.zeros((n, most))
-    direction = np.zeros((n, most))
+    direction, detail, twist = np.zeros((3, n, most))
     compliance = np.zeros((n, most + 1))
-    for i, (own, _) in enumerate(panels):
-        breaks[i, 0] = 0.0
-        for k, (low, high, channels) in enumerate(own):
-            breaks[i, k + 1] = high
-            for q, coefficients in enumerate(channels):
+    for i, own in enumerate(panels):
+        breaks[i, : len(own) + 1] = [0.0, *(panel.high for panel in own)]
+        compliance[i, 1 : len(own) + 1] = list(accumulate(panel.compliance for panel in own))
+        for name, values in (("direction", direction), ("detail", detail), ("twist", twist)):
+            values[i, : len(own)] = [getattr(panel, name) for panel in own]
+        for k, panel in enumerate(own):
+            for q, coefficients in enumerate(panel.channels):
                 table[i, k, q, : len(coefficients)] = coefficients
-            bent[i, k] = any(np.any(c) for c in channels[2:4])
-            direction[i, k] = _direction(channels[2], channels[3])
-            detail[i, k] = max(_degree(c) for c in channels[:5]) / (high - low)
-            twist[i, k] = float(np.abs(channels[4]).sum())
-            nodes, weights = gauss_rule()
-            rate = chebyshev.chebval(2 * nodes - 1, channels[1])
-            compliance[i, k + 1] = compliance[i, k] + (high - low) * float(weights @ (1 / rate))
-    cuts = tuple(tuple(cut) for _, cut in panels)
+    bent = np.asarray(table[:, :, 2:4].any((2, 3)))
+    cuts = tuple(_cuts(tube, own) for tube, own in zip(tubes, panels, strict=True))
     return Lengthwise(breaks, table, bent, direction, detail, twist, cuts, compliance)
 
 
@@ -205,21 +218,64 @@ def _degree(coefficients: Array) -> int:
     return int(np.flatnonzero(size >= DETAIL * size.max())[-1]) if size.any() else 0
 
 
-def _panels(tube: Tube) -> tuple[list[tuple[float, float, list[Array]]], list[float]]:
-    """Where panels begin and end, and the coefficients of QUANTITIES on them; where pieces begin and end."""
-    out: list[tuple[float, float, list[Array]]] = []
-    start, wound, cuts = 0.0, 0.0, [0.0]
+def _panels(tube: Tube) -> list[_Panel]:
+    """The panels of a tube from its held end."""
+    out: list[_Panel] = []
+    start, wound = 0.0, 0.0
     for length, precurvature, bending, torsional in stretches(tube):
         quantities = (bending, torsional, *precurvature)
-        breaks = breaks_of(quantities, length)
-        columns = [on_panels(q, breaks) for q in quantities]
-        for k, channels in enumerate(zip(*columns, strict=True)):
-            half = (breaks[k + 1] - breaks[k]) / 2
-            turned = chebyshev.chebint(channels[4], lbnd=-1, scl=half)
-            turned[0] += wound
-            wound = float(chebyshev.chebval(1.0, turned))
-            cuts += [start + breaks[k] + half * (x + 1) for x in _zeros(channels[2], channels[3])]
-            out.append((start + breaks[k], start + breaks[k + 1], [*channels, turned]))
+        numbers = [float(q) for q in quantities if not isinstance(q, Series)]
+        if len(numbers) == len(quantities):
+            out.append(_constant(start, length, numbers, wound))
+            wound += numbers[-1] * length
+        else:
+            varying = _varying(start, breaks_of(quantities, length), quantities, wound)
+            out += varying
+            wound = float(chebyshev.chebval(1.0, varying[-1].channels[-1]))
         start += length
-        cuts.append(start)
-    return out, cuts
+    return out
+
+
+def _constant(start: float, length: float, numbers: list[float], wound: float) -> _Panel:
+    """The panel of a stretch along which nothing varies but the natural turn, `wound` at its beginning."""
+    _, torsional, x, y, z = numbers
+    half = z * length / 2
+    turned = [wound + half, half] if z else [wound]
+    return _Panel(
+        start,
+        start + length,
+        [*([number] for number in numbers), turned],
+        direction=math.atan2(y, x) if y else 0.0,
+        detail=0.0,
+        twist=abs(z),
+        compliance=length / torsional,
+    )
+
+
+def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound: float) -> list[_Panel]:
+    """The panels of a stretch with breaks from its beginning, where the natural turn is `wound`."""
+    out, (nodes, weights) = [], gauss_rule()
+    for k, channels in enumerate(zip(*(on_panels(q, breaks) for q in quantities), strict=True)):
+        low, length = start + breaks[k], breaks[k + 1] - breaks[k]
+        turned = chebyshev.chebint(channels[4], lbnd=-1, scl=length / 2)
+        turned[0] += wound
+        wound = float(chebyshev.chebval(1.0, turned))
+        out.append(
+            _Panel(
+                low,
+                start + breaks[k + 1],
+                [*channels, turned],
+                direction=_direction(channels[2], channels[3]),
+                detail=max(_degree(c) for c in channels) / length,
+                twist=float(np.abs(channels[4]).sum()),
+                compliance=length * float(weights @ (1 / chebyshev.chebval(2 * nodes - 1, channels[1]))),
+                sides=tuple(low + length / 2 * (x + 1) for x in _zeros(channels[2], channels[3])),
+            )
+        )
+    return out
+
+
+def _cuts(tube: Tube, panels: list[_Panel]) -> tuple[float, ...]:
+    """Where pieces of a tube begin and end, and where its bend changes sides, from its held end, m."""
+    ends = accumulate((length for length, *_ in stretches(tube)), initial=0.0)
+    return tuple(sorted([*ends, *(side for panel in panels for side in panel.sides)]))

@@ -118,7 +118,9 @@ def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Func
     torsion = Torsion(piece, ca.SX(), gain, extra, ca.SX(), (ca.SX(), ca.SX()))
     inputs = [poses, piece.theta, piece.twist, gain, piece.stiffness, piece.moment, piece.torsional_stiffness, h]
     inputs += [extra, *piece.place] if eccentric else []
-    slope = torsion.torsion(ENDS) + (extra @ t.lagrange(ENDS).T if eccentric else 0)
+    turned = torsion.rotation(ENDS)
+    ends = [piece.section(turned[:, k], x) for k, x in enumerate(ENDS)]
+    slope = torsion.torsion(ENDS) * ca.horzcat(*(ca.SX(here.stretch) for here in ends))
     fine = _integrate(poses[:12], torsion, STEPS)
     coarse = _integrate(poses[12:], torsion, COARSE_STEPS)
     check = tableau("gauss", degree + EXTRA_POINTS)
@@ -130,9 +132,9 @@ def piece_function(n: int, eccentric: bool, family: str, degree: int) -> ca.Func
     defect = ca.repmat(piece.theta, 1, check.degree) + h * (w * stretch) @ check.matrix.T - theta
     outputs = [
         ca.vertcat(fine[-1], coarse[-1]),
-        torsion.rotation(ENDS),
+        turned,
         slope,
-        torsion.curvature(ENDS),
+        ca.horzcat(*(here.curvature for here in ends)),
         ca.horzcat(*fine),
         ca.horzcat(
             reduce(ca.fmax, ca.horzsplit(ca.fabs(defect))), ca.fabs(gained @ check.weights - h * gain @ t.weights)

@@ -105,24 +105,22 @@ def piece_tables(table: Lengthwise) -> dict[str, Array]:
     """The tables of the C struct Pieces by name, in its order: breaks (n, panels + 1), coefficients (n, panels, width,
     LANES), and so on, the last of them cuts (n, most cuts). In a plane of the tube the bend is one signed quantity,
     whose direction is constant."""
-    channels = table.coefficients[:, :, [0, 1, 2, 3, 5]].copy()
-    direction = table.direction.copy()
-    flat = np.isfinite(direction)
-    channels[flat, 2] = (
-        np.cos(direction[flat])[:, None] * channels[flat, 2] + np.sin(direction[flat])[:, None] * channels[flat, 3]
-    )
-    order = np.arange(1, channels.shape[-1] + 1)
-    count = np.maximum(1, ((channels != 0) * order).max(-1)).astype(float)
+    lanes = np.zeros((*table.direction.shape, table.coefficients.shape[-1], LANES))
+    channels = lanes[..., :5]
+    channels[:] = table.coefficients[:, :, [0, 1, 2, 3, 5]].swapaxes(-1, -2)
+    turned = np.isfinite(table.direction) & (table.direction != 0)
+    if turned.any():
+        angle = table.direction[turned][:, None]
+        channels[turned, :, 2] = np.cos(angle) * channels[turned, :, 2] + np.sin(angle) * channels[turned, :, 3]
+    order = np.arange(1.0, lanes.shape[2] + 1)[:, None]
+    count = np.maximum(1.0, ((channels != 0) * order).max(2))
     count = np.concatenate([count, count[:, :, :4].max(-1, keepdims=True)], axis=-1)
-    lanes = np.zeros((*channels.shape[:2], channels.shape[3], LANES))
-    lanes[..., : channels.shape[2]] = channels.swapaxes(-1, -2)
     cuts = np.full((table.n_tubes, max(len(own) for own in table.cuts)), np.inf)
     for row, own in zip(cuts, table.cuts, strict=True):
         row[: len(own)] = own
-    arrays = [table.breaks, lanes, count, direction, table.bent.astype(float), table.detail, table.twist]
-    arrays += [table.compliance[:, :-1], cuts]
-    names = [field[0] for field in _Pieces._fields_[3:-1]]
-    return {name: np.ascontiguousarray(array) for name, array in zip(names, arrays, strict=True)}
+    arrays = [table.breaks, lanes, count, table.direction, table.bent.astype(float), table.detail, table.twist]
+    arrays += [np.ascontiguousarray(table.compliance[:, :-1]), cuts]
+    return dict(zip((field[0] for field in _Pieces._fields_[3:-1]), arrays, strict=True))
 
 
 def piece_sizes(tables: Mapping[str, Array]) -> tuple[int, int, int]:
