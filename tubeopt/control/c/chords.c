@@ -13,7 +13,7 @@ static void numbers_along(const Unknowns *q, const double *alpha, const State *s
     for (int i = 0; i < N; i++) out[12 + i] = arm->rotation[0][i];
     for (int p = 0; p < l->pieces; p++) {
         const Looks *looks = looks_of(l, p);
-        look(q, arm, p, looks, places);
+        find_places(q, arm, p, looks, places);
         carry_poses(q, looks, places, l->length[p], poses, each);
         for (int i = 0; i < N; i++)
             if (l->start[p] < l->end[i] - ROUND_OFF_LENGTH) out[12 + i] = places[3 * looks->steps + STEPS].phi[i];

@@ -236,7 +236,7 @@ typedef struct {
 /* Where tubes do not vary along a piece, the curvature turns but as they are twisted. */
 static const Looks *looks_of(const Layout *l, int p) { return l->steady[p] ? &EVEN : &VARIED; }
 
-static void look(const Unknowns *q, const Profile *arm, int p, const Looks *at, Place *places) {
+static void find_places(const Unknowns *q, const Profile *arm, int p, const Looks *at, Place *places) {
     double h = q->layout->length[p];
     for (int i = 0; i < N; i++) {
         double phi[MOST_LOOKS], c = arm->compliance[p][i], torque = arm->torque[p][i];
@@ -345,7 +345,7 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
     const Place *ends;
     double each[STEPS * 12], stretch[N], pull = 0;
     Place places[MOST_LOOKS];
-    look(q, arm, p, looks, places);
+    find_places(q, arm, p, looks, places);
     carry_poses(q, looks, places, l->length[p], poses, each);
     ends = places + 3 * looks->steps;
     for (int k = 0; k <= STEPS; k++) {
