@@ -16,7 +16,7 @@ from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, check_robot, is_general
+from ..robots.robot import Robot, check_robot
 from ..solvers.compiled.binding import solve_many_compiled
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
@@ -247,7 +247,7 @@ def _shared_out(run: Callable[[slice], int], count: int, workers: int) -> Iterat
 def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Array, tolerance: float) -> Index:
     """Solve some rows into `table` by the compiled kernel; returns those that are left over."""
     left: Index = np.arange(rows.start, rows.stop)
-    for refinement in range(1 + is_general(robot)):
+    for refinement in (0, 1):
         solved = solve_many_compiled(robot, alpha[left], shift[left], None, refinement) if len(left) else None
         if solved is None:
             break
