@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..block.transcription.arm import profile
 from ..block.transcription.buffered import mapped
-from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..block.transcription.second_variation import least
+from ..block.transcription.standing import Standing
+from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
-from ..equilibrium.derivatives import Derivatives
-from ..equilibrium.margin import AtWorst
-from ..equilibrium.member import Point, Unloaded
+from ..equilibrium.linearised import Linearised
 from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
-from ..equilibrium.state import arm_of
 from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
@@ -249,7 +249,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
     known = not double and not is_general(robot)
-    gradient = _gradient(robot, shift, margin) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    gradient = _gradient(robot, problem, margin, y) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
     return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, share)
 
 
@@ -276,10 +276,10 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     return tuple(ends), present, curved
 
 
-def _gradient(robot: Robot, shift: Array, margin: float) -> dict[str, Array]:
-    """That of the eigenvalue, a Rayleigh quotient, which rotations do not change: at tubes without torsion."""
+def _gradient(robot: Robot, problem: ReducedProblem, margin: float, y: Array) -> dict[str, Array]:
+    """That of the eigenvalue with the eigenvector y (N, n), which rotations do not change: of tubes without torsion."""
     n, wrt = robot.n_tubes, tuple(OWN_NAME.get(name, name) for name in PARAMETERS)
-    member = Unloaded.of(robot, np.zeros(n), tuple(shift.tolist()))
-    straight = Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
-    of = Derivatives(arm_of(straight), tuple((i,) for i in range(n)), wrt=wrt, margin=1.0)
-    return dict(zip(PARAMETERS, of.quotient(margin, AtWorst()).reshape(-1, n), strict=True))
+    still, state = np.zeros(n), evaluate(problem, np.zeros(n), np.zeros(problem.size))
+    here = Standing(problem, still, state.theta, evaluate_arm(problem, still, state, profile(problem, still, state)))
+    slope = Linearised(here, robot.tubes, 1.0, wrt).certificate(margin, y)
+    return dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))
