@@ -19,6 +19,7 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
+from tubeopt.equilibrium.along import curvature_at
 from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.equilibrium.linearised import linearise
 from tubeopt.robots.robot import resized
@@ -132,6 +133,20 @@ def test_every_derivative_under_every_load_is_that_of_differences(load: str, nam
     e = forward_kinematics(_robot(n, (number + column) % 2 == 1), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
     assert np.isnan(e.jacobian().margin).all() == (not LOADS[load].has_energy)
     _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
+
+
+@pytest.mark.parametrize("load", [None, "tip", "moments along", "all"])
+@pytest.mark.parametrize("pieces", [False, True])
+def test_curvature_inside_the_arm_changes_as_differences_say(pieces: bool, load: str | None) -> None:
+    """At a fraction of its length, which changes too, by every parameter."""
+    e = forward_kinematics(_robot(3, pieces), ROTATIONS[:3], SHIFT[:3], load=None if load is None else LOADS[load])
+    for name in PARAMETERS:
+        step, of = _size(e, name) * np.array([0.9, -0.6, 0.8]), linearise(e, (name,))
+        for fraction in (0.37, 0.9):
+            told = (curvature_at(linearise(_moved(e, name, k * step)), fraction)[0] for k in (1, 2, -1, -2))
+            one, two, back, twice = told
+            wanted, (_, found) = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)
+            assert np.abs(found @ step - wanted).max() < 1e-6 * max(float(np.abs(wanted).max()), 1e-3), name
 
 
 def _one_sided(e: Equilibrium, name: str, step: Array) -> Array:

@@ -411,14 +411,10 @@ class Standing:
         first = np.zeros((size, own))
         first[own:] = np.eye(own)
         first[range(n), range(n)] = softness * self.transmission
-        for k in range(pieces):
-            rows = slice(k * size, (k + 1) * size)
-            columns = slice(own + k * size, own + (k + 1) * size)
-            matrix[rows, columns] = np.eye(size)
-            if k:
-                matrix[rows, own + (k - 1) * size : own + k * size] = -maps[k]
-            else:
-                matrix[rows, :own] = -maps[0] @ first
+        matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
+        matrix[:size, :own] = -maps[0] @ first
+        for k in range(1, pieces):
+            matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -maps[k]
         if turns is not None:
             turn = slice(total - size + n, total - size + own)
             matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
