@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -401,6 +402,15 @@ def test_a_motion_that_was_not_sent_is_taken_back(thesis: CRobot, pieces: CRobot
         assert library.undo().tip_position == pytest.approx(first.tip_position, abs=1e-12)
         assert library.follow(*joints).tip_position == pytest.approx(first.tip_position, abs=1e-12)
     pieces.bear()
+
+
+@pytest.mark.parametrize(("count", "status"), [(-1, 2), (0, 0), (1, 0), (32, 0), (33, 2), (2**31 - 1, 2)])
+def test_contacts_are_none_to_32(thesis: CRobot, count: int, status: int) -> None:
+    """As a caller in C gives their number; 2 is bad input."""
+    first, far = thesis.solve(*START), np.tile([0.05, 1.0, 0.0, 0.0, 0.5], (32, 1))
+    thesis.servo(command(first.tip_position), far)
+    function, memory, row, _, *others = thesis._calls["servo_among"]
+    assert function(memory, row, ctypes.c_int(count), *others) == status
 
 
 def test_bad_input_is_refused(thesis: CRobot) -> None:
