@@ -131,8 +131,9 @@ def rotation_matrix_function() -> ca.Function:
 
 
 @lru_cache(maxsize=1)
-def step_function() -> ca.Function:
-    """(u (6,), h) -> R (3, 3), p (3,) after a step of length h; u at the three GAUSS_POINTS, x before y."""
-    u, h = ca.SX.sym("u", 6), ca.SX.sym("h")
-    pose = magnus_step(ca.DM.eye(3), ca.DM.zeros(3), ca.reshape(u, 2, 3), h)
-    return ca.Function("step", [u, h], [ca.densify(part) for part in pose], {"cse": True})
+def carry_function() -> ca.Function:
+    """(pose (12,), u (6,), h) -> the pose, R by columns and p, after a step of length h; u at the three GAUSS_POINTS, x
+    before y."""
+    pose, u, h = ca.SX.sym("pose", 12), ca.SX.sym("u", 6), ca.SX.sym("h")
+    turned, shifted = magnus_step(ca.reshape(pose[:9], 3, 3), pose[9:], ca.reshape(u, 2, 3), h)
+    return ca.Function("carry", [pose, u, h], [ca.vertcat(ca.vec(turned), shifted)], {"cse": True})

@@ -105,7 +105,11 @@ class Lengthwise:
         Args:
             inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
         """
-        table, x, _ = self._panels_at(place, place if inside is None else inside)
+        chosen = place if inside is None else inside
+        if not self._varied.any():
+            table = self.coefficients[np.arange(self.n_tubes), self.panel(chosen), :, 0]
+            return np.ascontiguousarray(table.transpose(2, 0, 1))
+        table, x, _ = self._panels_at(place, chosen)
         basis = np.stack([np.ones_like(x), x, *(np.empty_like(x) for _ in range(table.shape[-1] - 2))], axis=-1)
         for k in range(2, table.shape[-1]):
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]

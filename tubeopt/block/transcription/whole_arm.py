@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.shape import GAUSS_POINTS, magnus_step, step_function
+from ...physics.shape import GAUSS_POINTS, carry_function, magnus_step
 from ...robots.lengthwise import CrossSections
 from ...typing import Array
 from .arm import Arm, Profile, along_pieces, arc_lengths, rotations_at, tubes_along
-from .buffered import chained, mapped, section_function
+from .buffered import chained, section_function
 from .collocated import ENDS, STEPS, Grid, Torsion, symbols
 from .green import INWARDS, reach, sections_at
 from .reduced import Evaluation, ReducedProblem
@@ -210,14 +210,9 @@ def _steps(problem: ReducedProblem, torsion: Profile) -> tuple[NDArray[np.intp],
 
 def _poses(u: Array, lengths: Array) -> tuple[Array, Array]:
     """Frames (S + 1, 3, 3) and positions (S + 1, 3) between steps of lengths (S,) with u (S, 3, 2) at their points."""
-    turns, shifts = mapped(step_function(), len(lengths))(u.reshape(-1, 6), lengths[:, None])
-    turns = turns.reshape(-1, 3, 3).swapaxes(1, 2)
-    frame, position = np.empty((len(lengths) + 1, 3, 3)), np.zeros((len(lengths) + 1, 3))
-    frame[0] = np.eye(3)
-    for k in range(len(lengths)):
-        frame[k + 1] = frame[k] @ turns[k]
-        position[k + 1] = position[k] + frame[k] @ shifts[k]
-    return frame, position
+    poses = chained(carry_function(), len(lengths))(_HOME[:12], u.reshape(-1, 6), lengths[:, None])[0]
+    poses = np.concatenate([_HOME[None, :12], poses])
+    return poses[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), poses[:, 9:]
 
 
 def _check(problem: ReducedProblem, torsion: Profile) -> tuple[float, Array]:

@@ -270,19 +270,10 @@ static void bend_at(const Unknowns *q, const Place *at, double *u, double *stret
 
 /* A pose, R by columns and p, carried over a step of a length with u at its three points. */
 static void carry_step(const double *u, double length, double *pose) {
-    double turn[9], shift[3], next[12];
-    const double *in[2] = {u, &length};
-    double *out[2] = {turn, shift};
-    step_of_shape(in, out, 0, 0, 0);
-    for (int c = 0; c < 3; c++)
-        for (int r = 0; r < 3; r++) {
-            next[3 * c + r] = 0;
-            for (int j = 0; j < 3; j++) next[3 * c + r] += pose[3 * j + r] * turn[3 * c + j];
-        }
-    for (int r = 0; r < 3; r++) {
-        next[9 + r] = pose[9 + r];
-        for (int j = 0; j < 3; j++) next[9 + r] += pose[3 * j + r] * shift[j];
-    }
+    double next[12];
+    const double *in[3] = {pose, u, &length};
+    double *out[1] = {next};
+    carry(in, out, 0, 0, 0);
     memcpy(pose, next, sizeof next);
 }
 

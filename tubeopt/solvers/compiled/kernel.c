@@ -1,7 +1,7 @@
 /* Forward kinematics in one call: sections, energy descent, Newton, margin, shape.
 
    Before it stand the functions `balance`, `coupling_rate`, `stretched`, `section_curvature`, `section_moment` and
-   `step_of_shape` that CasADi generates from the
+   `carry` that CasADi generates from the
    mechanics. What is not plain sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is
    declined, and left to the general solver. `entries.c` is what Python calls; `control/c` has what a program in C does. */
 #include <math.h>

@@ -29,7 +29,7 @@ from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.whole_arm import SHAPE_RATIO
 from ...physics.certificate import coupling_rate_function
-from ...physics.shape import step_function
+from ...physics.shape import carry_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.order import SAME_END
@@ -107,7 +107,7 @@ def kernel_text(
     for name, given, outputs in (
         ("section_curvature", symbols, [curvature, stretch]),
         ("section_moment", symbols, [moment, stretch, bending]),
-        ("step_of_shape", *signature(step_function())),
+        ("carry", *signature(carry_function())),
     ):
         generator.add(ca.Function(name, given, [ca.densify(out) for out in outputs], {"cse": True}))
     if slopes:
