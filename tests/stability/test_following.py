@@ -257,3 +257,15 @@ def test_messages() -> None:
         follow(THESIS, [[np.pi, 0.0, 0.0]], start=unstable)
     with pytest.raises(InputError, match="rotations has no rows"):
         follow(THESIS, np.zeros((0, 3)))
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_snaps_on_the_way_to_the_first_waypoint_are_not_recorded(loaded: bool) -> None:
+    load = Load((0.02, 0.0, 0.0))
+    start = forward_kinematics(THESIS, [0.0, 0.0, 0.0], load=load if loaded else None)
+    beyond = [250 * DEG, 0.0, 0.0]
+    moved = follow(THESIS, [beyond], start=start, load=load)
+    recorded = follow(THESIS, [[0.0, 0.0, 0.0], beyond], load=load)
+    assert not moved.snaps
+    assert len(recorded.snaps) == 1
+    assert moved.equilibria[0].tip_position == pytest.approx(recorded.equilibria[1].tip_position, abs=1e-10)

@@ -177,7 +177,7 @@ def test_messages() -> None:
     with pytest.raises(InputError, match="equilibrium is at other joint values than start"):
         find_snap(THESIS, home, home, equilibrium=forward_kinematics(THESIS, [0.1, 0.0, 0.0]))
     unstable = find_equilibria(THESIS, [np.pi, 0.0, 0.0])[-1]
-    with pytest.raises(InputError, match=r"equilibrium has margin -0\.9\d+; it must be stable"):
+    with pytest.raises(InputError, match=r"equilibrium has margin -0\.9\d+; it must be a stable equilibrium"):
         find_snap(THESIS, ([np.pi, 0.0, 0.0], None), home, equilibrium=unstable)
     with pytest.raises(InputError, match="start and end are the same rotations"):
         trace_branch(THESIS, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0])

@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.answer import point_of
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.load_problem import LOADED_DISCRETISATION
-from ..equilibrium.result import Equilibrium, refuse_load
+from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
 from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction
 from ..robots.load import Load
@@ -167,38 +166,30 @@ def _legs(
     robot: Robot, joints: Array, load: Load | None, start: Equilibrium | None
 ) -> Iterator[tuple[Equilibrium, list[Snap]]]:
     """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
-    pose = _start(robot, joints[0], start) if load is None else _loaded_start(robot, joints[0], load, start)
+    pose = _start(robot, joints[0], load, start)
     yield pose, []
     for k, (here, there) in enumerate(pairwise(joints)):
         pose, snaps = leg(family_between(robot, here, there, load), pose, k)
         yield pose, snaps
 
 
-def _start(robot: Robot, joint: Array, start: Equilibrium | None) -> Equilibrium:
-    """The stable equilibrium at a waypoint, to which the robot is moved from `start`."""
-    first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2))
+def _start(
+    robot: Robot, joint: Array, load: Load | None, start: Equilibrium | None, name: str = "start"
+) -> Equilibrium:
+    """The stable equilibrium at a waypoint under a load; `start`, which messages call `name`, is loaded first, then
+    moved there."""
+    first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2), load=load)
     if not first.stable:
-        raise InputError(f"start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    refuse_load(first)
+        raise InputError(f"{name} has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
+    if load is None:
+        refuse_load(first)
+    refuse_friction(first)
+    if load is not None and first.load != load:
+        first = forward_kinematics(robot, first.rotations, first.translations, load=load, guess=first)
     own = np.concatenate([first.rotations, first.translations])
-    return leg(Family(JointPath(robot, own, joint)), first, 0)[0]
-
-
-def _loaded_start(robot: Robot, joint: Array, load: Load, start: Equilibrium | None) -> Equilibrium:
-    """The same under load: the equilibrium of forward kinematics, or on the branch of `start`."""
-    first = start
-    if start is None or start.load != load or not _at(start, joint):
-        first = forward_kinematics(robot, *np.split(joint, 2), load=load, guess=start)
-    assert first is not None
-    if not first.stable:
-        raise InputError(f"the start has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    point_of(first)  # raises an error where the start is a fold, or has friction
-    return first
-
-
-def _at(equilibrium: Equilibrium, joint: Array) -> bool:
-    own = np.concatenate([equilibrium.rotations, equilibrium.translations])
-    return bool(np.allclose(own, joint, rtol=0, atol=1e-12))
+    if np.allclose(own, joint, rtol=0, atol=1e-12):
+        return first
+    return leg(family_between(robot, own, joint, load), first, 0)[0]
 
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
@@ -261,16 +252,11 @@ def find_snap(
 def _first(robot: Robot, family: Family, equilibrium: Equilibrium | None) -> Equilibrium:
     """The stable equilibrium at the start of a family, on the branch of an equilibrium if one is given."""
     start = family.path.start
-    if family.load is not None:
-        return _loaded_start(robot, start, family.load, equilibrium)
-    first = equilibrium if equilibrium is not None else forward_kinematics(robot, *np.split(start, 2))
-    if not first.stable:
-        raise InputError(f"equilibrium has margin {first.margin:.3g}; it must be stable (margin above 0)")
-    own = np.concatenate([first.rotations, first.translations])
-    if np.abs(own - start).max() > 1e-9:
-        raise InputError("equilibrium is at other joint values than start; they must be the same")
-    refuse_load(first)
-    return first
+    if equilibrium is not None:
+        own = np.concatenate([equilibrium.rotations, equilibrium.translations])
+        if np.abs(own - start).max() > 1e-9:
+            raise InputError("equilibrium is at other joint values than start; they must be the same")
+    return _start(robot, start, family.load, equilibrium, "equilibrium")
 
 
 def _joint(robot: Robot, name: str, value: Configuration) -> Array:
