@@ -162,12 +162,12 @@ def test_a_load_in_mN_is_warned_of_or_refused() -> None:
     stiffness = sum(tube.bending_stiffness for tube in PAIR.tubes)
     length = float(tubeopt.forward_kinematics(PAIR, [0, 0]).arc_length[-1])
     large = 25 * stiffness / length**2
-    with pytest.warns(tubeopt.errors.ImplausibleWarning, match="a force of the load is .* mN meant"):
+    with pytest.warns(tubeopt.errors.ImplausibleWarning, match="tip force of the load has .* mN meant"):
         tubeopt.forward_kinematics(PAIR, [0, 0], load=tubeopt.Load((0, 0, large)))  # a pull is soon solved
     for load, words in (
-        (tubeopt.Load((0, 1e300, 0)), r"a force of the load has 1e\+300 N; on this arm it must be at most .* N: was"),
-        (tubeopt.Load(moment=(50.0, 0, 0)), "a moment of the load has 50 N m; .* was 50 mN m meant"),
-        (tubeopt.Load(points=((0.01, (0, 0, 0), (0, 50.0, 0)),)), "a moment of the load has 50 N m"),
+        (tubeopt.Load((0, 1e300, 0)), r"tip force of the load has 1e\+300 N; on this arm it must be at most .* N: was"),
+        (tubeopt.Load(moment=(50.0, 0, 0)), "tip moment of the load has 50 N m; .* was 50 mN m meant"),
+        (tubeopt.Load(points=((0.01, (0, 0, 0), (0, 50.0, 0)),)), r"moment of points\[0\] of the load has 50 N m"),
     ):
         with pytest.raises(InputError, match=words):
             tubeopt.forward_kinematics(PAIR, [0, 0], load=load)

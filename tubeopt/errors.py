@@ -6,7 +6,9 @@ import difflib
 import importlib
 import math
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar
 
@@ -66,9 +68,23 @@ class NotProvedError(RuntimeError):
     """An answer was found, and given, whose proof was not finished in time; the message says how far it came."""
 
 
+_UNDOUBTED = ContextVar("undoubted", default=False)
+
+
+@contextmanager
+def undoubted() -> Iterator[None]:
+    """Warn of no implausible number: it was computed, or the reader of its file warns, with its key and unit."""
+    before = _UNDOUBTED.set(True)
+    try:
+        yield
+    finally:
+        _UNDOUBTED.reset(before)
+
+
 def implausible(words: str) -> None:
     """Warn of what is possible but was probably meant otherwise."""
-    warnings.warn(words, ImplausibleWarning, stacklevel=2)
+    if not _UNDOUBTED.get():
+        warnings.warn(words, ImplausibleWarning, stacklevel=2)
 
 
 def positive(name: str, value: float, *, zero: bool = False) -> float:

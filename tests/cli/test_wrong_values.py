@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import THESIS, Run, refused
+from tests.command_line import ROOT, THESIS, Run, refused
+from tubeopt.files.units import as_typed
 
 PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
 
@@ -32,6 +33,26 @@ PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
             ["fk", THESIS, "--translations-mm=-90000,0,0"],
             "--translations-mm has -90000 for tube 1; it must be at least",
         ),
+        (
+            ["fk", THESIS, "--tip-force-mN", "1e7,0,0"],
+            "--tip-force-mN: tip force of the load has 1e+07 mN; on this arm it must be at most 185000 mN",
+        ),
+        (
+            ["fk", THESIS, "--tip-moment-mN-m", "1e7,0,0"],
+            "--tip-moment-mN-m: tip moment of the load has 1e+07 mN m; on this arm it must be at most 1110 mN m",
+        ),
+        (
+            ["mold", "plan", THESIS, "--cold-length-mm", "90000"],
+            "cold_length of the mold is 90000 mm; it must be at most",
+        ),
+        (["mold", "materials", "--set-degC", "850"], "if these are K, give 576.85 degC"),
+        (["measure", THESIS, "--fit", "curvature_1", "--seed", "-1"], "--seed is -1; it must be at least 0"),
+        (
+            ["serve", THESIS, "--translations-mm=-60,-100,0"],
+            "--translations-mm is out of range: tube 2 would end inside",
+        ),
+        (["serve", THESIS, "--rotations-deg", "400,0,0"], "--rotations-deg[0] is 400 deg; it must be from -360 to 360"),
+        (["serve", THESIS, "--period-s", "10"], "--period-s is 10; it must be at most 1"),
         (["fk", THESIS, "--tip-moment-mN-m", "0,2"], "--tip-moment-mN-m has 2 numbers; it must have 3: x, y, z"),
     ],
 )
@@ -46,7 +67,9 @@ def test_messages_name_the_flag_in_its_unit(run: Run, arguments: list[str], word
         ("goal_mm: [0, 0, 900]", "goal_mm has 900 for tube 3; it must be at most its straight length, 100"),
         ("goal_mm: [-90000, 0, 0]", "goal_mm has -90000 for tube 1; it must be at least -4000, 10 lengths of the tube"),
         ("goal_deg: [1e9, 0, 0]", "goal_deg has 1E+9 for tube 1; it must be at most 57296 (159 turns)"),
-        ("goal_mm: [-60, -100, 0]", "goal is out of range: tube 2 would end inside tube 3, by 50 mm"),
+        ("goal_mm: [0, 0, -190]", "goal_mm[2] is -190 mm; it must be from -100 to 100 mm"),
+        ("goal_deg: [900, 0, 0]", "goal_deg[0] is 900 deg; it must be from -360 to 360 deg"),
+        ("goal_mm: [-60, -100, 0]", "goal_mm is out of range: tube 2 would end inside tube 3, by 50 mm"),
         (
             "goal_deg: [1, 0, 0]\nload: {points: [{at_mm: 50, moment_mN_m: [0, 2]}]}",
             "load: points[0].moment_mN_m has 2 numbers; it must have 3: x, y, z",
@@ -80,3 +103,83 @@ def test_verify_takes_a_limit_of_the_tip(run: Run, tmp_path: Path) -> None:
     assert slow.code == 3
     assert "the tip reaches 14.2" in slow.out + slow.err
     assert "it must be at most 14 mm/s" in slow.out + slow.err
+
+
+JOINTS = [f"{name}_{k}_{unit}" for name, unit in (("rotation", "deg"), ("translation", "mm")) for k in (1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (
+            "0,0,0,0,0,900",
+            "column translation_3_mm is 900; it must be at most its straight length, 100: it is held there",
+        ),
+        ("0,0,0,-9e4,0,0", "column translation_1_mm is -9E+4; it must be at least -4000, 10 lengths of the tube"),
+        ("0,0,1e9,0,0,0", "column rotation_3_deg is 1E+9; it must be at most 57296 (159 turns) to either side"),
+    ],
+)
+@pytest.mark.parametrize("command", ["follow", "verify", "validate", "force"])
+def test_rows_of_tables_name_file_line_and_column(run: Run, row: str, words: str, command: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    measured = command in ("validate", "force")
+    head = (["time_s"] if command == "verify" else []) + JOINTS + (["x_mm", "y_mm", "z_mm"] if measured else [])
+    before, after = ("{},", "") if command == "verify" else ("", ",1,2,3" if measured else "")
+    rows = [f"{before.format(k)}{each}{after}" for k, each in enumerate(["0,0,0,0,0,0", row])]
+    path.write_text("\n".join([",".join(head), *rows]) + "\n")
+    given = [str(path), "--robot", THESIS] if command == "verify" else [THESIS, str(path)]
+    assert refused(run(command, *given)) == [
+        f"{path}: row 2 (line 3), {words}" + " behind home" * words.endswith("tube")
+    ]
+
+
+def test_tables_of_targets_and_trials_name_their_columns(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("x_mm,y_mm,z_mm\n50,30,150\n50,30,90000\n")
+    assert refused(run("ik", THESIS, "--targets", str(tmp_path / "t.csv"))) == [
+        f"{tmp_path}/t.csv: x_mm, y_mm, z_mm in row 2 is 50, 30, 90000 mm, 90000 mm from the plate, and the longest "
+        "tube is 400 mm long; it must be at most 4000 mm away"
+    ]
+    (tmp_path / "m.csv").write_text("mold_radius_mm,obtained_radius_mm\n60,65\n0.06,0.065\n")
+    assert refused(run("mold", "calibrate", str(tmp_path / "m.csv"))) == [
+        f"{tmp_path}/m.csv: row 2 (line 3), column {name} is {value}; it must be 1 to 10000, as radii of curved tubes "
+        "are"
+        for name, value in (("mold_radius_mm", "0.06"), ("obtained_radius_mm", "0.065"))
+    ]
+
+
+def test_a_file_of_another_kind_is_one_sentence(run: Run, tmp_path: Path) -> None:
+    rig, mold = str(ROOT / "configs/rigs/thesis_mdf.yaml"), str(ROOT / "configs/molds/calcium_silicate.yaml")
+    assert refused(run("mold", "plan", THESIS, "--mold", rig)) == [f"{rig}: kind is 'rig'; it must be mold"]
+    for command, flag in (("mold plan", "--springback"), ("view", "--obstacles")):
+        assert refused(run(*command.split(), THESIS, flag, mold)) == [
+            f"{mold}: this is a file of kind 'mold', which is not what is wanted here"
+        ]
+
+
+@pytest.mark.parametrize(("value", "code"), [("1", 2), ("-2", 2)])
+def test_folds_are_none_or_two_and_more(run: Run, value: str, code: int) -> None:
+    etr, measured = "configs/robots/thesis_etr.yaml", "configs/experiments/synthetic_etr.csv"
+    outcome = run("validate", str(ROOT / etr), str(ROOT / measured), "--folds", value)
+    assert refused(outcome) == [f"--folds is {value}; it must be 0, or at least 2"]
+    assert outcome.code == code
+
+
+@pytest.mark.parametrize(
+    ("said", "typed"),
+    [
+        (
+            "limits are -3 to 5 m, and it is 0.2 m long: translations are in m",
+            "limits are -3000 to 5000 mm, and it is 200 mm long",
+        ),
+        ("it is at 0.9 m (900 mm)", "it is at 900 mm"),
+        ("is 50 m; usual is 0.001 to 10 m: was 50 mm meant?", "is 50000 mm; usual is 1 to 10000 mm"),
+        ("has 2 rad; rotations are in rad: was 2 deg meant?", "has 114.592 deg"),
+        ("a twist of 5 rad per m, 3 1/m, 2 m/s, 7 m^2", "a twist of 5 rad per m, 3 1/m, 2 m/s, 7 m^2"),
+        (
+            "radius_mm is 5; that would be usual in m: was 5000 meant?",
+            "radius_mm is 5; that would be usual in m: was 5000 meant?",
+        ),
+    ],
+)
+def test_sentences_of_the_library_come_in_the_units_that_are_typed(said: str, typed: str) -> None:
+    assert as_typed(said) == typed

@@ -5,13 +5,39 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.command_line import ROOT, THESIS, Run, answer
-from tubeopt import InputError, load_rig, load_robot
+from tubeopt import (
+    ConcentricRobot,
+    Friction,
+    InputError,
+    Load,
+    Material,
+    Piece,
+    PlanOptions,
+    RateLimits,
+    Thermocouple,
+    Tube,
+    load_rig,
+    load_robot,
+)
+from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.design.requirements import Strain
+from tubeopt.equilibrium.load_problem import check_load
+from tubeopt.errors import ImplausibleWarning, undoubted
+from tubeopt.files.checked import check
+from tubeopt.files.fields import EntryOf
+from tubeopt.robots.robot import resized
 from tubeopt.runs.inverse_study import InverseStudy
+from tubeopt.runs.obstacle_file import load_obstacles
+from tubeopt.shaping.heating.rig import Circuit, Clamps, MoldBed
+from tubeopt.shaping.mold.spec import EndMill
 
 TUBE = {
     "outer_diameter_mm": "1.92",
@@ -150,3 +176,83 @@ def test_a_table_of_a_piece_in_metres(caplog: pytest.LogCaptureFixture, tmp_path
     (tmp_path / "v.csv").write_text("arc_length_m,curvature_x_per_m,curvature_y_per_m\n0,0,0\n0.03,9,1\n0.06,9,0\n")
     with pytest.raises(InputError, match="arc_length_m is not known; did you mean 'arc_length_mm', 1000 times"):
         told(caplog, tmp_path / "y.yaml", f"{robot}[{{table: v.csv}}]}}]", load_robot)
+
+
+def _tube(curvature: float = 10.7, **more: float) -> Tube:
+    return Tube(1.92e-3, 1.57e-3, 0.2, 0.06, curvature, **more)
+
+
+def loaded(**load: Any) -> None:
+    check_load(ConcentricRobot((_tube(0.0),)), Load(**load), (0.0,))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: RateLimits(rotation=90), "rotation of the rate limits is 90 rad/s; .*: was 90 deg/s meant"),
+        (lambda: RateLimits(rotation=(1.0, 90.0)), "rotation of the rate limits is 90 rad/s"),
+        (lambda: RateLimits(translation=20), "translation of the rate limits is 20 m/s; .*: was 20 mm/s meant"),
+        (lambda: RateLimits(rotation_acceleration=180), "is 180 rad/s²; .*: was 180 deg/s² meant"),
+        (lambda: RateLimits(translation_acceleration=40), "is 40 m/s²; .*: was 40 mm/s² meant"),
+        (lambda: RateLimits(tip=50), "tip of the rate limits is 50 m/s; .*: was 50 mm/s meant"),
+        (lambda: ConcentricRobot((_tube(0.012),)), "curvature is 0.012 1/m; .*: was 0.012 1/mm meant"),
+        (lambda: ConcentricRobot((_tube(mass_per_length=8.0),)), "mass_per_length is 8 kg/m; .*: was 8 g/m meant"),
+        (
+            lambda: ConcentricRobot((Tube.of_pieces(1e-3, 8e-4, [Piece(60.0, 5.0), Piece(0.1, 4.0)]),)),
+            "curved_length is 60.1 m; .*: was 60.1 mm meant",
+        ),
+        (
+            lambda: ConcentricRobot((Tube.of_pieces(1e-3, 8e-4, [Piece(0.1, (0, 0, 1500.0))]),)),
+            "twist of piece 1 is 1500 rad/m; usual is",
+        ),
+        (lambda: Friction(torque=5.0), "torque of friction is 5 N m/m; .*: was 5 mN m/m meant"),
+        (lambda: Material("a metal", 58e9, 21.5e9, working_strain=1.0), "working_strain .* is 1; .*: was 1 % meant"),
+        (lambda: PlanOptions(clearance=2.0), "clearance is 2 m; .*: was 2 mm meant"),
+        (lambda: PlanOptions(carriage_gap=5.0), "carriage_gap is 5 m; .*: was 5 mm meant"),
+        (lambda: Sphere((0.0, 0.0, 50.0), 5e-3), "centre of the sphere is 50 m; .*: was 50 mm meant"),
+        (lambda: Sphere((0.0, 0.0, 0.05), 5.0), "radius of the sphere is 5 m; .*: was 5 mm meant"),
+        (lambda: Corridor(((0, 0, 0), (0, 0, 60)), 5e-3), "a point of the corridor is 60 m; .*: was 60 mm meant"),
+        (lambda: Strain(limits=(1.0,)), "limits of the strain is 1; .*: was 1 % meant"),
+        (lambda: Circuit(cable_resistance=5.0), "cable_resistance of the circuit is 5 ohm; .*: was 5 mohm meant"),
+        (lambda: Clamps(mass=50.0), "mass of the clamps is 50 kg; .*: was 50 g meant"),
+        (lambda: MoldBed(lead=1.5), "lead of the mold is 1.5 m; .*: was 1.5 mm meant"),
+        (lambda: Thermocouple(lag=300.0), "lag of the thermocouple is 300 s; .*: was 300 ms meant"),
+        (lambda: EndMill(1.5), "diameter of an end mill is 1.5 m; .*: was 1.5 mm meant"),
+        (
+            lambda: loaded(distributed=(3000.0, 0.0, 0.0)),
+            r"distributed\[0\] of the load has 180 N; .*: was 180 mN",
+        ),
+        (
+            lambda: loaded(distributed=((0.0, 0.06, (3000.0, 0.0, 0.0)),)),
+            r"distributed\[0\] of the load has 180 N",
+        ),
+        (lambda: loaded(moment=(5.0, 0.0, 0.0)), "tip moment of the load has 5 N m; .*: was 5 mN m meant"),
+    ],
+)
+def test_numbers_typed_in_python_in_another_unit(call: Callable[[], object], words: str) -> None:
+    with pytest.warns(ImplausibleWarning, match=words):
+        call()
+
+
+def test_rates_and_bodies_in_another_unit_in_a_file(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    """Once for a key, in its unit: what is made of the file says nothing more."""
+    text = "obstacles: [{centre_mm: [0, 0, 0.05], radius_mm: 5e3}]"
+    assert told(caplog, tmp_path / "x.yaml", text, load_obstacles) == [
+        "obstacles[0].radius_mm is 5E+3; that would be usual in um: was 5 meant?"
+    ]
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "tubeopt"):
+        check(EntryOf[RateLimits], {"rotation_deg_per_s": 1.5, "translation_mm_per_s": 0.02}, "").build()
+    assert [record.getMessage() for record in caplog.records] == [
+        "rotation_deg_per_s is 1.5; that would be usual in rad/s: was 85.9437 meant?",
+        "translation_mm_per_s is 0.02; that would be usual in m/s: was 20 meant?",
+    ]
+
+
+def test_numbers_that_nobody_typed_are_not_doubted() -> None:
+    robot = load_robot(THESIS)
+    resized(robot, 0, "curvature", 0.02)
+    with undoubted():
+        replace(robot, tubes=tuple(replace(tube, curvature=0.02) for tube in robot.tubes))
+    with pytest.warns(ImplausibleWarning, match="curvature is 0.02"):
+        replace(robot, tubes=tuple(replace(tube, curvature=0.02) for tube in robot.tubes))

@@ -78,7 +78,7 @@ def test_values_in_messages_are_short() -> None:
 def in_si(name: str) -> float:
     """A unit in SI, from its prefix, base and power."""
     bases = dict.fromkeys(("m", "s", "rad", "N", "V", "A", "K", "degC", "J", "W", "kg", "ohm", "Hz", "Pa"), 1.0)
-    bases |= {"g": 1e-3, "deg": math.pi / 180, "percent": 1e-2, "rpm": 1 / 60}
+    bases |= {"g": 1e-3, "deg": math.pi / 180, "percent": 1e-2, "fraction": 1.0, "rpm": 1 / 60}
     bases |= {"inch": 0.0254, "min": 60.0, "h": 3600.0, "Ah": 3600.0}
     prefixes = {"m": 1e-3, "c": 1e-2, "u": 1e-6, "k": 1e3, "M": 1e6, "G": 1e9}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SolveError
+from ..errors import SolveError, undoubted
 from ..robots.breakpoints import DIMENSIONS, dimensions_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
@@ -73,6 +73,7 @@ def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model
     return near.verified()
 
 
+@undoubted()
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     """The robot with other DIMENSIONS of its tubes, (n,) each.
 
@@ -97,6 +98,7 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     return replace(robot, tube=tubes[0], transmission_length=0.0)
 
 
+@undoubted()
 def _of_pieces(robot: Robot, numbers: dict[str, Any]) -> Robot:
     assert isinstance(robot, ConcentricRobot)
     own = {**dimensions_of(robot.tubes), **chain_of(robot.tubes).start}

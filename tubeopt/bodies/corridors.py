@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, extra, instance, positive, triple
 from ..files.csv_file import read_csv
 from ..files.files import read_bytes
-from ..files.marks import POSITIVE, unit
+from ..files.marks import POSITIVE, check_size, check_usual, unit
 from ..files.units import MM
 from ..typing import Array, Index
 from .axes import agreed
 from .distance_field import DistanceField
 from .frames import Frame, ras
-from .obstacles import Point3, RoundCone, as_points, distance_of_numbers, greater
+from .obstacles import AWAY, THICK, Point3, RoundCone, as_points, distance_of_numbers, greater
 from .polygon_files import read_polygons
 from .scene import Scene
 from .triangles import Triangles, oriented
@@ -52,7 +52,7 @@ class Corridor:
     """
 
     centreline: Annotated[tuple[Point3, ...], unit("mm"), "at least two points"]
-    radius: Annotated[float | tuple[float, ...], unit("mm"), POSITIVE, "one, or one for every point"]
+    radius: Annotated[float | tuple[float, ...], unit("mm"), POSITIVE, THICK, "one, or one for every point"]
 
     def __post_init__(self) -> None:
         try:
@@ -66,6 +66,8 @@ class Corridor:
             raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
         object.__setattr__(self, "centreline", points)
         object.__setattr__(self, "radius", _radius(self.radius, len(points)))
+        check_usual(self, "the corridor")
+        check_size("a point of the corridor", tuple(x for point in points for x in point), AWAY, "mm")
 
     @property
     def radii(self) -> Array:

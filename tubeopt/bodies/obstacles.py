@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..errors import InputError, positive, triple
-from ..files.marks import POSITIVE, unit
+from ..files.marks import POSITIVE, Usual, check_usual, unit
 from ..typing import Array
 from .scene import scene_of
 
@@ -29,6 +29,9 @@ PIECES = 16
 """Balls at most that cover a long body."""
 
 Point3 = tuple[float, float, float]
+
+AWAY, THICK = Usual(1e-6, 10.0), Usual(1e-5, 2.0)
+"""Of positions and radii of bodies, m."""
 
 Balls = tuple[Array, Array]
 """Centres (k, 3) and radii (k,) of balls that cover a body; m."""
@@ -131,6 +134,7 @@ class Axial(Measured):
         for name, value in vars(self).copy().items():
             checked = positive if name.endswith("radius") else triple
             object.__setattr__(self, name, checked(f"{name} of the {self.CALLED}", value))
+        check_usual(self, f"the {self.CALLED}")
 
     def ends(self) -> tuple[Point3, Point3, float, float]:
         """Centres and radii of the balls at both ends."""
@@ -204,8 +208,8 @@ class Sphere(Axial):
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
-    centre: Annotated[Point3, unit("mm")]
-    radius: Annotated[float, unit("mm"), POSITIVE]
+    centre: Annotated[Point3, unit("mm"), AWAY]
+    radius: Annotated[float, unit("mm"), POSITIVE, THICK]
 
     CALLED = "sphere"
 
@@ -230,9 +234,9 @@ class Capsule(Axial):
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
-    start: Annotated[Point3, unit("mm")]
-    end: Annotated[Point3, unit("mm"), "where it is the start, the body is a ball"]
-    radius: Annotated[float, unit("mm"), POSITIVE]
+    start: Annotated[Point3, unit("mm"), AWAY]
+    end: Annotated[Point3, unit("mm"), AWAY, "where it is the start, the body is a ball"]
+    radius: Annotated[float, unit("mm"), POSITIVE, THICK]
 
     CALLED = "capsule"
 
@@ -273,11 +277,12 @@ class HalfSpace:
         InputError: a number that is not finite, a normal without length.
     """
 
-    point: Annotated[Point3, unit("mm"), "any of the plane"]
+    point: Annotated[Point3, unit("mm"), AWAY, "any of the plane"]
     normal: Annotated[Point3, "out of the body, towards where the arm may be; of any length"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", triple("point of the half-space", self.point))
+        check_usual(self, "the half-space")
         normal = np.array(triple("normal of the half-space", self.normal))
         length = float(np.linalg.norm(normal))
         if length == 0:
@@ -308,8 +313,8 @@ class Box(Measured):
         InputError: a number that is not finite, a corner `low` that is not below `high` along every axis.
     """
 
-    low: Annotated[Point3, unit("mm"), "corner with the least coordinates"]
-    high: Annotated[Point3, unit("mm"), "corner with the greatest coordinates"]
+    low: Annotated[Point3, unit("mm"), AWAY, "corner with the least coordinates"]
+    high: Annotated[Point3, unit("mm"), AWAY, "corner with the greatest coordinates"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "low", triple("low corner of the box", self.low))
@@ -317,6 +322,7 @@ class Box(Measured):
         for axis, a, b in zip("xyz", self.low, self.high, strict=True):
             if not a < b:
                 raise InputError(f"corners of the box are {a:g} and {b:g} m along {axis}; low must be less than high")
+        check_usual(self, "the box")
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""

@@ -36,7 +36,7 @@ def failure(error: Exception) -> tuple[str, int, str] | None:
     """Message, exit code and kind of what a command raised; None of what is nobody's mistake but ours."""
     for kind, (code, name) in CODES.items():
         if isinstance(error, kind):
-            return str(error), code, name
+            return "\n".join(map(as_typed, str(error).splitlines())), code, name
     # What Typer says of arguments; the Click that it brings along has no public name.
     message, context = getattr(error, "format_message", None), getattr(error, "ctx", None)
     if message is None:

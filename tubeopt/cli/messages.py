@@ -12,6 +12,8 @@ from typing import Any, TextIO
 import typer
 from rich.console import Console
 
+from ..files.units import as_typed
+
 LIBRARY = logging.getLogger("tubeopt")
 LOGGER = logging.getLogger("tubeopt.cli")
 LEVELS = ("debug", "info", "warning", "error")
@@ -54,7 +56,7 @@ def _heard(
 ) -> None:
     """Log what Python warns of: in a sentence where it is ours, else for who debugs."""
     if category.__module__.partition(".")[0] == LIBRARY.name:
-        LOGGER.warning(str(message))
+        LOGGER.warning(as_typed(str(message)))
     else:
         LOGGER.debug(f"{filename}:{lineno}: {category.__name__}: {message}")
 

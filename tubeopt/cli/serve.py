@@ -18,7 +18,8 @@ from ..control.command import OBJECTIVES, ServoOptions
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..files.checked import NotNegative, Positive, Whole
-from ..runs.base import Posed
+from ..files.marks import Usual
+from ..runs.base import Posed, said_of
 from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served
 from .flags import asks
@@ -30,11 +31,17 @@ class ServeEntry(Posed):
     """A robot to be served, where it begins, and how it may move."""
 
     obstacles: Bodies = Field((), description="bodies to keep clear of", examples=["OBSTACLES.yaml"])
-    clearance_mm: NotNegative = Field(Decimal(0), description="to be kept of obstacles")
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(Decimal(0), description="to be kept of obstacles")
     min_margin: Positive = Field(Decimal("0.1"), description="floor of the stability margin")
-    speed_mm_per_s: Positive = Field(Decimal(50), description="most that the tip is asked to move")
-    turn_rate_deg_per_s: Positive = Field(Decimal(170), description="most that a tube turns")
-    shift_rate_mm_per_s: Positive = Field(Decimal(50), description="most that a tube slides")
+    speed_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(
+        Decimal(50), description="most that the tip is asked to move"
+    )
+    turn_rate_deg_per_s: Annotated[Positive, Usual(0.03, 40.0)] = Field(
+        Decimal(170), description="most that a tube turns"
+    )
+    shift_rate_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(
+        Decimal(50), description="most that a tube slides"
+    )
     objective: str | None = Field(
         None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["WORD"]
     )
@@ -45,8 +52,10 @@ class ServeEntry(Posed):
         description="what clients must know; by default a new one, which is printed",
         examples=["WORD"],
     )
-    watchdog_s: Positive = Field(Decimal("0.1"), description="after which a stream of commands that ended is held")
-    period_s: Positive = Field(Decimal("0.001"), description="of the loop")
+    watchdog_s: Annotated[Positive, Usual(2e-3, 10.0)] = Field(
+        Decimal("0.1"), description="after which a stream of commands that ended is held"
+    )
+    period_s: Annotated[Positive, Usual(1e-5, 0.2)] = Field(Decimal("0.001"), le=1, description="of the loop")
     publish_Hz: Positive = Field(Decimal(40), description="states per second")
 
 
@@ -67,7 +76,8 @@ def serve(study: ServeEntry, output: Output) -> None:
             "speed_mm_per_s", "turn_rate_deg_per_s", "shift_rate_mm_per_s", "min_margin", "clearance_mm", "objective"
         )
     )
-    servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
+    with said_of(seed=("--rotations-deg", "--translations-mm")):
+        servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=study.si("watchdog_s")),
         ServerOptions(token=study.token or "", **study.in_si("port", "period_s", "publish_Hz")),

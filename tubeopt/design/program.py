@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from ..block.quantities import Expression, PoseNumber, Quantity
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, undoubted
 from ..robots.concentric import ConcentricRobot
 from ..solvers.time_limit import check_time
 from ..typing import Array
@@ -359,6 +359,7 @@ def state_at(program: Program, x: Array) -> State:
     return known
 
 
+@undoubted()
 def robot_at(program: Program, x: Array) -> ConcentricRobot:
     """The robot at x; raises InputError where its tubes do not fit into one another."""
     task = program.task

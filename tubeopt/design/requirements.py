@@ -120,7 +120,9 @@ class Strain:
     Nothing is said of the ways between poses.
     """
 
-    limits: Annotated[tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, "one per tube, or one for all"] = (0.01,)
+    limits: Annotated[
+        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 0.3), "one per tube, or one for all"
+    ] = (0.01,)
     straightened: Annotated[bool, "held straight"] = True
     in_poses: Annotated[bool, "at every task pose"] = True
 
@@ -136,9 +138,9 @@ class Strain:
 class Nesting(Checked):
     """Every tube fits into the next with at least this difference of diameters, m."""
 
-    clearance: Annotated[float, key("clearance_mm"), NOT_NEGATIVE, "least difference of diameters of nested tubes"] = (
-        0.0
-    )
+    clearance: Annotated[
+        float, key("clearance_mm"), NOT_NEGATIVE, Usual(1e-6, 0.01), "least difference of diameters of nested tubes"
+    ] = 0.0
     _owner = "nested tubes"
 
 
@@ -146,7 +148,7 @@ class Nesting(Checked):
 class Wall(Checked):
     """Every tube has at least this wall thickness, m."""
 
-    thickness: Annotated[float, key("wall_mm"), POSITIVE, "least wall thickness"]
+    thickness: Annotated[float, key("wall_mm"), POSITIVE, Usual(1e-5, 0.01), "least wall thickness"]
     _owner = "a wall"
 
 
@@ -173,7 +175,9 @@ class Length:
 class Stroke(Checked):
     """No carriage travels more than this between any two task poses, m."""
 
-    limit: Annotated[float, key("stroke_mm"), POSITIVE, "longest travel of a carriage between task poses"]
+    limit: Annotated[
+        float, key("stroke_mm"), POSITIVE, Usual(1e-4, 5.0), "longest travel of a carriage between task poses"
+    ]
     _owner = "a stroke"
 
 
@@ -194,7 +198,7 @@ class Target:
     """Where the tip must get, and along which direction it must point there."""
 
     position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0)]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, "largest distance of the tip"] = 1e-4
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance of the tip"] = 1e-4
     direction: Annotated[tuple[float, float, float] | None, "of any length; by default any direction"] = None
     direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
 
@@ -232,7 +236,7 @@ class Coverage:
 
     lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the least coordinates"]
     upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the greatest coordinates"]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, "largest distance of the tip"] = 1e-3
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance of the tip"] = 1e-3
     samples: Annotated[int, NOT_NEGATIVE, "Sobol points within the box"] = 32
 
     def __post_init__(self) -> None:
@@ -279,6 +283,7 @@ class Deployment(Checked, OwnRequirement):
         float,
         key("deployment_mm"),
         POSITIVE,
+        Usual(1e-6, 0.2),
         "largest distance of arms on their way out to the task poses from the whole arm",
     ]
     words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError, SolveError
+from ..errors import InputError, SolveError, undoubted
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..solvers.sampling import sobol
@@ -31,6 +31,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     return [with_joints(program, design, np.random.default_rng([seed, k])) for k, design in enumerate(designs[:count])]
 
 
+@undoubted()
 def _makes_robot(program: Program, design: Array) -> bool:
     try:
         replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)

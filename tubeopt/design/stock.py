@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, TimeLimitError, instance, positive, whole
-from ..files.marks import NOT_NEGATIVE, POSITIVE, check_fields, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
@@ -39,8 +39,8 @@ class StockTube:
     """A size that can be bought."""
 
     name: Annotated[str, "by which it is ordered"]
-    outer_diameter: Annotated[float, unit("mm"), POSITIVE]
-    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE]
+    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1)]
     source: Annotated[str, "where it was used, or is sold"] = ""
     material: Material = NITINOL
     """Of which it is."""

@@ -10,9 +10,9 @@ from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
 from ..block.transcription.mesh import loaded_counts, loaded_mesh
 from ..block.transcription.reduced import ReducedProblem, reduce
 from ..constants import GRAVITY
-from ..errors import InputError, implausible
+from ..errors import InputError, implausible, triple
 from ..robots.assembly import Assembly, cut
-from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
+from ..robots.load import FORCE, MOMENT, ZERO, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
@@ -48,6 +48,9 @@ LARGEST_BEND = 1000.0
 MOST_GRAVITY = 100.0
 """m/s^2, ten times that of the earth: beyond, it was probably meant in another unit."""
 
+MOST_TURN = 10.0
+"""Moment times length over bending stiffness, rad: beyond, it bends a straight arm by more than a turn and a half."""
+
 LARGEST_TURN = 30.0
 """Moment times length over bending stiffness, rad: beyond, an arm is bent to a coil of five turns."""
 
@@ -55,23 +58,26 @@ LARGEST_TURN = 30.0
 def _check_size(robot: Robot, load: Load, length: float) -> None:
     """Refuse forces and moments that no arm of these tubes bears, and warn of forces that none is made for: they were
     probably meant in mN and mN m."""
-    forces = [np.abs(load.force).max(), *(np.abs(part.force).max() for part in load.points)]
-    most, stiffness = float(max(forces)), sum(float(tube.bending_stiffness) for tube in robot.tubes)
-    turning = float(np.abs(load.moments).max())
-    for what, value, unit, allowed in (
-        ("force", most, "N", LARGEST_BEND * stiffness / length**2),
-        ("moment", turning, "N m", LARGEST_TURN * stiffness / length),
+    stiffness = sum(float(tube.bending_stiffness) for tube in robot.tubes)
+    forces, moments = {"tip force": load.force}, {"tip moment": load.moment}
+    for k, part in enumerate(load.points):
+        forces[f"force of points[{k}]"], moments[f"moment of points[{k}]"] = part.force, part.moment
+    along = load.distributed if isinstance(load.distributed, tuple) else ()
+    stretches = along if along and isinstance(along[0], Stretch) else (Stretch(0.0, length, along or ZERO),)
+    for k, stretch in enumerate(stretches):
+        over = min(stretch.end, length) - stretch.start
+        forces[f"force of distributed[{k}]"] = triple("force", np.multiply(over, stretch.force))
+    for parts, unit, scale, most, largest in (
+        (forces, "N", stiffness / length**2, MOST_BEND, LARGEST_BEND),
+        (moments, "N m", stiffness / length, MOST_TURN, LARGEST_TURN),
     ):
-        if value > allowed:
-            raise InputError(
-                f"a {what} of the load has {value:g} {unit}; on this arm it must be at most {allowed:.3g} {unit}: was "
-                f"{value:g} m{unit} meant?"
-            )
-    if most * length**2 > MOST_BEND * stiffness:
-        implausible(
-            f"a force of the load is {most:g} N, {most * length**2 / stiffness:.3g} times the bending stiffness over "
-            f"the square of the length; forces are in N: was {most:g} mN meant?"
-        )
+        for name, vector in parts.items():
+            size = max(map(abs, vector))
+            words = f"{name} of the load has {size:g} {unit}; on this arm it"
+            if size > largest * scale:
+                raise InputError(f"{words} must be at most {largest * scale:.3g} {unit}: was {size:g} m{unit} meant?")
+            if size > most * scale:
+                implausible(f"{words} is usually at most {most * scale:.3g} {unit}: was {size:g} m{unit} meant?")
     pull = float(np.linalg.norm(load.gravity or 0.0))
     if pull > MOST_GRAVITY:
         implausible(

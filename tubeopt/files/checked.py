@@ -20,7 +20,7 @@ from pydantic import (
     ValidationInfo,
 )
 
-from ..errors import InputError, nearest
+from ..errors import InputError, nearest, undoubted
 from .plausible import models, suspects
 from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, meant, parted, shown, to_si, unit_of
 
@@ -139,7 +139,8 @@ def check(
         InputError: one line for every problem.
     """
     try:
-        entry = model.model_validate(data, context={"directory": Path(where).parent, "files": {}})
+        with undoubted():
+            entry = model.model_validate(data, context={"directory": Path(where).parent, "files": {}})
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:
@@ -147,6 +148,9 @@ def check(
             LOGGER.warning(f"{where}: {words}" if str(where) else words)
         return entry
     called = names or {}
+    kinds = [problem for problem in problems if problem["loc"] == ("kind",)]
+    if kinds and "kind" not in called:  # a file of another kind: what its keys are is no matter
+        problems = kinds
     sentences = []
     for problem in problems:
         prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in called} else ""
@@ -193,6 +197,8 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "extra_forbidden":
             key = str(loc[-1])
             known = [one for one in _known_keys(model, loc[:-1]) if one != key]  # another alternative may have it
+            if key == "kind":
+                return [f"this is a file of kind {shown(value)}, which is not what is wanted here"]
             return [f"{path} is not a known key{meant(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Se
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
-from ..errors import InputError
+from ..errors import InputError, undoubted
 from .checked import Entry, Whole, as_many, three
 from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, marked
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, parted, plainest, to_si
@@ -138,7 +138,8 @@ def made(what: type[D], entry: Any) -> D:
         InputError: values that it refuses.
     """
     try:
-        return what(**values(what, entry))
+        with undoubted():
+            return what(**values(what, entry))
     except InputError as error:
         said, of = str(error), typing.cast("Any", what)
         for field in described(of):

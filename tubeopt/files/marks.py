@@ -21,8 +21,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from ..errors import InputError, choice, finite, instance, positive, whole
-from .units import unit_of
+from ..errors import InputError, choice, finite, implausible, instance, positive, whole
+from .units import in_words, others, plain_unit, unit_of
 
 M = TypeVar("M")
 
@@ -122,6 +122,12 @@ class Marked:
         """Its name in the dataclass."""
         return self.field.name
 
+    @property
+    def sign(self) -> str:
+        """The unit of its number in SI, after a blank; "" where it has none."""
+        named = self.first(Key)
+        return "" if named is None else f" {in_words(plain_unit(named.unit))}".rstrip()
+
     def first(self, kind: type[M]) -> M | None:
         """The first mark of a kind."""
         return next((mark for mark in self.marks if isinstance(mark, kind)), None)
@@ -170,23 +176,66 @@ def check_fields(what: Any, owner: str = "") -> None:
         if value is None and field.optional:
             continue
         if field.kind is float:
-            object.__setattr__(what, field.name, _checked(label, value, field.first(Range) or Range()))
+            object.__setattr__(what, field.name, _checked(label, value, field.first(Range) or Range(), field.sign))
         elif field.kind is int:
             object.__setattr__(what, field.name, whole(label, value))
-            _checked(label, value, field.first(Range) or Range())
+            _checked(label, value, field.first(Range) or Range(), "")
         elif field.kind is bool:
             instance(label, value, bool)
         elif field.kind is str:
             choice(label, value, words.words) if words is not None else instance(label, value, str)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
             instance(label, value, field.kind)
+    check_usual(what, owner)
 
 
-def _checked(label: str, value: Any, allowed: Range) -> float:
+def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
     bounded = allowed.above == 0 or allowed.least == 0
     number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
     if allowed.least is not None and number < allowed.least:
-        raise InputError(f"{label} is {number:g}; it must be at least {allowed.least:g}")
+        raise InputError(f"{label} is {number:g}{sign}; it must be at least {allowed.least:g}{sign}")
     if allowed.most is not None and number > allowed.most:
-        raise InputError(f"{label} is {number:g}; it must be at most {allowed.most:g}")
+        raise InputError(f"{label} is {number:g}{sign}; it must be at most {allowed.most:g}{sign}")
     return number
+
+
+@functools.lru_cache(maxsize=256)
+def _with_usual(what: Any) -> tuple[tuple[str, str, Usual], ...]:
+    """The fields of a dataclass with a usual range: their names, and the units of their keys."""
+    found = [(one.name, one.first(Key) or Key(""), one.first(Usual)) for one in marked(what)]
+    return tuple((name, named.unit, usual) for name, named, usual in found if usual is not None)
+
+
+def check_usual(what: Any, owner: str = "") -> None:
+    """Warn of numbers of a dataclass that are unusual by what its fields say of themselves.
+
+    Args:
+        owner: what messages say the field is of.
+    """
+    for name, file_unit, usual in _with_usual(what.__class__):
+        check_size(f"{name} of {owner}" if owner else name, getattr(what, name), usual, file_unit)
+
+
+def check_size(label: str, value: Any, usual: Usual, file_unit: str) -> None:
+    """Warn of a number (SI), or of the largest of several, that is unusual, with the unit that was probably meant.
+
+    Below the usual range a number may well be meant, unless there is such a unit.
+
+    Args:
+        file_unit: that of the number in a file, a key of `UNITS`; "" for a number without unit.
+    """
+    several = value if isinstance(value, tuple) and value else (value,)
+    if not all(isinstance(each, float | int) for each in several):
+        return
+    number = max(several, key=abs)
+    if number == 0 or usual.least <= abs(number) <= usual.most:
+        return
+    plain = plain_unit(file_unit)
+    sign = f" {in_words(plain)}".rstrip()
+    sizes = sorted(others(plain), key=lambda one: one[0] != file_unit)
+    meant = (other for other, size in sizes if usual.least <= abs(number) * float(size) <= usual.most)
+    right = next(meant, None)
+    if right is None and abs(number) < usual.least:
+        return
+    words = "" if right is None else f": was {number:g} {in_words(right)} meant?"
+    implausible(f"{label} is {number:g}{sign}; usual is {usual.least:g} to {usual.most:g}{sign}{words}")

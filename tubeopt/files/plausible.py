@@ -10,7 +10,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from .marks import Usual
-from .units import UNITS, ZERO_CELSIUS, others, to_si, unit_of
+from .units import UNITS, ZERO_CELSIUS, in_words, others, to_si, unit_of
 
 
 def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | None = None) -> Iterator[str]:
@@ -79,7 +79,7 @@ def unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
         if usual.least <= abs(to_si(largest - zero, scale)) <= usual.most:
             factor = scale / UNITS[unit]
             right = ", ".join(f"{float((number - zero) * factor):.6g}" for number in numbers)
-            yield f"{sentence}; that would be usual in {meant.replace('per_', '1/')}: was {right} meant?"
+            yield f"{sentence}; that would be usual in {in_words(meant) or 'parts of 1'}: was {right} meant?"
             return
     low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (usual.least, usual.most))
     yield f"{sentence}; usual is {low} to {high}"

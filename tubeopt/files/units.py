@@ -10,7 +10,7 @@ import functools
 import math
 import re
 import reprlib
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from decimal import Context, Decimal, InvalidOperation
 from typing import TypeGuard
 
@@ -52,8 +52,20 @@ ALIKE = (
     {"Pa": Decimal(1), "MPa": Decimal("1e6"), "GPa": Decimal("1e9"), "kPa": Decimal("1e3")},
     {"per_mm": Decimal(1000), "per_m": Decimal(1), "per_cm": Decimal(100)},
     {"s": Decimal(1), "ms": Decimal("1e-3"), "min": Decimal(60), "h": Decimal(3600)},
+    {"ohm": Decimal(1), "mohm": Decimal("1e-3")},
+    {"kg": Decimal(1), "g": Decimal("1e-3")},
+    {"Hz": Decimal(1), "kHz": Decimal(1000)},
     {"N": Decimal(1), "mN": Decimal("1e-3")},
     {"rad": Decimal(1), "deg": DEG},
+    {"rad_per_s": Decimal(1), "deg_per_s": DEG},
+    {"rad_per_s2": Decimal(1), "deg_per_s2": DEG},
+    {"m_per_s": Decimal(1), "mm_per_s": MM, "mm_per_min": UNITS["mm_per_min"]},
+    {"m_per_s2": Decimal(1), "mm_per_s2": MM},
+    {"kg_per_m": Decimal(1), "g_per_m": Decimal("1e-3")},
+    {"N_m": Decimal(1), "mN_m": Decimal("1e-3")},
+    {"N_m_per_m": Decimal(1), "mN_m_per_m": Decimal("1e-3")},
+    {"rad_per_m": Decimal(1), "deg_per_mm": UNITS["deg_per_mm"]},
+    {"fraction": Decimal(1), "percent": PERCENT},
     {"Ah": Decimal(3600), "mAh": Decimal("3.6")},
 )
 """Units that are taken for one another, the likeliest first -> each in SI."""
@@ -61,6 +73,8 @@ ALIKE = (
 SIGNS = {
     "percent": "%",
     "per_m": "1/m",
+    "per_mm": "1/mm",
+    "per_cm": "1/cm",
     "N_mm2": "N mm²",
     "mN_m": "mN m",
     "mN_per_m": "mN/m",
@@ -98,6 +112,20 @@ def others(unit: str) -> Iterator[tuple[str, Decimal]]:
             yield from ((name, size) for name, size in group.items() if name != unit)
 
 
+def plain_unit(unit: str) -> str:
+    """What a number in a unit has in SI, as "m" of "mm"; "" for a number without unit."""
+    return next((name for group in ALIKE if unit in group for name, size in group.items() if size == 1), "")
+
+
+def in_words(unit: str) -> str:
+    """A unit in a sentence, as "mm/s"; "" of a part of 1."""
+    return (
+        ""
+        if unit == "fraction"
+        else SIGNS.get(unit, re.sub("(^|_)per_", "/", unit).replace("_", " ").replace("2", "²"))
+    )
+
+
 def meant(key: str, known: Collection[str]) -> str:
     """Which known key was probably meant, as "; did you mean 'radius_mm'?"; with the factor where units differ."""
     for right in known:
@@ -116,14 +144,33 @@ def per_si(unit: str) -> float:
 
 
 def as_typed(sentence: str) -> str:
-    """A sentence of the library, which is in SI, for those who typed mm and deg: its lengths and angles in these."""
-    return _ANGLE.sub(
-        lambda found: f"{math.degrees(float(found[1])):.6g} deg",
-        _LENGTH.sub(lambda found: f"{TO_MM * float(found[1]):.6g} mm", sentence),
-    )
+    """A sentence of the library, which is in SI, for those who typed mm, deg, mN and mN m: its numbers in these, and
+    without the question whether they were meant."""
+    out = _MEANT.sub("", sentence)
+    for pattern, unit, size in _TYPED:
+        scaled = functools.partial(_NUMBER.sub, functools.partial(_scaled, size))
+        out = pattern.sub(functools.partial(_in_unit, scaled, unit), out)
+    return _TWICE.sub(r"\1", out)
 
 
-_LENGTH, _ANGLE = (re.compile(rf"(?<![\w.])(-?\d[\d.]*(?:e[-+]?\d+)?) {unit}(?![\w/^²])") for unit in ("m", "rad"))
+def _in_unit(scaled: Callable[[str], str], unit: str, numbers: re.Match[str]) -> str:
+    return f"{scaled(numbers[1])} {unit}"
+
+
+def _scaled(size: float, number: re.Match[str]) -> str:
+    return f"{float(number[0]) * size:.6g}"
+
+
+_NUMBER = re.compile(r"-?\d[\d.]*(?:e[-+]?\d+)?")
+_SEVERAL = rf"(?<![\w.])((?:{_NUMBER.pattern}(?:, | to | and ))*{_NUMBER.pattern})"
+_TYPED = tuple(
+    (re.compile(rf"{_SEVERAL} {unit}(?![\w/^²]| m\b| per\b)"), typed, size)
+    for unit, typed, size in (("N m", "mN m", 1e3), ("N", "mN", 1e3), ("m", "mm", TO_MM), ("rad", "deg", 180 / math.pi))
+)
+_MEANT = re.compile(
+    r"(?:[;:] \w+ are in \w+(?: m)?)?: was \S+ (?:mm|deg|mN|mN m) meant\?$|: translations are in m(?=;|$)"
+)
+_TWICE = re.compile(r"(-?[\d.e+]+ mm) \(\1\)")
 
 
 def to_si(number: Decimal, unit: Decimal) -> float:

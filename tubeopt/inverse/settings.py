@@ -10,7 +10,7 @@ from ..arguments import typed
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
 from ..errors import InputError, Settings, instance, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Range, check_fields, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Range, Usual, check_fields, check_size, unit
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
@@ -256,7 +256,9 @@ class InverseOptions(Displayed):
     direction_weight: Annotated[float | None, POSITIVE, "make the direction a cost of this weight"] = None
     """None holds the tip to the direction; a number makes (half the square of) the difference of the unit vectors a
     cost of that weight beside the objective."""
-    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least distance of the arm from obstacles"] = 0.0
+    clearance: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "least distance of the arm from obstacles"
+    ] = 0.0
     """Of its surface."""
     carriage_gap: float = 0.0
     """Least distance of neighbouring carriages, m."""
@@ -281,6 +283,7 @@ class InverseOptions(Displayed):
         check_fields(self)
         for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
+            check_size(name, getattr(self, name), Usual(1e-6, 0.5), "mm")
         positive("distinct", self.distinct)
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)

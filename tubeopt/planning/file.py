@@ -19,7 +19,7 @@ from ..files.files import read_text, write_text
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
 from ..robots.load import Load
-from ..robots.path_file import joint_cells, joint_columns
+from ..robots.path_file import check_joints, joint_cells, joint_columns
 from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
 from ..typing import Array
@@ -152,6 +152,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
     home = np.tile(own.home_readings, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
+    check_joints(table, own)
     table.check()
     return TimedJoints(own, time, *to_model(own, rotations, translations), _tips(path, comments, own.n_tubes))
 

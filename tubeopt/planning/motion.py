@@ -11,8 +11,8 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from ..display import Displayed
-from ..errors import InputError, numbers, positive
-from ..files.marks import POSITIVE, key
+from ..errors import InputError, numbers, positive, undoubted
+from ..files.marks import POSITIVE, Usual, check_usual, key
 from ..files.units import TO_MM
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import MOST_TURN, JointLimits, default_limits
@@ -42,15 +42,17 @@ class RateLimits(Displayed):
         InputError: a limit that is not a finite number greater than 0.
     """
 
-    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, EACH] = np.pi / 2
+    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, Usual(0.03, 4 * np.pi), EACH] = np.pi / 2
     """rad/s."""
-    translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, EACH] = 0.02
+    translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, Usual(1e-4, 0.2), EACH] = 0.02
     """m/s."""
-    rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, EACH] = np.pi
+    rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, Usual(0.03, 20 * np.pi), EACH] = np.pi
     """rad/s^2."""
-    translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, EACH] = 0.04
+    translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), EACH] = 0.04
     """m/s^2."""
-    tip: Annotated[float | None, key("tip_mm_per_s"), POSITIVE, "greatest speed of the tip; by default any"] = None
+    tip: Annotated[
+        float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "greatest speed of the tip; by default any"
+    ] = None
     """m/s; None where it does not matter."""
 
     def __post_init__(self) -> None:
@@ -60,6 +62,7 @@ class RateLimits(Displayed):
             given, label = getattr(self, name), f"{name} of the rate limits"
             values = tuple(positive(label, each) for each in numbers(label, given))
             object.__setattr__(self, name, values if np.ndim(given) else values[0])
+        check_usual(self, "the rate limits")
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
         """(m,) rates and (m,) accelerations of independent joints; raises InputError for another number of tubes."""
@@ -78,7 +81,8 @@ class RateLimits(Displayed):
 
 DEFAULT_RATES = RateLimits()
 
-ANY_RATES = RateLimits(*(1e12,) * 4)
+with undoubted():
+    ANY_RATES = RateLimits(*(1e12,) * 4)
 """Of actuators that are as fast as they like."""
 
 

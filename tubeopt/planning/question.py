@@ -13,7 +13,7 @@ from ..block.own import OwnObjective
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite, instance, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, check_fields, key, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Usual, check_fields, check_size, key, unit
 from ..inverse.chart import Chart
 from ..inverse.clock import Clock, LateError
 from ..inverse.configurations import shift_of
@@ -62,7 +62,9 @@ class PlanOptions(Displayed):
     """For the proof too."""
     search_seconds: float = 5.0
     """Of "optimal", s."""
-    clearance: Annotated[float, unit("mm"), NOT_NEGATIVE, "least distance of the arm from obstacles"] = 0.0
+    clearance: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "least distance of the arm from obstacles"
+    ] = 0.0
     """Of its surface."""
     max_force: Annotated[
         float,
@@ -98,6 +100,7 @@ class PlanOptions(Displayed):
         positive("search_seconds", self.search_seconds)
         for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
+            check_size(name, getattr(self, name), Usual(1e-6, 0.5), "mm")
 
 
 DEFAULT_PLAN = PlanOptions()

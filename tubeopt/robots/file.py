@@ -7,7 +7,6 @@ dataclasses themselves, whose messages are passed on with the file and the path 
 from __future__ import annotations
 
 import logging
-import warnings
 from dataclasses import replace
 from decimal import Decimal
 from os import PathLike
@@ -17,7 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..arguments import typed
-from ..errors import ImplausibleWarning, InputError
+from ..errors import InputError, undoubted
 from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.files import write_text
@@ -280,8 +279,7 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     Raises:
         InputError: one line for every problem.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ImplausibleWarning)  # the reader of the file says so, with its keys and units
+    with undoubted():
         robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
     # In SI units; what the reader says is of single keys, whatever the material is.
     for words in dict.fromkeys(words for tube in robot.tubes for words in material_doubts(tube)):

@@ -9,7 +9,7 @@ from typing import Annotated
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
-from ..files.marks import NOT_NEGATIVE, Range, unit
+from ..files.marks import NOT_NEGATIVE, Range, Usual, check_usual, unit
 
 PAIRWISE = ("torque", "plate", "jumps", "ends")
 """What a friction holds for every pair of neighbours."""
@@ -31,15 +31,26 @@ class Friction(Displayed):
         float | tuple[float, ...],
         unit("mN_m_per_m"),
         NOT_NEGATIVE,
+        Usual(1e-5, 1.0),
         "per length, wherever both tubes of a pair are, in front of the plate",
     ] = 0.0
     plate: Annotated[
-        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "at the plate, for all that rubs behind it"
+        float | tuple[float, ...],
+        unit("mN_m"),
+        NOT_NEGATIVE,
+        Usual(1e-6, 0.1),
+        "at the plate, for all that rubs behind it",
     ] = 0.0
     jumps: Annotated[
-        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "where the precurvature of one of the two jumps"
+        float | tuple[float, ...],
+        unit("mN_m"),
+        NOT_NEGATIVE,
+        Usual(1e-6, 0.1),
+        "where the precurvature of one of the two jumps",
     ] = 0.0
-    ends: Annotated[float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, "where the outer tube of a pair ends"] = 0.0
+    ends: Annotated[
+        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, Usual(1e-6, 0.1), "where the outer tube of a pair ends"
+    ] = 0.0
     sliding: Annotated[
         bool,
         "whether sliding along the axis uses up friction, so that what slips fast along it bears less torque about it; "
@@ -58,6 +69,7 @@ class Friction(Displayed):
             if not values:
                 raise InputError(f"{name} of friction is empty; it must be one number, or one for every pair of tubes")
             object.__setattr__(self, name, values)
+        check_usual(self, "friction")
         lengths = {len(self.of(name)) for name in PAIRWISE} - {1}
         if len(lengths) > 1:
             raise InputError(

@@ -13,6 +13,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, implausible
 from ..files.marks import unit
+from ..files.units import TO_MM
 from ..typing import Array
 from .tubes import Tube
 
@@ -104,6 +105,22 @@ def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
                 f"translation of tube {i + 1} is {shift:g} m, and the tube is {tube.length:g} m long; it must be at "
                 f"least {-FAR:g} times that: translations are in m"
             )
+
+
+ROUNDED = 1e-9
+"""mm, by which a translation may exceed what the tube allows: numbers of a file are rounded."""
+
+
+def reading_fault(tube: Tube, key: str, value: float) -> str:
+    """What a joint value of a tube must be, in the unit of its key or column, deg or mm; empty where it is that."""
+    most = round(math.degrees(MOST_TURN))
+    if key.endswith("_deg") and abs(value) > most:
+        return f"at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side"
+    if key.endswith("_mm") and value > tube.straight_length * TO_MM + ROUNDED:
+        return f"at most its straight length, {tube.straight_length * TO_MM:g}: it is held there"
+    if key.endswith("_mm") and value < -FAR * tube.length * TO_MM:
+        return f"at least {-FAR * tube.length * TO_MM:g}, {FAR:g} lengths of the tube behind home"
+    return ""
 
 
 def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:

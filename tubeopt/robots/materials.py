@@ -9,8 +9,8 @@ from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
-from ..errors import InputError, instance
-from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, key, unit
+from ..errors import InputError, instance, undoubted
+from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, check_size, key, unit
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,9 @@ USUAL_MODULUS = {"nitinol": (10e9, 90e9), "niti": (10e9, 90e9), "steel": (150e9,
 """Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from half of martensite's
 (20 to 50 GPa) to austenite's (up to 90 GPa), of steels by their handbooks."""
 
+STRAIN = Usual(5e-4, 0.5)
+"""Of materials that are cycled, or spring back."""
+
 SOLID = (1e7, math.inf)
 """The same of a material of another name: from soft plastics on. What is stiffer may be a model's."""
 
@@ -104,10 +107,10 @@ class Material(Displayed):
     youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(1e8, 5e11), "E"]
     shear_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(3e7, 2e11), "G; or Poisson's ratio in its place"]
     working_strain: Annotated[
-        float, unit("percent"), POSITIVE, "strain up to which a tube may be cycled without thought"
+        float, unit("percent"), POSITIVE, STRAIN, "strain up to which a tube may be cycled without thought"
     ] = 0.01
     superelastic_strain: Annotated[
-        float, unit("percent"), POSITIVE, "strain beyond which a tube does not spring back"
+        float, unit("percent"), POSITIVE, STRAIN, "strain beyond which a tube does not spring back"
     ] = 0.06
     thermal: Annotated[
         ThermalData | None,
@@ -117,7 +120,11 @@ class Material(Displayed):
 
     def __post_init__(self) -> None:
         instance("name of a material", self.name, str)
-        check_fields(self, f"material {self.name!r}")
+        label = f"material {self.name!r}"
+        with undoubted():  # of moduli a robot warns, by the name of the metal: those of a model may be any
+            check_fields(self, label)
+        for name in ("working_strain", "superelastic_strain"):
+            check_size(f"{name} of {label}", getattr(self, name), STRAIN, "percent")
         if not -1e-9 <= self.poisson_ratio < 0.5:
             raise InputError(
                 f"shear_modulus of material {self.name!r} is {self.shear_modulus:g} Pa, which makes Poisson's ratio "

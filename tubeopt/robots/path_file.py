@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 from os import PathLike
 
 import numpy as np
 
-from ..files.csv_file import read_csv, to_csv
-from ..files.units import DEG, MM, in_unit
+from ..files.csv_file import CsvTable, read_csv, to_csv
+from ..files.units import DEG, MM, in_unit, parse_number
 from ..typing import Array
+from .limits import reading_fault
 from .robot import Robot
 
 
@@ -34,6 +36,18 @@ def joint_cells(rotations: Array, translations: Array) -> list[object]:
     return [*(in_unit(float(x), DEG) for x in rotations), *(in_unit(float(x), MM) for x in translations)]
 
 
+def check_joints(table: CsvTable, robot: Robot) -> None:
+    """Complain of cells in `joint_columns` that no tube can have; readings of calibrated drives are not looked at."""
+    if robot.calibration is not None:
+        return
+    for columns in joint_columns(robot.n_tubes):
+        for column, tube in zip(columns, robot.tubes, strict=True):
+            for row in range(len(table.rows) if column in table.columns else 0):
+                value = parse_number(table.cell(row, column))
+                if isinstance(value, Decimal) and (allowed := reading_fault(tube, column, float(value))):
+                    table.complain(row, column, f"is {value}; it must be {allowed}")
+
+
 def waypoints_csv(rotations: Array, translations: Array) -> str:
     """The text of a file that `load_waypoints` reads: rotations (T, n) rad, translations (T, n) m."""
     turns, shifts = joint_columns(rotations.shape[1])
@@ -54,5 +68,6 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     rotations = table.numbers(turns, DEG)
     home = np.tile(robot.home_readings, (len(table.rows), 1))
     translations = table.numbers(shifts, MM) if moved else home
+    check_joints(table, robot)
     table.check()
     return Waypoints(rotations, translations)

@@ -18,7 +18,7 @@ from ..files.marks import Usual
 from ..files.plausible import unusual
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
 from ..typing import Array
-from .pieces import Piece, Slots, check_table
+from .pieces import BEND, LENGTH, Piece, Slots, check_table
 from .series import Quantity, Series, extremes, turned
 from .tubes import Tube
 
@@ -26,8 +26,8 @@ DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
 LOGGER = logging.getLogger(__name__)
 
-LENGTH = Usual(3e-4, 10.0)
-"""Of a piece, m."""
+RADIUS = PITCH = Usual(5e-4, 10.0)
+"""Of a piece or a helix, and what a helix advances per turn, m."""
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
 """Of that of the cross-section: what is given outside has a wrong unit."""
@@ -71,8 +71,8 @@ Curvature = Annotated[OneNumber | Both | Varying, Discriminator(_kind)]
 class HelixEntry(Entry):
     """A helix in space."""
 
-    radius_mm: Positive
-    pitch_mm: Positive = Field(description="advance along its axis per turn")
+    radius_mm: Annotated[Positive, RADIUS]
+    pitch_mm: Annotated[Positive, PITCH] = Field(description="advance along its axis per turn")
     handed: Literal["left", "right"] = "right"
 
 
@@ -126,8 +126,8 @@ class PieceEntry(Entry):
     """A piece of a tube: its length, its precurvature in one of several ways, and stiffnesses of its own."""
 
     length_mm: Annotated[Positive | None, LENGTH] = Field(None, description="may be left out with a table")
-    radius_mm: Positive | None = None
-    curvature_per_m: Curvature | None = Field(None, description="about x, or [x, y]")
+    radius_mm: Annotated[Positive | None, RADIUS] = None
+    curvature_per_m: Annotated[Curvature | None, BEND] = Field(None, description="about x, or [x, y]")
     twist_deg_per_mm: Along | None = Field(None, description="natural twist: how fast the bend direction turns")
     helix: HelixEntry | None = None
     table: Table | None = None

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, vector
+from ..errors import InputError, undoubted, vector
 from ..typing import Array, late
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
@@ -152,6 +152,7 @@ def keeps_hash(cls: type[Kept]) -> type[Kept]:
     return cls
 
 
+@undoubted()
 def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
     """The robot with another dimension of a tube, SI; see `Tube.resized`."""
     tubes = [one.resized(name, value) if i == tube else one for i, one in enumerate(robot.tubes)]

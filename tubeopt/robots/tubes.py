@@ -11,10 +11,10 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, finite, implausible, instance, items, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, marked, unit
+from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_size, check_usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
-from .pieces import Piece
+from .pieces import TWIST, Piece
 from .series import Quantity, extremes
 
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
@@ -246,17 +246,13 @@ from, and may be cycled to."""
 
 
 def warn_of_units(tube: Tube) -> None:
-    """Warn of numbers that are larger than usual by what their fields say, as mm and 1/mm that are taken for m and 1/m,
-    and of what `material_doubts` says. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
+    """Warn of numbers that are not usual by what their fields say, as mm and 1/mm that are taken for m and 1/m, and of
+    what `material_doubts` says. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
     """
-    given = _given(tube)
-    for one in marked(Tube):
-        usual, size = one.first(Usual), abs(getattr(tube, one.name) or 0.0)
-        if usual is None or size <= usual.most or given:
-            continue
-        sign = "1/m" if one.name == "curvature" else "kg/m" if one.name == "mass_per_length" else "m"
-        words = f": was {size:g} mm meant?" if sign == "m" and usual.least <= 1e-3 * size <= usual.most else ""
-        implausible(f"{one.name} is {size:g} {sign}; usual is {usual.least:g} to {usual.most:g} {sign}{words}")
+    if not _given(tube):
+        check_usual(tube)
+        for k, piece in enumerate(tube.pieces, start=1):
+            check_size(f"twist of piece {k}", extremes([piece.precurvature[2]], piece.length), TWIST, "rad_per_m")
     for words in material_doubts(tube):
         implausible(words)
 

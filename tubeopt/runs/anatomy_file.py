@@ -25,6 +25,7 @@ from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
 from ..files.files import read_text
+from ..files.marks import Usual
 from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
@@ -153,7 +154,9 @@ class MeshPart(Entry):
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
     axes: Axes | None = Field(None, description=OF_FILE)
-    cell_mm: Positive | None = Field(None, description="size of the cells of its distance field; 0.5 where that can be")
+    cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
+        None, description="size of the cells of its distance field; 0.5 where that can be"
+    )
 
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
@@ -173,7 +176,9 @@ class PointsPart(Entry):
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
     axes: Axes | None = Field(None, description=OF_FILE)
-    cell_mm: Positive | None = Field(None, description="size of the cells of its distance field; 0.5 where that can be")
+    cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
+        None, description="size of the cells of its distance field; 0.5 where that can be"
+    )
 
     def build(self) -> DistanceField:
         """Its distance field in the patient, RAS."""
@@ -237,7 +242,9 @@ class RegistrationPart(Entry):
     """Landmarks as they are measured from the plate, by which the plate is found in the patient."""
 
     landmarks_mm: dict[str, Triple] = Field(description="names of landmarks, and where each is from the plate")
-    most_error_mm: Positive = Field(Decimal(3), description="largest root of the mean square error that is allowed")
+    most_error_mm: Annotated[Positive, Usual(1e-5, 0.05)] = Field(
+        Decimal(3), description="largest root of the mean square error that is allowed"
+    )
 
 
 class AnatomyPart(Entry):

@@ -12,6 +12,7 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..files.checked import NotNegative, Positive
 from ..files.fields import asking, values
+from ..files.marks import Usual
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
 from ..typing import Progress
 from .anatomy_file import BasePart
@@ -65,7 +66,7 @@ class ArmsStudy(Surrounded, Study):
     obstacles: Bodies = Field(
         (), description="bodies that all arms keep away from, in the frame that they share: a list, or a YAML file"
     )
-    clearance_mm: NotNegative = Field(
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="least distance of every arm from bodies, and from all others"
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])

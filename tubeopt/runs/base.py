@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
-import math
+import re
 from collections import UserDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -14,10 +15,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from ..equilibrium.readings import to_model
+from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Whole, in_file
-from ..files.units import TO_MM
 from ..robots.file import AnyRobot, load_robot
-from ..robots.limits import FAR, MOST_TURN
+from ..robots.limits import reading_fault
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
 from ..typing import Array, Progress
@@ -30,10 +31,6 @@ RobotPath = Annotated[
 """A robot, given as the path of its file."""
 
 
-ROUNDED = 1e-9
-"""mm, by which a translation may exceed what the tube allows: numbers of a file are rounded."""
-
-
 def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
     robot = info.data.get("robot")  # absent where the robot itself has problems
     if robot is not None and len(values) != robot.n_tubes:
@@ -42,15 +39,9 @@ def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
     key = info.field_name or ""
     if robot is None or robot.calibration is not None or key.startswith(("lower", "upper")):  # readings; ends of a box
         return values
-    most = round(math.degrees(MOST_TURN))
     for i, (value, tube) in enumerate(zip(values, robot.tubes, strict=True)):
-        at = f"has {value} for tube {i + 1}; it must be"
-        if key.endswith("_deg") and abs(value) > most:
-            raise ValueError(f"{at} at most {most} ({MOST_TURN / math.tau:.0f} turns) to either side")
-        if key.endswith("_mm") and float(value) > tube.straight_length * TO_MM + ROUNDED:
-            raise ValueError(f"{at} at most its straight length, {tube.straight_length * TO_MM:g}: it is held there")
-        if key.endswith("_mm") and float(value) < -FAR * tube.length * TO_MM:
-            raise ValueError(f"{at} at least {-FAR * tube.length * TO_MM:g}, {FAR:g} lengths of the tube behind home")
+        if allowed := reading_fault(tube, key, float(value)):
+            raise ValueError(f"has {value} for tube {i + 1}; it must be {allowed}")
     return values
 
 
@@ -87,6 +78,30 @@ def require_one(study: Entry, one: str, other: str) -> None:
         raise ValueError(f"{one} and {other} are missing; one of them must be given")
     if given == {True}:
         raise ValueError(f"{one} and {other} are given; it must be one of them")
+
+
+OUT_OF_RANGE = re.compile(r"^(\w+) is out of range: (?:(rotation|translation) of tubes? (\d+)[^;]* is )?")
+
+
+@contextmanager
+def said_of(**keys: tuple[str, str]) -> Iterator[None]:
+    """Say by which key joint values came in that are out of range.
+
+    Args:
+        keys: what the library calls them -> the keys of their rotations and of their translations.
+    """
+    try:
+        yield
+    except InputError as error:
+        found = OUT_OF_RANGE.match(str(error))
+        if found is None or found[1] not in keys:
+            raise
+        turns, shifts = keys[found[1]]
+        rest = str(error)[found.end() :]
+        if found[2] is None:  # the order of the tubes
+            raise InputError(f"{shifts} is out of range: {rest}") from None
+        key = turns if found[2] == "rotation" else shifts
+        raise InputError(f"{key}[{int(found[3]) - 1}] is {rest}") from None
 
 
 class Kinds(UserDict[str, Any]):

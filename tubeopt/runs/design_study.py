@@ -26,6 +26,7 @@ from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, in_file
 from ..files.fields import EntryOf
+from ..files.marks import Usual
 from ..stability import ASSUMING
 from ..typing import Progress
 from .base import Count, Timed
@@ -60,7 +61,9 @@ class StockStudy(Entry):
     """Sizes to choose from."""
 
     file: StockPath
-    clearance_mm: NotNegative = Field(description="least difference of diameters of nested tubes")
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+        description="least difference of diameters of nested tubes"
+    )
     keep: Count = Field(5, description="how many of the best choices are to be found for certain")
 
 

@@ -22,7 +22,7 @@ from ..typing import Array, Progress
 from .base import OnePerTube, RobotPath, joints_of, require_one
 from .load_file import LoadedStudy
 from .obstacle_file import Surrounded, TipPlace
-from .target_file import Targets, load_joints, load_targets
+from .target_file import POSITION, Targets, load_joints, load_targets
 
 Joints = Annotated[
     tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of="robot")
@@ -169,7 +169,7 @@ class InverseStudy(Surrounded, LoadedStudy):
         return Postures(self.robot, (found,))
 
     def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
-        check_target(self.robot.tubes, "targets", targets.position)
+        check_target(self.robot.tubes, f"{targets.path}: {', '.join(POSITION)}", targets.position)
         rows: list[Row] = []
         session = IkSession(self.robot, **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,6 +12,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
+from ..files.marks import Usual
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
@@ -93,7 +94,9 @@ class ForceStudy(LoadedStudy, Timed):
     kind: Literal["force"]
     robot: RobotPath
     measurements: MeasurementsPath
-    noise_mm: Positive = Field(Decimal(1), description="noise of a measured coordinate (standard deviation)")
+    noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
+        Decimal(1), description="noise of a measured coordinate (standard deviation)"
+    )
     registration: Literal["none", "saved"] | None = Field(
         None,
         description="none: positions are in the frame of the plate; saved: in that of the device of the calibration",

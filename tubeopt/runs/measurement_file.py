@@ -16,6 +16,7 @@ from ..files.files import write_text
 from ..files.units import DEG, MM, RAD, in_unit, to_si
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
+from ..robots.path_file import check_joints
 from ..robots.robot import Robot
 from ..typing import Array
 from ..validation.comparison import ErrorTable
@@ -47,6 +48,8 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
         return load_mapped(path, robot)
     table = read_csv(path)
     columns, mirrored = _columns(path, table, robot)
+    check_joints(table, robot)
+    table.check()
     labels = {name: table.numbers([c], DEG)[:, 0] for c, name in MIRROR.items() if c in table.columns}
     turned = _mirrored(table, **labels) if mirrored and len(labels) == 2 else None
     return measured(columns, columns, robot, (str(path), ""), turned=turned, labels=labels)

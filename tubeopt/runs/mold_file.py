@@ -11,10 +11,10 @@ from pydantic import Field
 from ..files.checked import Positive, check
 from ..files.csv_file import read_csv
 from ..files.fields import Part, asking, to_data
-from ..files.units import MM, in_unit
+from ..files.units import MM, TO_MM, in_unit
 from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.mold.spec import MoldSpec
-from ..shaping.mold.springback import Calibration, Springback
+from ..shaping.mold.springback import RADII, Calibration, Springback
 from ..typing import Array
 
 TRIAL_COLUMNS = ("mold_radius_mm", "obtained_radius_mm")
@@ -104,7 +104,10 @@ def load_trials(path: str | PathLike[str]) -> Trials:
     radii = table.numbers(TRIAL_COLUMNS, MM)
     for row in range(len(table.rows)):
         for k, column in enumerate(TRIAL_COLUMNS):
-            if radii[row, k] <= 0 and not any(f"row {row + 1} " in p and column in p for p in table.problems):
-                table.complain(row, column, f"is {table.cell(row, column)}; it must be greater than 0")
+            if not RADII[0] <= radii[row, k] <= RADII[1] and not any(
+                f"row {row + 1} " in problem and column in problem for problem in table.problems
+            ):
+                allowed = f"it must be {RADII[0] * TO_MM:g} to {RADII[1] * TO_MM:g}, as radii of curved tubes are"
+                table.complain(row, column, f"is {table.cell(row, column)}; {allowed}")
     table.check()
     return Trials(radii[:, 0], radii[:, 1])

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
+from ..files.marks import Usual
 from ..robots.tubes import Tube
 from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
@@ -64,7 +65,7 @@ class MoldStudy(Study):
         None, description="of both plates: steel, mdf, glass_mica, calcium_silicate; by default the mold file's"
     )
     springback: SpringbackPath | None = SPRINGBACK
-    cold_length_mm: NotNegative | None = Field(
+    cold_length_mm: Annotated[NotNegative | None, Usual(1e-4, 0.5)] = Field(
         None, description="from a clamp to where the tube is hot; by default estimated"
     )
 
@@ -124,11 +125,15 @@ class MaterialsStudy(Timed):
     kind: Literal["mold_materials"]
     robot: RobotPath | None = Field(None, description="robot whose tube it is")
     tube: TubeNumber = 1
-    outer_diameter_mm: Positive = Field(
+    outer_diameter_mm: Annotated[Positive, Usual(1e-4, 0.1)] = Field(
         Decimal("1.92"), description="without a robot: of the tube; by default the thesis'"
     )
-    inner_diameter_mm: NotNegative = Field(Decimal("1.57"), description="without a robot: of the tube")
-    curved_length_mm: Positive = Field(Decimal(94), description="without a robot: the length to be heated")
+    inner_diameter_mm: Annotated[NotNegative, Usual(2e-5, 0.1)] = Field(
+        Decimal("1.57"), description="without a robot: of the tube"
+    )
+    curved_length_mm: Annotated[Positive, Usual(1e-3, 10.0)] = Field(
+        Decimal(94), description="without a robot: the length to be heated"
+    )
     set_degC: Number = Field(Decimal(525), description="temperature of the tube")
     hold_s: Positive = Field(Decimal(60), description="for how long it is held")
     rig: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(

@@ -15,6 +15,7 @@ from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.marks import Usual
 from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
@@ -101,7 +102,7 @@ class PairStudy(Timed, SearchPart, Tried):
     anatomy: AnatomyKey | None = Field(
         None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
     )
-    clearance_mm: NotNegative = Field(
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="least distance of both arms from bodies, and from each other"
     )
     places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(8, description="of the region, with which is searched")

@@ -13,11 +13,12 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
 from ..files.fields import EntryOf, asking, values
+from ..files.marks import Usual
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array, Progress
-from .base import OnePerTube, Started, joints_of
+from .base import OnePerTube, Started, joints_of, said_of
 from .load_file import LoadedStudy
 from .obstacle_file import Place, Surrounded, TipPlace
 
@@ -116,7 +117,9 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
         None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
     )
     spline: bool = Field(False, description="the curve is smooth through its points, not a polyline")
-    tolerance_mm: Positive = Field(Decimal("0.5"), description="largest distance of the tip from the curve")
+    tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
+        Decimal("0.5"), description="largest distance of the tip from the curve"
+    )
     leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
     begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
     entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
@@ -150,7 +153,8 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
 
     def run(self, progress: Progress | None = None) -> Trajectory:
         """The trajectory; raises SolveError where there is none, or none was found in time."""
-        plan = self._found(progress)
+        with said_of(start=("start_deg", "start_mm"), goal=("goal_deg", "goal_mm")):
+            plan = self._found(progress)
         if self.cut is None:
             return plan
         plane = self.cut.plane(self.around)

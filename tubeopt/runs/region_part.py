@@ -13,6 +13,7 @@ from ..bodies.frames import Frame
 from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
+from ..files.marks import Usual
 from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array, Progress
@@ -81,11 +82,13 @@ class SearchPart(Entry):
     """What a search for designs that reach a region says, for one robot or for two."""
 
     obstacles: Bodies = Field((), description="further bodies: a list, or a YAML file")
-    clearance_mm: NotNegative = Field(
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
         Decimal("0.2"), description="least distance of an arm from bodies, and of two from each other"
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
-    tolerance_mm: Positive = Field(Decimal("0.5"), description="distance of the tip from a place that is reached")
+    tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
+        Decimal("0.5"), description="distance of the tip from a place that is reached"
+    )
     places: Annotated[Count, Field(le=MOST)] = Field(12, description="of the region, with which is searched")
     judged: Annotated[Count, Field(le=MOST)] = Field(
         48, description="other places of it, by which what comes of it is judged"

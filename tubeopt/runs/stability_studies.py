@@ -12,6 +12,7 @@ from ..display import Displayed
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, Whole, in_file
+from ..files.marks import Usual
 from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
@@ -177,7 +178,7 @@ class CertifyStudy(Timed):
     box: bool = Field(False, description="for all translations that the robot's limits allow")
     lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
     upper_mm: OnePerTube | None = Field(None, description="largest translations of a box, in place of the limits")
-    max_tip_force_mN: Positive | None = Field(
+    max_tip_force_mN: Annotated[Positive | None, Usual(1e-4, 20.0)] = Field(
         None, description="whatever pushes on the tip with up to this force, in any direction that it keeps"
     )
 

@@ -28,6 +28,8 @@ class Targets:
     """(T, 3) m."""
     direction: Array | None
     """(T, 3), of any length."""
+    path: str = ""
+    """Of the file."""
 
 
 def load_targets(path: str | PathLike[str]) -> Targets:
@@ -45,7 +47,7 @@ def load_targets(path: str | PathLike[str]) -> Targets:
         for k in np.flatnonzero(~direction.any(1)):
             table.complain(int(k), DIRECTION[0], "is 0, as are the other two; a direction must have a length")
     table.check()
-    return Targets(position, direction)
+    return Targets(position, direction, str(path))
 
 
 class JointsFile(Entry):

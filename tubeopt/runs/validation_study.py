@@ -5,10 +5,11 @@ from __future__ import annotations
 from decimal import Decimal
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
 from ..files.fields import asking, values
+from ..files.marks import Usual
 from ..typing import Progress
 from ..validation import (
     BasePose,
@@ -33,6 +34,12 @@ MeasurementsPath = Annotated[
     Field(description="path of the CSV file of measured tips, or of the YAML that maps one, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
+
+
+def _not_one(folds: int) -> int:
+    if folds == 1 or folds < 0:
+        raise ValueError(f"is {folds}; it must be 0, or at least 2")
+    return folds
 
 
 @asking(FitOptions)
@@ -61,12 +68,16 @@ class ValidationStudy(Timed):
         examples=["NAME,.."],
     )
     compare: bool = Field(False, description="add effects in the order in which they pay, until none does")
-    folds: Whole | None = Field(
+    folds: Annotated[Whole, AfterValidator(_not_one)] | None = Field(
         None, description="folds of the cross-validation; 0 for none; by default 5, or 10 with compare"
     )
     confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
-    noise_mm: Positive | None = Field(None, description="noise of a measured coordinate; by default estimated")
-    axis_noise_deg: Positive | None = Field(None, description="noise of a measured direction; by default estimated")
+    noise_mm: Annotated[Positive | None, Usual(1e-6, 0.02)] = Field(
+        None, description="noise of a measured coordinate; by default estimated"
+    )
+    axis_noise_deg: Annotated[Positive | None, Usual(1e-4, 0.5)] = Field(
+        None, description="noise of a measured direction; by default estimated"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> ValidationStudy:
@@ -115,11 +126,13 @@ class MeasureStudy(Timed):
     )
     count: Annotated[Whole, Field(ge=3)] = Field(30, description="how many configurations")
     min_margin: NotNegative = Field(Decimal("0.1"), lt=1, description="least stability margin")
-    noise_mm: Positive = Field(Decimal("0.5"), description="noise of a measured coordinate, for the expected errors")
+    noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
+        Decimal("0.5"), description="noise of a measured coordinate, for the expected errors"
+    )
     registration: Literal["rigid", "base-axis", "none"] = Field(
         "rigid", description="how the device's frame will be brought to the plate's: rigid, base-axis or none"
     )
-    seed: Whole = Field(0, description="of the random configurations that are chosen from")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the random configurations that are chosen from")
 
     def run(self, progress: Progress | None = None) -> Placement:
         """The configurations; raises SolveError where too few have the margin."""

@@ -10,7 +10,9 @@ from pydantic import Field
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
+from ..errors import undoubted
 from ..files.checked import NotNegative, Positive, check_kind, in_file
+from ..files.marks import Usual
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
@@ -59,14 +61,16 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
     min_margin: NotNegative | None = Field(
         None, lt=1, description="least stability margin, below 1; by default 0", examples=["MU"]
     )
-    clearance_mm: NotNegative | None = Field(None, description="least distance of the arm from obstacles; by default 0")
-    max_tip_force_mN: NotNegative | None = Field(
+    clearance_mm: Annotated[NotNegative | None, Usual(1e-5, 0.1)] = Field(
+        None, description="least distance of the arm from obstacles; by default 0"
+    )
+    max_tip_force_mN: Annotated[NotNegative | None, Usual(1e-4, 20.0)] = Field(
         None,
         description="margin and clearance under any tip force of up to this size, in any direction; by default 0",
         examples=["F"],
     )
     rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
-    tip_mm_per_s: Positive | None = Field(
+    tip_mm_per_s: Annotated[Positive | None, Usual(1e-4, 2.0)] = Field(
         None, description="greatest speed of the tip, in place of that of rates; by default any", examples=["V"]
     )
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
@@ -89,7 +93,8 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
         file, joints = self.trajectory
         rates, tip = None if asked.rates is None else asked.rates.build(), self.si("tip_mm_per_s")
         if tip is not None:
-            rates = replace(rates or ANY_RATES, tip=tip)
+            with undoubted():
+                rates = replace(rates or ANY_RATES, tip=tip)
         proof = verify_trajectory(
             joints.robot,
             joints.time,

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..files.checked import Number, Positive, Whole
+from ..files.marks import Usual
 from ..typing import Progress
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
@@ -26,7 +27,7 @@ class WorkspaceStudy(Timed):
     samples: Annotated[Whole, Field(ge=1)] = Field(10_000, description="joint values")
     method: Literal["sobol", "random", "grid"] = Field("sobol", description="how they are chosen: sobol, random, grid")
     seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random and Sobol points", examples=["K"])
-    voxel_mm: Positive | None = Field(
+    voxel_mm: Annotated[Positive | None, Usual(1e-5, 0.1)] = Field(
         None, description="edge of the voxels; by default for about fifty samples in each"
     )
     min_margin: Annotated[Number, Field(le=1)] = Field(

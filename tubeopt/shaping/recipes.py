@@ -80,7 +80,8 @@ def check_temperatures(material: Material, name: str, low: float, high: float) -
     least, most = recipe.usual
     if high > recipe.most:
         cooler, hotter = low - ZERO_CELSIUS, high - ZERO_CELSIUS
-        hint = f"; if these are K, give {cooler:g} to {hotter:g} degC" if least <= cooler <= hotter <= most else ""
+        in_celsius = f"{cooler:g}" if cooler == hotter else f"{cooler:g} to {hotter:g}"
+        hint = f"; if these are K, give {in_celsius} degC" if least <= cooler <= hotter <= most else ""
         raise InputError(
             f"{name} is {given}; it must be at most {recipe.most:g} degC for {recipe.metal}: {recipe.lost}{hint}"
         )

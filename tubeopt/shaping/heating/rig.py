@@ -27,6 +27,9 @@ COUNTS = 255
 AMPERE_HOUR = 3600.0
 """1 A h in C."""
 
+OHMS = Usual(1e-5, 0.5)
+"""Of cables, contacts and batteries: more is that of a tube."""
+
 HOT = 500.0
 """Rise over ambient, K, at which the heat transfer of tubes into air is taken; in free convection it changes with the
 sixth root of it."""
@@ -78,9 +81,9 @@ class Battery:
         unit("V"),
         "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear between them",
     ] = OPEN_CIRCUIT
-    internal_resistance: Annotated[float, unit("mohm"), Range(above=0.0, most=10.0), "at once"] = 0.008
+    internal_resistance: Annotated[float, unit("mohm"), Range(above=0.0, most=10.0), OHMS, "at once"] = 0.008
     sag_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), "on top of it once the sag has built up"
+        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "on top of it once the sag has built up"
     ] = 0.006
     sag_time: Annotated[float, unit("s"), Range(above=0.0, most=1e4), "in which it does, to 63 %"] = 30.0
 
@@ -136,12 +139,12 @@ class Battery:
 class Circuit:
     """What lies between battery and tube, and what it bears."""
 
-    cable_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), "of all cables"] = 0.005
+    cable_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "of all cables"] = 0.005
     contact_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), "of both clamps on the tube together"
+        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "of both clamps on the tube together"
     ] = 0.004
-    mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), "R_DS(on)"] = 0.002
-    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), "of the pulses"] = 490.0
+    mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "R_DS(on)"] = 0.002
+    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Usual(10.0, 1e5), "of the pulses"] = 490.0
     lost_on_time: Annotated[
         float,
         unit("us"),
@@ -177,7 +180,7 @@ class Circuit:
 class Clamps:
     """The two equal clamps, each a lump of metal that warms up."""
 
-    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), "of one"] = 0.05
+    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Usual(5e-4, 5.0), "of one"] = 0.05
     heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "of its metal"] = 896.0
     area: Annotated[float, unit("cm2"), Range(above=0.0, most=1.0), "of the surface of one that cools in air"] = 4e-3
     contact_conductance: Annotated[float, unit("W_per_m2_K"), Range(above=0.0, most=1e6), "between tube and clamp"] = (

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, numbers
-from ...files.marks import NOT_NEGATIVE, POSITIVE, check_fields, key, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...typing import Array
 from .simulation import State, advance, at_rest, current
@@ -41,7 +41,9 @@ class Sensor(Displayed):
     name: ClassVar[str] = "sensor"
     """What it is called in files and words."""
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.0
+    lag: Annotated[
+        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
+    ] = 0.0
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 0.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.0
@@ -110,11 +112,15 @@ class Thermocouple(Sensor):
 
     name: ClassVar[str] = "thermocouple"
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.3
+    lag: Annotated[
+        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
+    ] = 0.3
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 2.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.25
-    position: Annotated[float, unit("mm"), "where it touches the tube, from the middle of the curved part"] = 0.0
+    position: Annotated[
+        float, unit("mm"), Usual(1e-4, 0.5), "where it touches the tube, from the middle of the curved part"
+    ] = 0.0
 
     def target(self, model: ThermalModel, state: State) -> Array:
         """(B,) temperature where it touches."""
@@ -136,12 +142,14 @@ class Camera(Sensor):
 
     name: ClassVar[str] = "camera"
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, "time constant with which its reading follows"] = 0.1
+    lag: Annotated[
+        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
+    ] = 0.1
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 1.0
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 9.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.1
     positions: Annotated[
-        tuple[float, ...], unit("mm"), "places whose mean is read, from the middle of the curved part"
+        tuple[float, ...], unit("mm"), Usual(1e-4, 0.5), "places whose mean is read, from the middle of the curved part"
     ] = (-20e-3, 0.0, 20e-3)
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from ...display import Displayed
 from ...errors import InputError, choice, finite, instance, items, positive, vector
-from ...files.marks import POSITIVE, OneOf, Range, check_fields, key, unit
+from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
 from .settings import DEFAULT_HEATING, HeatingSolver
 
 OBJECTIVES = ("time", "energy", "margin")
@@ -33,6 +33,7 @@ class HeatingSpec(Displayed):
         float,
         key("ramp_K_per_s"),
         POSITIVE,
+        Usual(0.05, 1000.0),
         "greatest rate of warming of any point outside of the clamps, the duty taken for a mean power; it can be kept "
         "where one count warms the cold tube by less",
     ] = 20.0
@@ -42,18 +43,22 @@ class HeatingSpec(Displayed):
         "what is best: time (soonest done), energy (least charge), margin (farthest from the window's ends and from "
         "the limit)",
     ] = "time"
-    longest_heating: Annotated[float, key("longest_s"), POSITIVE, "longest heating before the hold"] = 360.0
-    slot: Annotated[float, key("slot_s"), POSITIVE, "for how long a duty is kept"] = 0.5
+    longest_heating: Annotated[
+        float, key("longest_s"), POSITIVE, Usual(2.0, 7200.0), "longest heating before the hold"
+    ] = 360.0
+    slot: Annotated[float, key("slot_s"), POSITIVE, Usual(5e-3, 60.0), "for how long a duty is kept"] = 0.5
     quench: Annotated[str, OneOf(QUENCHES), "after the hold: water or air"] = "water"
     free: Annotated[
         tuple[str, ...], OneOf(FREE), "choose these of the rig to even out the temperature: clearance, lead, vents"
     ] = ()
-    lead_range: Annotated[tuple[float, float], unit("mm"), POSITIVE, "bounds of the lead where it is free"] = (
+    lead_range: Annotated[
+        tuple[float, float], unit("mm"), POSITIVE, Usual(5e-4, 1.0), "bounds of the lead where it is free"
+    ] = (
         3e-3,
         60e-3,
     )
     clearance_range: Annotated[
-        tuple[float, float], unit("mm"), POSITIVE, "bounds of the clearance where it is free"
+        tuple[float, float], unit("mm"), POSITIVE, Usual(1e-4, 0.2), "bounds of the clearance where it is free"
     ] = (1e-3, 20e-3)
     most_vent: Annotated[
         float,

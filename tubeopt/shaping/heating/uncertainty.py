@@ -11,7 +11,7 @@ import scipy
 
 from ...display import Displayed
 from ...errors import InputError
-from ...files.marks import NOT_NEGATIVE, Range, check_fields, unit
+from ...files.marks import NOT_NEGATIVE, Range, Usual, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -40,11 +40,15 @@ class Uncertainty(Displayed):
     heat_capacity: Annotated[
         float, unit("percent"), PART, "of the tube, latent heat of a transformation counted in"
     ] = 0.0
-    inner_diameter: Annotated[float, unit("um"), NOT_NEGATIVE, "of the tube"] = 0.0
-    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, "temperature around the rig"] = 0.0
+    inner_diameter: Annotated[float, unit("um"), NOT_NEGATIVE, Usual(1e-7, 1e-3), "of the tube"] = 0.0
+    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, Usual(1e-2, 50.0), "temperature around the rig"] = 0.0
     charge: Annotated[float, unit("percent"), PART, "by which the battery may be emptier than it is said to be"] = 0.0
     lost_on_time: Annotated[
-        float, unit("us"), NOT_NEGATIVE, "by which every pulse may lose more than the rig's file says"
+        float,
+        unit("us"),
+        NOT_NEGATIVE,
+        Usual(1e-8, 1e-3),
+        "by which every pulse may lose more than the rig's file says",
     ] = 0.0
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ...display import Displayed
 from ...errors import InputError, instance, numbers, positive, vector
-from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, Range, check_fields, key, unit
+from ...files.marks import NOT_NEGATIVE, POSITIVE, Named, OneOf, Range, Usual, check_fields, key, unit
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
 from .settings import DEFAULT_MOLD, MoldSolver
@@ -22,6 +22,9 @@ WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59")
 LENGTH, ROOM = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
 """Lengths of molds and tools, m: none is longer, but many are in mm."""
 
+SMALL, STEP = Usual(1e-5, 0.4), Usual(1e-6, 0.02)
+"""Of parts of molds and tools, and of depths of single cuts, m."""
+
 FEED, SPEED = Range(above=0.0, most=1.0), Range(above=0.0, most=2000.0)
 """Of milling machines: m/s, and revolutions per second."""
 
@@ -30,17 +33,20 @@ FEED, SPEED = Range(above=0.0, most=1.0), Range(above=0.0, most=2000.0)
 class GrooveSpec:
     """How the groove fits the tube (m)."""
 
-    clearance: Annotated[float, unit("mm"), ROOM, "least width and depth beyond the tube's outer diameter"] = 0.05e-3
+    clearance: Annotated[float, unit("mm"), ROOM, STEP, "least width and depth beyond the tube's outer diameter"] = (
+        0.05e-3
+    )
     most_clearance: Annotated[
         float,
         unit("mm"),
         LENGTH,
+        STEP,
         "width beyond the outer diameter up to which a single end mill makes the groove in one cut; a groove for which "
         "no end mill is that near is cut along both walls with a smaller one",
     ] = 0.25e-3
-    depth_step: Annotated[float, unit("mm"), LENGTH, "depths are rounded up to a multiple of it"] = 0.05e-3
-    wall: Annotated[float, unit("mm"), LENGTH, "least material between grooves, holes and edges"] = 3e-3
-    floor: Annotated[float, unit("mm"), LENGTH, "least material below the groove"] = 4e-3
+    depth_step: Annotated[float, unit("mm"), LENGTH, STEP, "depths are rounded up to a multiple of it"] = 0.05e-3
+    wall: Annotated[float, unit("mm"), LENGTH, SMALL, "least material between grooves, holes and edges"] = 3e-3
+    floor: Annotated[float, unit("mm"), LENGTH, SMALL, "least material below the groove"] = 4e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -62,17 +68,17 @@ class PlateSpec:
         "width and height; by default the least that holds the grooves, in steps of 5 mm",
     ] = None
     thickness: Annotated[
-        float, unit("mm"), LENGTH, "of the lower plate; by default the half inch of the thesis' steel mold"
+        float, unit("mm"), LENGTH, SMALL, "of the lower plate; by default the half inch of the thesis' steel mold"
     ] = 12.7e-3
-    lid_thickness: Annotated[float, unit("mm"), LENGTH, "of the top plate"] = 6.35e-3
+    lid_thickness: Annotated[float, unit("mm"), LENGTH, SMALL, "of the top plate"] = 6.35e-3
     margin: Annotated[
         float,
         unit("mm"),
         LENGTH,
         "from the bends and the least leads to the edge of a plate whose size is free; bolts stand in it",
     ] = 16e-3
-    bolt_diameter: Annotated[float, unit("mm"), LENGTH, "of the holes for bolts, through both plates"] = 5.5e-3
-    dowel_diameter: Annotated[float, unit("mm"), LENGTH, "of the holes for dowels, through both plates"] = 3e-3
+    bolt_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes for bolts, through both plates"] = 5.5e-3
+    dowel_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes for dowels, through both plates"] = 3e-3
     bolt_pitch: Annotated[float, unit("mm"), LENGTH, "greatest distance of bolts along the edge that is aimed at"] = (
         80e-3
     )
@@ -89,7 +95,7 @@ class PlateSpec:
 class EndMill:
     """An end mill at hand (m)."""
 
-    diameter: Annotated[float, unit("mm"), LENGTH, "of what it cuts"]
+    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of what it cuts"]
     flute_length: Annotated[float | None, unit("mm"), LENGTH, "by default three diameters"] = None
 
     def __post_init__(self) -> None:
@@ -108,11 +114,11 @@ class MillingSpec:
     end_mills: Annotated[tuple[EndMill, ...], "those at hand; by default common ones from 0.4 to 3 mm"] = tuple(
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
     )
-    step_down: Annotated[float, unit("mm"), LENGTH, "greatest depth of one pass"] = 0.5e-3
-    feed: Annotated[float, unit("mm_per_min"), FEED, "along the groove"] = 5e-3
-    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, "into the material"] = 2e-3
-    spindle: Annotated[float, unit("rpm"), SPEED, "revolutions"] = 200.0
-    safe_height: Annotated[float, unit("mm"), LENGTH, "above the plate, for moves between cuts"] = 5e-3
+    step_down: Annotated[float, unit("mm"), LENGTH, STEP, "greatest depth of one pass"] = 0.5e-3
+    feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the groove"] = 5e-3
+    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "into the material"] = 2e-3
+    spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "revolutions"] = 200.0
+    safe_height: Annotated[float, unit("mm"), LENGTH, SMALL, "above the plate, for moves between cuts"] = 5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -138,18 +144,18 @@ class WorkshopSpec:
         "height of a touch plate that is wired to the machine's probe: every plate is then one program, which sets Z "
         "again after each change of the tool; without one it is a program per tool, and Z is set before each",
     ] = None
-    change_height: Annotated[float, unit("mm"), LENGTH, "above the plate, where tools are changed"] = 40e-3
+    change_height: Annotated[float, unit("mm"), LENGTH, SMALL, "above the plate, where tools are changed"] = 40e-3
     spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "wait after the spindle was switched on"] = 3.0
-    drill_feed: Annotated[float, unit("mm_per_min"), FEED, "of drills"] = 2e-3
-    drill_spindle: Annotated[float, unit("rpm"), SPEED, "of drills"] = 50.0
-    peck: Annotated[float, unit("mm"), LENGTH, "depth after which a drill clears its chips"] = 2e-3
+    drill_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "of drills"] = 2e-3
+    drill_spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "of drills"] = 50.0
+    peck: Annotated[float, unit("mm"), LENGTH, STEP, "depth after which a drill clears its chips"] = 2e-3
     cut_out: Annotated[bool, "whether plates are cut out of larger stock; else they come in their size"] = True
-    outline_diameter: Annotated[float, unit("mm"), LENGTH, "of the end mill that cuts plates out"] = 4e-3
-    outline_reach: Annotated[float, unit("mm"), LENGTH, "depth to which that end mill cuts"] = 25e-3
-    outline_step: Annotated[float, unit("mm"), LENGTH, "greatest depth of one of its passes"] = 1e-3
-    outline_feed: Annotated[float, unit("mm_per_min"), FEED, "along the outline"] = 10e-3
-    tab_width: Annotated[float, unit("mm"), LENGTH, "of the tabs that hold the plate in its stock"] = 6e-3
-    tab_height: Annotated[float, unit("mm"), LENGTH, "of the tabs"] = 2e-3
+    outline_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the end mill that cuts plates out"] = 4e-3
+    outline_reach: Annotated[float, unit("mm"), LENGTH, SMALL, "depth to which that end mill cuts"] = 25e-3
+    outline_step: Annotated[float, unit("mm"), LENGTH, STEP, "greatest depth of one of its passes"] = 1e-3
+    outline_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the outline"] = 10e-3
+    tab_width: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs that hold the plate in its stock"] = 6e-3
+    tab_height: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs"] = 2e-3
     tab_pitch: Annotated[float, unit("mm"), LENGTH, "distance of the tabs that is aimed at"] = 80e-3
     stock: Annotated[
         tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the stock; by default large enough"
@@ -167,14 +173,16 @@ class PegSpec:
         InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
     """
 
-    pitch: Annotated[float, unit("mm"), LENGTH, "of the holes, which lie on a square lattice on its corner"] = 8e-3
-    shank: Annotated[float, unit("mm"), LENGTH, "diameter of the holes, and of the pegs in them"] = 3e-3
-    eccentricity: Annotated[float, unit("mm"), LENGTH, "of a peg's pin from its axis"] = 3e-3
-    pin: Annotated[float, unit("mm"), LENGTH, "diameter of the pin, which touches the tube"] = 2e-3
-    angle_step: Annotated[float, unit("deg"), POSITIVE, "in which pegs can be set, by a scale or by notches"] = (
-        math.pi / 180
+    pitch: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes, which lie on a square lattice on its corner"] = (
+        8e-3
     )
-    height: Annotated[float, unit("mm"), LENGTH, "of the tube above the board"] = 6e-3
+    shank: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the holes, and of the pegs in them"] = 3e-3
+    eccentricity: Annotated[float, unit("mm"), LENGTH, SMALL, "of a peg's pin from its axis"] = 3e-3
+    pin: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the pin, which touches the tube"] = 2e-3
+    angle_step: Annotated[
+        float, unit("deg"), Range(above=0.0, most=math.pi / 2), "in which pegs can be set, by a scale or by notches"
+    ] = math.pi / 180
+    height: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tube above the board"] = 6e-3
     conductivity: Annotated[
         float, unit("W_per_m_K"), POSITIVE, "of the pins; by default that of machinable glass-mica"
     ] = 1.46
@@ -226,7 +234,7 @@ class ClampSpec:
 class VentSpec:
     """Holes through the top plate over the bend, which let heat out."""
 
-    diameter: Annotated[float, unit("mm"), LENGTH, "of a vent"] = 1.5e-3
+    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of a vent"] = 1.5e-3
     profile: Annotated[
         tuple[float, ...],
         key("open_percent"),
