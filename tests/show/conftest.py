@@ -9,6 +9,8 @@ from tests.conftest import lay_out_once
 PLACES = (
     "test_pictures_are_whole",
     "test_axes_have_one_scale",
+    "test_a_legend_over_what_is_drawn_moves_out_of_the_panel",
+    "test_a_legend_on_a_shade_or_in_free_room_stays",
     "test_panels_stand_below_each_other_where_a_column_is_too_narrow_for_them",
 )
 """Tests of where things are in a picture, which is laid out as users have it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ..block.transcription.reduced import ReducedProblem, reduce
 from ..constants import GRAVITY
 from ..errors import InputError, implausible, triple
 from ..robots.assembly import Assembly, cut
-from ..robots.load import FORCE, MOMENT, ZERO, Load, Stretch, masses
+from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
@@ -62,8 +63,8 @@ def _check_size(robot: Robot, load: Load, length: float) -> None:
     forces, moments = {"tip force": load.force}, {"tip moment": load.moment}
     for k, part in enumerate(load.points):
         forces[f"force of points[{k}]"], moments[f"moment of points[{k}]"] = part.force, part.moment
-    along = load.distributed if isinstance(load.distributed, tuple) else ()
-    stretches = along if along and isinstance(along[0], Stretch) else (Stretch(0.0, length, along or ZERO),)
+    along: Any = load.distributed if isinstance(load.distributed, tuple) else ()
+    stretches = along if not along or isinstance(along[0], Stretch) else (Stretch(0.0, length, along),)
     for k, stretch in enumerate(stretches):
         over = min(stretch.end, length) - stretch.start
         forces[f"force of distributed[{k}]"] = triple("force", np.multiply(over, stretch.force))

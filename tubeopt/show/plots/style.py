@@ -194,6 +194,10 @@ def picture_format(path: str | PathLike[str]) -> str:
     return suffix
 
 
+SHADE = 0.4
+"""Opacity up to which a surface is a shade, on which a legend can be read."""
+
+
 @styled
 def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
     """Write `figure` as PNG (200 dpi), PDF or SVG, as the name ends; whole, or not at all."""
@@ -225,23 +229,73 @@ def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
     from .figure import NotebookFigure, as_it_stands, stack
 
-    engine = figure.get_layout_engine()
     if WIDTH.get() is not None:
         if narrow() and isinstance(figure, NotebookFigure):
             stack(figure)
         _fold(figure)
-    if engine is not None:
-        places = _places(figure)
-        for _ in range(LAYOUT_PASSES):
-            engine.execute(figure)
-            before, places = places, _places(figure)
-            if np.abs(places - before).max(initial=0.0) < STILL:
-                break
+    _lay_out(figure)
+    moved = [_uncover(axes) for axes in figure.axes]
+    if any(moved):
+        _lay_out(figure)
     if path is not None:
         with as_it_stands(figure):
             save_figure(figure, path)
     figure.stale = False  # until somebody changes it, it need not be laid out again
     return figure
+
+
+def _lay_out(figure: Figure) -> None:
+    """Let the layout of a figure come to rest."""
+    engine = figure.get_layout_engine()
+    if engine is None:
+        return
+    places = _places(figure)
+    for _ in range(LAYOUT_PASSES):
+        engine.execute(figure)
+        before, places = places, _places(figure)
+        if np.abs(places - before).max(initial=0.0) < STILL:
+            break
+
+
+def _uncover(axes: Axes) -> bool:
+    """Whether the legend of a panel lay over what is drawn there, and now stands above it; beside it where there is a
+    title."""
+    legend = axes.get_legend()
+    if legend is None or axes.name == "3d":
+        return False
+    box = legend.get_window_extent()
+    if not any(_drawn_in(artist, box) for artist in (*axes.lines, *axes.collections, *axes.texts)):
+        return False
+    handles: Any = legend.legend_handles
+    names = [text.get_text() for text in legend.get_texts()]
+    size, columns = legend.get_texts()[0].get_fontsize(), legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+    if axes.get_title() or axes.get_title("left"):
+        axes.legend(handles, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2, fontsize=size)
+        return True
+    columns = int(np.clip(axes.bbox.width / box.width * columns, 1, len(names)))
+    where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.1}
+    axes.legend(handles, names, ncols=columns, fontsize=size, columnspacing=1.2, **where)
+    return True
+
+
+def _drawn_in(artist: Any, box: Any) -> bool:
+    """Whether some of a line, of points, of a surface that is no shade, or of a text lies in a box of pixels."""
+    if not artist.get_visible():
+        return False
+    if hasattr(artist, "get_text"):
+        return bool(artist.get_text() and artist.get_window_extent().overlaps(box))
+    if hasattr(artist, "get_xydata"):
+        line = artist.get_transform().transform_path(artist.get_path())
+        if artist.get_linestyle() not in ("None", "", " ") and line.intersects_bbox(box, filled=False):
+            return True
+        marked = artist.get_marker() not in ("None", "", " ", None)
+        return bool(marked and box.count_contains(line.vertices) > 0)
+    if artist.get_alpha() is not None and artist.get_alpha() <= SHADE:
+        return False
+    if len(artist.get_offsets()) > 1:
+        return bool(box.count_contains(artist.get_offset_transform().transform(artist.get_offsets())) > 0)
+    paths = [artist.get_transform().transform_path(path) for path in artist.get_paths()]
+    return any(len(path.vertices) and path.intersects_bbox(box, filled=True) for path in paths)
 
 
 def _places(figure: Figure) -> Array:
