@@ -174,7 +174,7 @@ def test_folds_are_none_or_two_and_more(run: Run, value: str, code: int) -> None
         ("it is at 0.9 m (900 mm)", "it is at 900 mm"),
         ("is 50 m; usual is 0.001 to 10 m: was 50 mm meant?", "is 50000 mm; usual is 1 to 10000 mm"),
         ("has 2 rad; rotations are in rad: was 2 deg meant?", "has 114.592 deg"),
-        ("a twist of 5 rad per m, 3 1/m, 2 m/s, 7 m^2", "a twist of 5 rad per m, 3 1/m, 2 m/s, 7 m^2"),
+        ("a twist of 2 rad per m, 3 1/m, 2 m/s, 7 m^2", "a twist of 114.592 deg per m, 3 1/m, 2 m/s, 7 m^2"),
         (
             "radius_mm is 5; that would be usual in m: was 5000 meant?",
             "radius_mm is 5; that would be usual in m: was 5000 meant?",

@@ -212,7 +212,7 @@ def loaded(**load: Any) -> None:
         (lambda: Sphere((0.0, 0.0, 50.0), 5e-3), "centre of the sphere is 50 m; .*: was 50 mm meant"),
         (lambda: Sphere((0.0, 0.0, 0.05), 5.0), "radius of the sphere is 5 m; .*: was 5 mm meant"),
         (lambda: Corridor(((0, 0, 0), (0, 0, 60)), 5e-3), "a point of the corridor is 60 m; .*: was 60 mm meant"),
-        (lambda: Strain(limits=(1.0,)), "limits of the strain is 1; .*: was 1 % meant"),
+        (lambda: Strain(limits=(2.0,)), "limits of the strain is 2; .*: was 2 % meant"),
         (lambda: Circuit(cable_resistance=5.0), "cable_resistance of the circuit is 5 ohm; .*: was 5 mohm meant"),
         (lambda: Clamps(mass=50.0), "mass of the clamps is 50 kg; .*: was 50 g meant"),
         (lambda: MoldBed(lead=1.5), "lead of the mold is 1.5 m; .*: was 1.5 mm meant"),

@@ -79,7 +79,7 @@ def test_wrong_studies_are_refused(run: Run, tmp_path: Path) -> None:
     path.write_text(f"kind: plan\nrobot: {THESIS}\n")
     assert "one goal must be given" in refused(run("plan", str(path)))[0]
     path.write_text(f"kind: plan\nrobot: {THESIS}\ngoal_deg: [500, 0, 0]\n")
-    assert "goal is out of range: rotation of tube 1 is 500 deg" in refused(run("plan", str(path)))[0]
+    assert "goal_deg[0] is 500 deg; it must be from -360 to 360 deg" in refused(run("plan", str(path)))[0]
     snap = ROOT / "configs" / "studies" / "thesis_snap.yaml"
     assert "it must be plan" in refused(run("plan", str(snap)))[0]
     assert "must be plan; a robot is named by the key robot of such a file" in refused(run("plan", THESIS))[0]

@@ -36,7 +36,8 @@ def crowded(kind: str, *, title: str = "") -> Figure:
             axes.plot([0.1], [0.1], "o", label="mark")
             axes.set(xlim=(0, 1), ylim=(0, 1))
         case "text":
-            axes.text(0.9, 0.9, "a long text in the corner", ha="right", label="_")
+            axes.set(xlim=(0, 1), ylim=(0, 1))
+            axes.text(0.9, 0.9, "a long text in the corner", ha="right")
             axes.plot([], [], label="nothing")
     axes.set_title(title)
     axes.legend(loc="upper right")

@@ -153,7 +153,7 @@ def test_a_study(run: Run, tmp_path: Path) -> None:
         ),
         ((ROBOT, MEASURED, "--fit", "curvatur"), "parameter 'curvatur' is not known; did you mean 'curvature'"),
         ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1.5"), "--folds is 1.5; it must be a whole number"),
-        ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1"), "folds is 1; it must be 0, or 2 to"),
+        ((ROBOT, MEASURED, "--fit", "nu", "--folds", "1"), "--folds is 1; it must be 0, or at least 2"),
         ((ROBOT, MEASURED, "--base-axis", "0,0,1"), "are for registration base-axis only"),
         ((ROBOT, MEASURED, "--registration", "base-axis", "--base-axis", "0,0,0"), "--base-axis is (0, 0, 0)"),
         (

@@ -121,7 +121,7 @@ class Strain:
     """
 
     limits: Annotated[
-        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 0.3), "one per tube, or one for all"
+        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 1.0), "one per tube, or one for all"
     ] = (0.01,)
     straightened: Annotated[bool, "held straight"] = True
     in_poses: Annotated[bool, "at every task pose"] = True

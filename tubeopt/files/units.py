@@ -164,7 +164,7 @@ def _scaled(size: float, number: re.Match[str]) -> str:
 _NUMBER = re.compile(r"-?\d[\d.]*(?:e[-+]?\d+)?")
 _SEVERAL = rf"(?<![\w.])((?:{_NUMBER.pattern}(?:, | to | and ))*{_NUMBER.pattern})"
 _TYPED = tuple(
-    (re.compile(rf"{_SEVERAL} {unit}(?![\w/^²]| m\b| per\b)"), typed, size)
+    (re.compile(rf"{_SEVERAL} {unit}(?![\w/^²]| m\b)"), typed, size)
     for unit, typed, size in (("N m", "mN m", 1e3), ("N", "mN", 1e3), ("m", "mm", TO_MM), ("rad", "deg", 180 / math.pi))
 )
 _MEANT = re.compile(

@@ -151,8 +151,6 @@ def ends(
     """
     clock = clock or Clock(math.inf)
     check_goal(task.chart.space.robot, goal)
-    if not modulo_turns and isinstance(goal, (tuple, list)) and len(goal) == 2:
-        _in_range(task.chart.space, "goal", *(np.array(each, dtype=float) for each in goal))
     found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)

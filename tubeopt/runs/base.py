@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import re
 from collections import UserDict
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from pydantic import AfterValidator, Field, ValidationInfo
 from ..equilibrium.readings import to_model
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Whole, in_file
+from ..files.units import TO_MM
 from ..robots.file import AnyRobot, load_robot
 from ..robots.limits import reading_fault
 from ..robots.robot import Robot
@@ -79,6 +81,21 @@ def require_one(study: Entry, one: str, other: str) -> None:
     if given == {True}:
         raise ValueError(f"{one} and {other} are given; it must be one of them")
 
+
+def check_within(robot: Robot, name: str, rotations: Array, translations: Array) -> None:
+    """Raise InputError for a joint value (n,) beyond the limits of a robot, before anything is solved there."""
+    for kind, unit, by, values, limits in (
+        ("rotation", "deg", math.degrees(1), rotations, robot.limits.rotations),
+        ("translation", "mm", TO_MM, translations, robot.limits.translations),
+    ):
+        for i, (value, (low, high)) in enumerate(zip(values.tolist(), limits, strict=True), start=1):
+            if not low - SLACK <= value <= high + SLACK:
+                allowed = f"it must be from {low * by:.6g} to {high * by:.6g} {unit}"
+                raise InputError(f"{name} is out of range: {kind} of tube {i} is {value * by:.6g} {unit}; {allowed}")
+
+
+SLACK = 1e-6
+"""rad and m, by which a joint value may be beyond its limits: numbers of a file are rounded."""
 
 OUT_OF_RANGE = re.compile(r"^(\w+) is out of range: (?:(rotation|translation) of tubes? (\d+)[^;]* is )?")
 

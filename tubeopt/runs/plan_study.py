@@ -18,7 +18,7 @@ from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..typing import Array, Progress
-from .base import OnePerTube, Started, joints_of, said_of
+from .base import OnePerTube, Started, check_within, joints_of, said_of
 from .load_file import LoadedStudy
 from .obstacle_file import Place, Surrounded, TipPlace
 
@@ -168,6 +168,8 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
             "options": PlanOptions(**values(PlanOptions, self)),
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
+        if isinstance(goal, tuple) and not values(PlanOptions, self).get("modulo_turns"):
+            check_within(robot, "goal", *goal)
         if self.tip_path_mm is not None:
             given = start if self.start_deg is not None or self.start_mm is not None else None
             asked = self.in_si("tolerance_mm", "spline")
