@@ -28,7 +28,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.second_variation import softenings
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.robots.assembly import Assembly
+from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import EccentricVerdict, eccentric_bound
 from tubeopt.stability.eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
@@ -192,6 +192,16 @@ def test_the_gradient_of_tubes_that_are_held_at_the_plate() -> None:
     at = [snap_free_certificate(replace(robot, tube=tube)) for tube in tubes]
     gradient = certify(replace(robot, tube=tubes[0])).gradient
     assert gradient["straight_length"].sum() == pytest.approx((4 * at[1] - 3 * at[0] - at[2]) / (2 * h), rel=5e-3)
+
+
+@pytest.mark.parametrize(("factor", "known"), [(1.0, True), (1 + 1e-6, False)])
+def test_straight_tubes_through_a_segment_lie_where_those_of_the_segment_do(factor: float, known: bool) -> None:
+    """The closed form is that of places on one circle: a straight tube 1 nm off it belongs to no segment."""
+    curved, straight = eccentric_robot(0.0).tube, Tube(1.5 * MM, 1.2 * MM, 0.0, 0.12, 0.0)
+    offset = 1.92 * MM / np.sqrt(3) * np.array([1, 1, 1, factor, 1, 1])
+    angle = np.tile(PLACES, 2)
+    segments = segments_of(assemble([curved] * 3 + [straight] * 3, np.zeros(6), offset=offset, offset_angle=angle))
+    assert (segments is not None) == known
 
 
 def test_boxes_move_carriages() -> None:
