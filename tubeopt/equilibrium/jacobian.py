@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from ..arguments import typed
 from ..errors import SolveError
-from ..robots.assembly import Assembly
-from ..robots.robot import Robot, is_general
+from ..robots.robot import is_general
 from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
@@ -18,6 +16,7 @@ from .arm_change import PARAMETERS
 from .derivatives import Derivatives
 from .linearised import Linearised, linearise
 from .result import Equilibrium, Jacobian
+from .solving import assembly_of
 from .state import arm_of_equilibrium, problem_of
 
 JOINTS = ("rotations", "translations")
@@ -38,7 +37,7 @@ def derivatives_of(
     are by default those of the robot."""
     if is_general(equilibrium.robot):
         return linearise(equilibrium, wrt, side)
-    assembly = _assembly(equilibrium.robot, tuple(equilibrium.translations.tolist()))
+    assembly = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
         off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
@@ -85,12 +84,6 @@ def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacob
     columns = [PARAMETERS.index(name) * n + i for name in wrt for i in range(n)]
     tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
     return Jacobian(tuple(wrt), *(table[..., columns] for table in tables))
-
-
-@lru_cache(maxsize=64)
-def _assembly(robot: Robot, translations: tuple[float, ...]) -> Assembly:
-    """The bundle of a robot at translations (n,), m."""
-    return robot.assembly(np.array(translations))
 
 
 @typed

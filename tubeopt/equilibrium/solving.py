@@ -40,9 +40,15 @@ DEFAULT_DISCRETISATION = Discretisation()
 
 
 @lru_cache(maxsize=64)
+def assembly_of(robot: Robot, translations: tuple[float, ...]) -> Assembly:
+    """The bundle of a robot at translations (n,), m."""
+    return robot.assembly(np.array(translations))
+
+
+@lru_cache(maxsize=64)
 def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
     """The reduced torsion problem at given translations, built once for all rotations."""
-    return reduced_assembly(robot.assembly(np.array(translations)), discretisation)
+    return reduced_assembly(assembly_of(robot, translations), discretisation)
 
 
 def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
@@ -65,7 +71,8 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
         theta = equilibrium.point_rotation
         if is_general(equilibrium.robot):
-            theta = theta - equilibrium.robot.assembly(equilibrium.translations).wound(arc_length)
+            placed = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
+            theta = theta - placed.wound(arc_length)
         return theta
     arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
     return sample_arms(equilibrium.robot, equilibrium.translations, equilibrium.arc_length, arm, arc_length)

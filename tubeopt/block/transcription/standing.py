@@ -176,12 +176,11 @@ class Standing:
         theta = np.zeros((*points, self.n))
         theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
         self.theta = theta + self.phase
-        self.at = self._sections()
-        self._torques(self.at)
+        self._torques(bent_function("torque", self.pieces * self.degree, self.n)(*self._tables)[0].copy())
         # Of tubes that are straight here theta is not solved for, but follows.
         if straight or not self.mesh.collocated.all():
             self.theta = self.phi + self.phase
-            self.at = self._sections()
+        self.at = sections_of(*self._tables)
 
     # --- what stands --------------------------------------------------------------------------------------------------
 
@@ -237,13 +236,15 @@ class Standing:
         behind = ahead - kicks
         return behind[:-1, None] - self.h * (self.t.adjoint @ fall), behind, ahead
 
-    def _sections(self) -> Sections:
-        tables = self.theta, self.stiffness, self.moments, self.bent
-        return sections_of(*(table.reshape(-1, table.shape[-1]) for table in tables))
+    @property
+    def _tables(self) -> tuple[Array, Array, Array, Array]:
+        """theta, kb, m (P K, n) and b (P K, 2)."""
+        theta, kb, m = (table.reshape(-1, self.n) for table in (self.theta, self.stiffness, self.moments))
+        return theta, kb, m, self.bent.reshape(-1, 2)
 
-    def _torques(self, at: Sections) -> None:
-        """Torques t and rotations phi at the points, and between the pieces as `_moments`."""
-        fall = -at.torque.reshape(self.pieces, self.degree, self.n)
+    def _torques(self, gained: Array) -> None:
+        """Torques t and rotations phi at the points, and between the pieces as `_moments`, from M (P K, n)."""
+        fall = -gained.reshape(self.pieces, self.degree, self.n)
         if self.along is not None:
             fall += self.felt * (self.along * self.axis).sum(2)[..., None]
         kicks = np.zeros((self.pieces + 1, self.n))
@@ -288,8 +289,7 @@ class Standing:
     def by_data(self) -> tuple[Array, Array, Array]:
         """At the points, of M (P, K, n, 3 n), u (P, K, 2, 3 n) and the energy (P, K, 3 n), by phase, kb and m."""
         n, points = self.n, (self.pieces, self.degree)
-        tables = (table.reshape(-1, table.shape[-1]) for table in (self.theta, self.stiffness, self.moments, self.bent))
-        own = by_data_of(*tables)
+        own = by_data_of(*self._tables)
         turned = self.at.by_torque, self.at.by_curvature, self.at.by_energy
         out = [np.concatenate([a[..., :n], b], axis=-1) for a, b in zip(turned, own, strict=True)]
         return out[0].reshape(*points, n, -1), out[1].reshape(*points, 2, -1), out[2].reshape(*points, -1)
