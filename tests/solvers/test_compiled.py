@@ -22,6 +22,7 @@ from tubeopt import (
     Equilibrium,
     InputError,
     Load,
+    Piece,
     SegmentedEccentricRobot,
     SolveError,
     Tube,
@@ -113,6 +114,40 @@ def test_published_robots(robot: Robot) -> None:
     random = np.random.default_rng(2)
     for _ in range(30):
         alpha, shift = joints_of(robot, random)
+        check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
+
+
+def of_pieces(tube: Tube, parts: int = 1) -> Tube:
+    """A tube with its arc as a chain of so many pieces."""
+    chain = (Piece(tube.curved_length / parts, tube.curvature),) * parts
+    return replace(tube, pieces=chain, curvature=abs(tube.curvature))
+
+
+@compiler
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_tubes_of_one_piece_are_those_of_one_arc(n: int) -> None:
+    random = np.random.default_rng([4, n])
+    for _ in range(10):
+        robot = random_robot(random, n)
+        alpha, shift = joints_of(robot, random)
+        one = forward_kinematics(robot, alpha, shift)
+        made = replace(robot, tubes=tuple(of_pieces(tube) for tube in robot.tubes))
+        assert is_general(made)
+        check_same(one, forward_kinematics(made, alpha, shift))
+        cut = replace(robot, tubes=(of_pieces(robot.tubes[0], 3), *robot.tubes[1:]))
+        assert forward_kinematics(cut, alpha, shift).tip_position == pytest.approx(one.tip_position, abs=1e-9)
+
+
+@compiler
+def test_tubes_that_vary_beside_tubes_that_do_not() -> None:
+    """Some pieces of the mesh have only tubes that are the same all along them, and half the steps of the shape."""
+    inner = Tube.of_pieces(
+        1.0e-3, 0.8e-3, [Piece(0.04, 12.0), Piece(0.05, lambda s: (10 + 100 * s, 0.0, 8.0))], straight_length=0.1
+    )
+    robot = ConcentricRobot((inner, Tube(1.6e-3, 1.3e-3, 0.05, 0.07, 9.0)))
+    random = np.random.default_rng(5)
+    for _ in range(10):
+        alpha, shift = random.uniform(-np.pi, np.pi, 2), -random.uniform(0, [0.09, 0.04])
         check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
 
 
