@@ -26,7 +26,7 @@ from tests.examples import (
     poses,
     unstable_home,
 )
-from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, SolveError, Status, Tube
+from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, Newton, SolveError, Status, Tube
 from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS
 from tubeopt.equilibrium.kinematics import forward_kinematics
@@ -337,6 +337,14 @@ def test_equal_tubes_twisted_by_half_a_turn_find_a_lower_energy_if_they_can() ->
     # sqrt(c) L < pi/2: it stays.
     weak = pair(2.0, 0.0)
     assert forward_kinematics(weak, (0.0, np.pi)).rotation[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_own_settings_of_newton_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = forward_kinematics(THESIS, [0.5, 0.2, 0.0])
+    usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], guess=here)
+    monkeypatch.setattr("tubeopt.equilibrium.kinematics.solve_compiled", None)  # the kernel is not asked
+    own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], guess=here, method=Newton(iterations=30))
+    assert own.tip_position == pytest.approx(usual.tip_position, abs=1e-13)
 
 
 # --- robustness -----------------------------------------------------------------------------------------------------

@@ -351,8 +351,8 @@ def on_branch(family: Family, guess: Equilibrium, asked: _Asked) -> Equilibrium:
     """The equilibrium at t = 1 of a family on the branch of `guess`, which is that at t = 0; raises SolveError as
     `forward_kinematics`."""
     d, grows = family.path.discretisation, family.load is not None and guess.load is None and not family.path.moves
-    here = Milestone(0.0, guess)
-    if asked.method.name == "newton" and (family.load is not None or d == DEFAULT_DISCRETISATION):
+    here, usual = Milestone(0.0, guess), asked.method is NAMED["newton"] and d == DEFAULT_DISCRETISATION
+    if usual or (family.load is not None and asked.method.name == "newton"):
         quick = nearby(family, guess, 1.0, asked)
         if quick is not None:
             return quick
