@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ...constants import ZERO_CELSIUS
-from ...errors import SolveError
+from ...errors import SolveError, undoubted
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current
@@ -176,6 +176,7 @@ def _confirmed(change: Change, tube: Tube) -> list[Cure]:
     return [Cure(words, outcome.shortfall, outcome.broken)]
 
 
+@undoubted()
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)

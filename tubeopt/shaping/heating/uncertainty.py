@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ...display import Displayed
-from ...errors import InputError
+from ...errors import InputError, undoubted
 from ...files.marks import NOT_NEGATIVE, Range, Usual, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
@@ -73,6 +73,7 @@ class Uncertainty(Displayed):
             return np.zeros((samples, 0))
         return np.asarray(2 * scipy.stats.qmc.LatinHypercube(d=len(self.unknown), rng=seed).random(samples) - 1)
 
+    @undoubted()
     def member(self, tube: Tube, rig: Rig, draw: Sequence[float]) -> tuple[Tube, Rig]:
         """The tube and the rig at one draw, in the order of `unknown`."""
         by = dict.fromkeys((item.name for item in fields(self)), 0.0)
