@@ -228,9 +228,12 @@ def test_no_joint_is_faster_than_its_rate_however_long_the_step(objective: str) 
 
 
 def test_options_keep_numbers_however_they_are_written() -> None:
-    assert ServoOptions(speed="0.1", push=1).speed == 0.1  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="speed is 'fast'; it must be a number"):
-        ServoOptions(speed="fast")  # type: ignore[arg-type]
+    options = ServoOptions(speed=np.float64(0.1), push=1)
+    assert (options.speed, options.push) == (0.1, 1.0)
+    assert type(options.push) is float
+    for text in ("fast", "0.1"):
+        with pytest.raises(InputError, match=f"speed is '{text}'; it must be a number"):
+            ServoOptions(speed=text)  # type: ignore[arg-type]
 
 
 def test_a_target_nearer_than_the_speed_allows_is_reached_in_one_step(seed: Equilibrium) -> None:
