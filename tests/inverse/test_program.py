@@ -68,7 +68,7 @@ def program_at(goal: Goal, at: Posture) -> tuple[Problem, dict[str, np.ndarray]]
     program = posed(goal, at, breakpoint_order(goal, at))
     n = at.space.robot.n_tubes
     start = {"rotations": at.q[:n], "translations": at.q[n:]}
-    return program, start | torsion_guess(at.solution.problem, at.solution.arm)
+    return program, start | torsion_guess(at.solution.member.problem, at.solution.torsion)
 
 
 def rows(program: Problem, names: tuple[str, ...], at: dict[str, np.ndarray]) -> np.ndarray:
