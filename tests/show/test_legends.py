@@ -30,6 +30,11 @@ def crowded(kind: str, *, title: str = "") -> Figure:
             axes.scatter(np.tile(X[::8], 50), np.repeat(X[::8], 50), label="points")
         case "surface":
             axes.fill_between(X, -1, 1, label="surface")
+        case "contours":
+            axes.contourf(X[::8], X[::8], np.add.outer(X[::8], X[::8]))
+            axes.plot([], [], label="nothing")
+        case "points of many alphas":
+            axes.scatter(np.tile(X[::8], 50), np.repeat(X[::8], 50), alpha=np.linspace(0.1, 1, 2500), label="points")
         case "shade":
             axes.fill_between(X, -1, 1, alpha=0.2, label="shade")
         case "nothing":
@@ -52,7 +57,9 @@ def inside(figure: Figure) -> bool:
     return bool(legend.get_window_extent().overlaps(axes.bbox.padded(-1)))
 
 
-@pytest.mark.parametrize("kind", ["lines", "line without marks", "points", "scatter", "surface", "text"])
+@pytest.mark.parametrize(
+    "kind", ["lines", "line without marks", "points", "scatter", "surface", "text", "contours", "points of many alphas"]
+)
 @pytest.mark.parametrize("title", ["", "a title"])
 def test_a_legend_over_what_is_drawn_moves_out_of_the_panel(kind: str, title: str) -> None:
     figure = crowded(kind, title=title)

@@ -261,7 +261,7 @@ def _uncover(axes: Axes) -> bool:
     """Whether the legend of a panel lay over what is drawn there, and now stands above it; beside it where there is a
     title."""
     legend = axes.get_legend()
-    if legend is None or axes.name == "3d":
+    if legend is None or not legend.get_texts() or axes.name == "3d":
         return False
     box = legend.get_window_extent()
     if not any(_drawn_in(artist, box) for artist in (*axes.lines, *axes.collections, *axes.texts)):
@@ -280,9 +280,11 @@ def _uncover(axes: Axes) -> bool:
 
 def _drawn_in(artist: Any, box: Any) -> bool:
     """Whether some of a line, of points, of a surface that is no shade, or of a text lies in a box of pixels."""
+    from matplotlib.text import Text
+
     if not artist.get_visible():
         return False
-    if hasattr(artist, "get_text"):
+    if isinstance(artist, Text):
         return bool(artist.get_text() and artist.get_window_extent().overlaps(box))
     if hasattr(artist, "get_xydata"):
         line = artist.get_transform().transform_path(artist.get_path())
@@ -290,7 +292,7 @@ def _drawn_in(artist: Any, box: Any) -> bool:
             return True
         marked = artist.get_marker() not in ("None", "", " ", None)
         return bool(marked and box.count_contains(line.vertices) > 0)
-    if artist.get_alpha() is not None and artist.get_alpha() <= SHADE:
+    if artist.get_alpha() is not None and np.max(artist.get_alpha()) <= SHADE:
         return False
     if len(artist.get_offsets()) > 1:
         return bool(box.count_contains(artist.get_offset_transform().transform(artist.get_offsets())) > 0)
