@@ -313,7 +313,7 @@ def test_wrong_input() -> None:
     with pytest.raises(InputError, match="torque of friction is 3 numbers; the robot has 3 tubes, so it must be 2"):
         follow(THESIS, np.zeros((2, 3)), friction=Friction((1.0, 1.0, 1.0)))
     with pytest.raises(InputError, match="friction is given for 2 and 3 pairs"):
-        Friction((1.0, 1.0), plate=(1.0, 1.0, 1.0))
+        Friction((1e-3, 1e-3), plate=(1e-3, 1e-3, 1e-3))
     with pytest.raises(InputError, match="refinement of friction is 9"):
         Friction(1.0, refinement=9)
     eccentric = EccentricRobot(Tube(1.0 * MM, 0.75 * MM, 100 * MM, 80 * MM, 8.0, NITINOL))

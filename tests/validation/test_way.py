@@ -148,7 +148,20 @@ def test_rows_of_a_recording_have_the_same_errors_wherever_it_begins() -> None:
         ):
             again = validate(calibrated, replace(part, rotations=rotations, wrapped=marks), registration="none")
             assert again.summary.max < 1e-9
-            assert "rotation_1 fit best with" in " ".join(again.remarks) or np.allclose(rotations, part.rotations)
+            assert "readings fit best with" in " ".join(again.remarks) or np.allclose(rotations, part.rotations)
+
+
+def test_two_counters_that_were_set_to_zero_elsewhere_are_found_together() -> None:
+    time = np.linspace(0.0, 16.0, 60)
+    read = np.column_stack([np.linspace(-2.0, 2.0, 60), 1.5 * np.sin(time)])
+    calibrated = replace(robot(), calibration=Calibration((0.0, 0.0), (0.0, 0.0), (1.03, 0.96), (1.0, 1.0), (0.0, 0.0)))
+    tips = tips_at(read * [1.03, 0.96])
+    for turns in ((1, -2), (-3, 2), (0, 1)):
+        m = Measurements(read + 2 * np.pi * np.array(turns), np.zeros((60, 2)), tips, time=time)
+        found = validate(calibrated, m, registration="none")
+        assert found.summary.max < 1e-9
+        words = [f"{-360 * turn:+.0f} deg of rotation_{k}" for k, turn in enumerate(turns, start=1) if turn]
+        assert f"readings fit best with {' and '.join(words)}: 0.00 mm" in found.remarks[0]
 
 
 def test_a_counter_stays_as_it_was_read_where_another_turn_fits_little_better() -> None:

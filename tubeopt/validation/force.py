@@ -128,6 +128,8 @@ class ForceEstimate(Displayed):
     """What was measured."""
     base: Load
     """Loads that were known."""
+    solver: ForceSolver
+    """How the fit descended."""
 
     def contains(self, force: ArrayLike, confidence: float = 0.95) -> bool:
         """Whether a force, N, is in the confidence region of the likelihood.
@@ -170,7 +172,7 @@ class ForceEstimate(Displayed):
             drawn = replace(self.measured, position=position + noise * random.normal(size=position.shape))
             with suppress(SolveError):
                 start = _trial(self.equilibrium, self.base, self.force, drawn)
-                again = _estimate(*_settled(start, self.base, drawn, DEFAULT_FORCE), self.base, drawn)
+                again = _estimate(*_settled(start, self.base, drawn, self.solver), self.base, drawn, self.solver)
                 off = again.directions @ (self.force - again.force)
                 held += float(np.sum((off / again.errors) ** 2)) <= most
         return held / draws
@@ -247,7 +249,8 @@ def estimate_forces(
     """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
 
     The robot's calibration turns readings into joint values, with latency and play, and says where the sensor sits on
-    the tip and how the plate stands. Turns of the readings count as they are read. Forces are in the axes of the plate.
+    the tip and how the plate stands. Turns of the readings count as they are read. Forces and known loads are in the
+    axes of the plate, tilted as the calibration says.
 
     Args:
         measurements: joint readings, and positions; sensors behind the tip are points of the arm. What a row's sensors
@@ -513,15 +516,15 @@ def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _
         return _Trial(force, e, (measured.position[0] - e.tip_position - away) / noise, slopes / noise)
     point = point_of(e)
     problem, state = point.member.problem, point.state
-    ends = tip_slopes(problem, state)
-    moved = np.asarray(np.linalg.solve(state.hessian, ends[:3].T))
+    moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
     residuals, rows = [], []
     for s, position in zip(measured.arc_length, measured.position, strict=True):
         here, slopes = position_slopes(problem, state, float(s))
         residuals.append(position - here)
         rows.append(slopes @ moved)
-    residuals[0] -= away
-    rows[0] += _turned_by(ends[3:] @ moved, away)
+    if away.any():
+        residuals[0] -= away
+        rows[0] += _turned_by(e.compliance[3:, :3], away)
     return _Trial(force, e, np.concatenate(residuals) / noise, np.concatenate(rows) / noise)
 
 
@@ -539,9 +542,7 @@ def _distance(trial: _Trial, measured: Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
-def _estimate(
-    trial: _Trial, iterations: int, base: Load, measured: Measured, solver: ForceSolver = DEFAULT_FORCE
-) -> ForceEstimate:
+def _estimate(trial: _Trial, iterations: int, base: Load, measured: Measured, solver: ForceSolver) -> ForceEstimate:
     covariance, directions, errors = _spread(trial, base, measured, replace(solver, settled=SETTLED, steps=STEPS))
     return ForceEstimate(
         force=trial.force,
@@ -554,6 +555,7 @@ def _estimate(
         iterations=iterations,
         measured=measured,
         base=base,
+        solver=solver,
     )
 
 
@@ -577,7 +579,8 @@ def _spread(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver) 
         if sides[0] is not None and sides[1] is not None:
             linear[k], bent[k] = (sides[0] - sides[1]) / (2 * ROOT), (sides[0] + sides[1]) / ROOT**2
         elif known:
-            bent[k] = 2 * (known[0] - np.sign((known[0]) @ right[k]) * ROOT * right[k] / size[k]) / ROOT**2
+            side = 1.0 if sides[0] is not None else -1.0
+            bent[k] = 2 * (known[0] - side * ROOT * right[k] / size[k]) / ROOT**2
     if lost.any():
         return _open(linear, bent, right, lost)
     first = right.T / size

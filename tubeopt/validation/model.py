@@ -25,8 +25,8 @@ STEP = 2e-6
 """Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
 1e-6, and equilibria are solved a thousand times as sharply."""
 
-CLEARLY = 0.9
-"""Errors below this share of others are remarked upon."""
+CLEARLY, SEEN = 0.9, 1e-9
+"""Errors below this share of others, and by more than so many m, are clearly smaller: no noise of a fit by turns."""
 
 JOINT_STEP = 1e-6
 """The same of joint values, rad and m."""
@@ -77,9 +77,8 @@ class ArmModel:
         base: BasePose = SENSOR_FRAME,
     ) -> None:
         self.robot, self.measurements, self.parameters = robot, measurements, tuple(parameters)
-        choice("registration", method, FREEDOMS)
-        self.method, self.base = method, base
-        self.freedoms = FREEDOMS[choice("registration", method, FREEDOMS)]
+        self.method, self.base = choice("registration", method, FREEDOMS), base
+        self.freedoms = FREEDOMS[self.method]
         self.first = Setup.of(robot)
         self.timeline = Timeline.of(measurements)
         self.first.drives, self.turns = middles_of(self.first.drives, measurements)
@@ -100,32 +99,41 @@ class ArmModel:
         """Choose from which turn each rotation counts, where a gain of its drive makes that matter.
 
         The recording of the calibration counts as it did there. In others a counter stands as it was read, unless
-        another turn halves the errors: then it was set to zero elsewhere. Wrapped angles take the turn that fits best.
+        another turn halves the errors: then it was set to zero elsewhere. Wrapped angles take the turn that fits
+        clearly better than the one of the first row. Turns are changed one at a time, the one that helps most first.
         """
-        drives, m = self.first.drives, self.measurements
-        saved, beside = drives.registration, self.turns
+        m, saved = self.measurements, self.first.drives.registration
         if saved is not None and saved.recording == m.mark:
             return
-        self.turns, words = np.zeros(m.n_tubes), []
-        for k in np.flatnonzero(np.array(drives.rotation_gains) != 1.0).tolist():
-            misfit = {}
-            for turns in {0, *range(int(beside[k]) - TURNS, int(beside[k]) + TURNS + 1)}:
-                self.turns[k] = turns
-                misfit[turns] = self._misfit()
-            best, as_read = min(misfit, key=lambda turns: (misfit[turns], abs(turns))), misfit[0]
-            wrapped = bool(m.wrapped) and m.wrapped[k]
-            self.turns[k] = best if wrapped or misfit[best] < as_read / 2 else 0
-            if misfit[best] < CLEARLY * as_read:
-                outcome = "they are counted so" if self.turns[k] else "they are counted as read"
-                words.append(
-                    f"readings of rotation_{k + 1} fit best with {-360 * best:+.0f} deg: {misfit[best] * 1e3:.2f} mm "
-                    f"instead of {as_read * 1e3:.2f} mm (root mean square); {outcome}"
-                )
-        self.measurements = replace(m, remarks=(*m.remarks, *words))
+        beside, wrapped = self.turns, np.array(m.wrapped or (False,) * m.n_tubes)
+        gained = np.flatnonzero(np.array(self.first.drives.rotation_gains) != 1.0).tolist()
+        moves = [(k, beside[k] + turn) for k in gained for turn in range(-TURNS, TURNS + 1)]
+        fitting, least = np.zeros(m.n_tubes), self._misfit(np.zeros(m.n_tubes)) if moves else 0.0
+        as_read = least
+        while moves:
+            tried = [np.where(np.arange(m.n_tubes) == k, turns, fitting) for k, turns in moves]
+            misfits = [self._misfit(turns) for turns in tried]
+            if min(misfits) > min(CLEARLY * least, least - SEEN):
+                break
+            fitting, least = tried[int(np.argmin(misfits))], min(misfits)
+        known = np.where(wrapped, fitting, 0.0)
+        self.turns = fitting if least < self._misfit(known) / 2 else known
+        if fitting.any():
+            words = " and ".join(f"{-360 * fitting[k]:+.0f} deg of rotation_{k + 1}" for k in np.flatnonzero(fitting))
+            counted = "so they are counted"
+            if not np.array_equal(self.turns, fitting):
+                kept = [f"rotation_{k + 1}" for k in np.flatnonzero(self.turns != fitting)]
+                counted = f"{' and '.join(kept)} counts as read, since errors are not halved"
+            remark = (
+                f"readings fit best with {words}: {least * 1e3:.2f} mm instead of {as_read * 1e3:.2f} mm "
+                f"(root mean square); {counted}"
+            )
+            self.measurements = replace(m, remarks=(*m.remarks, remark))
 
-    def _misfit(self) -> float:
-        """Root mean square distance (m) of the positions from those without friction; infinite where there is none."""
-        setup = self.first.copy()
+    def _misfit(self, turns: Array) -> float:
+        """Root mean square distance (m) of the positions from those without friction, where rotations count from
+        `turns` (n,); infinite where there is none."""
+        self.turns, setup = turns, self.first.copy()
         setup.friction[:] = 0.0
         try:
             with warnings.catch_warnings(action="ignore", category=ImplausibleWarning):  # of turns that are tried
