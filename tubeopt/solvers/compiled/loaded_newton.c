@@ -1,5 +1,5 @@
-/* Newton's method on a loaded arm, its margin, and the continuation from no load: what solvers/loaded.py and
-   equilibrium/load_continuation.py do. */
+/* Newton's method on a loaded arm, its margin, and the continuation from no load: what solvers/newton.py and
+   equilibrium/continuation.py do. */
 
 /* The change of q that goes with one of theta (N) at a point and of p. */
 static double change_of_q(const Stage *s, int x, int j, const double *theta, double p) {
