@@ -117,7 +117,7 @@ def tube_stacks(draw: st.DrawFn, most: int = 5, curvature: float = 20.0) -> tupl
         profile = [(a, b + 0.02) for a, b in profile]
     for straight, curved in reversed(profile):
         outer = bore + draw(st.floats(0.05, 0.4)) * MM
-        bend = draw(st.just(0.0) | st.floats(0.1, curvature)) * draw(st.sampled_from((1.0, -1.0)))
+        bend = draw(st.just(0.0) | st.floats(min(0.1, curvature), curvature)) * draw(st.sampled_from((1.0, -1.0)))
         tubes.append(Tube(outer, bore, straight, curved, bend, draw(materials())))
         bore = outer + draw(st.floats(0.0, 0.2)) * MM
     return tuple(tubes)
