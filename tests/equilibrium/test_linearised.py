@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -21,6 +22,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.along import curvature_at
 from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.jacobian import derivatives_of
 from tubeopt.equilibrium.linearised import linearise
 from tubeopt.robots.robot import resized
 from tubeopt.typing import Array
@@ -239,3 +241,80 @@ def test_friction_is_refused() -> None:
     e = forward_kinematics(_robot(2), ROTATIONS[:2], SHIFT[:2])
     with pytest.raises(InputError, match="friction"):
         linearise(dataclasses.replace(e, friction="some"))  # type: ignore[arg-type]
+
+
+def _coincident(pieces: bool) -> ConcentricRobot:
+    """Three tubes, all ends at one place at home, tube 1 of pieces or of one curvature."""
+    tubes = [_tube(k, 0.12 - 0.03 * k, 0.08, (9.0, 7.0, -5.0)[k]) for k in range(3)]
+    if pieces:
+        chain = (HELIX, Piece(0.04, -8.0, bending_stiffness=lambda s: 2e-3 + 5e-3 * s))
+        tubes[0] = Tube.of_pieces(0.9e-3, 0.6e-3, chain, straight_length=0.12, mass_per_length=4e-3)
+    return ConcentricRobot(tuple(tubes))
+
+
+def _towards(f: Callable[[float], Array], step: float) -> Array:
+    """The derivative towards steps of this sign, by the polynomial through five values."""
+    values = [f(k * step) for k in range(5)]
+    return np.asarray(np.tensordot([-25 / 12, 4.0, -3.0, 4 / 3, -1 / 4], values, 1) / step)
+
+
+OPPOSED = np.array([0.3, 2.9, 0.5])
+"""Rotations at which the margin is below 1."""
+
+TOGETHER = [(1.0, 1.0, 1.0), (1.0, 1.0, 0.0), (1.0, 2.0, 0.5), (-1.0, 1.0, 0.4), (-0.7, -0.7, 1.0)]
+"""Speeds of three tubes: alike, two of them alike, and in every order, also to both sides."""
+
+
+@pytest.mark.parametrize("name", ["translations", "curved_length"])
+@pytest.mark.parametrize("pieces", [False, True])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("speed", TOGETHER)
+def test_tubes_that_move_at_once_push_what_they_uncover_once(
+    speed: tuple[float, ...], side: int, pieces: bool, name: str
+) -> None:
+    """All ends coincide. Added up tube by tube the derivatives are up to three times too large, or 0."""
+    e = forward_kinematics(_coincident(pieces), OPPOSED, np.full(3, -0.011))
+    direction = np.array(speed)
+    of = linearise(e, (name,), side, along=direction[:, None])
+
+    def there(step: float) -> Array:
+        moved = _moved(e, name, step * direction)
+        return np.concatenate([moved.tip_position, moved.tip_rotations, [moved.energy, moved.margin]])
+
+    expected = _towards(there, side * 1e-4)
+    told = np.concatenate([of.tip_position, of.tip_rotations, of.energy[None], of.margin[None]])[:, 0]
+    assert np.abs(told - expected).max() < 1e-6 * np.abs(expected).max()
+    assert np.abs(told - expected)[:3].max() < 1e-6
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_tubes_that_move_at_once_are_exact_under_a_load(side: int) -> None:
+    load = Load((0.02, 0.03, -0.02), gravity=(2.0, -9.0, 3.0), distributed=(0.2, -0.3, 0.1))
+    e = forward_kinematics(_coincident(True), OPPOSED, np.full(3, -0.011), load=load)
+    of = linearise(e, ("translations",), side, along=np.ones((3, 1)))
+    expected = _towards(lambda step: _told(_moved(e, "translations", np.full(3, step))), side * 1e-4)
+    assert np.abs(of.tip_position[:, 0] - expected[:3]).max() < 2e-6
+    assert np.abs(of.margin[0] - expected[-1]) < 2e-6 * abs(expected[-1])
+
+
+def test_a_tip_moment_stays_with_its_tube_where_all_ends_move_at_once() -> None:
+    """Tube by tube another one takes the moment over, and there is no derivative."""
+    e = forward_kinematics(_coincident(True), OPPOSED, np.full(3, -0.011), load=LOADS["moment"])
+    for side in (1, -1):
+        of = linearise(e, ("translations",), side, along=np.ones((3, 1)))
+        expected = _towards(lambda step: _told(_moved(e, "translations", np.full(3, step))), side * 1e-4)
+        assert np.abs(of.tip_position[:, 0] - expected[:3]).max() < 2e-6
+        with pytest.raises(SolveError, match="another tube"):
+            e.jacobian(side=side)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("pieces", [False, True])
+def test_tubes_of_one_carriage_move_at_once(pieces: bool, side: int) -> None:
+    """Each tube of a carriage has an equal part of the derivative."""
+    e = forward_kinematics(_coincident(pieces), OPPOSED, np.full(3, -0.011))
+    told = derivatives_of(e, side=side, carriages=((0, 1), (2,)))
+    direction = np.array([1.0, 1.0, 0.0])
+    expected = _towards(lambda step: _moved(e, "translations", step * direction).tip_position, side * 1e-4)
+    assert np.abs(told.tip_position[:, 3:] @ direction - expected).max() < 1e-6
+    assert np.array_equal(told.tip_position[:, 3], told.tip_position[:, 4])

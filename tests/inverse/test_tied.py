@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -14,8 +15,10 @@ from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
+from tubeopt.design.pieces import as_pieces
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.posture import start_at
 from tubeopt.planning.roadmap import build_roadmap
 from tubeopt.show.viewer import open_session
 
@@ -201,3 +204,32 @@ def test_joints_whose_ranges_have_no_width_are_solved_for_with_the_others(width:
     found = tubeopt.inverse_kinematics(robot, pose.tip_position, min_margin=0.0)
     assert found.reached
     assert abs(found.translations[1] - shift[1]) <= width + 2e-9
+
+
+@pytest.mark.parametrize("off", [0.0, -0.0037, 0.0041])
+@pytest.mark.parametrize("pieces", [False, True])
+def test_tubes_on_one_joint_have_the_derivatives_of_their_motion_together(pieces: bool, off: float) -> None:
+    """Their ends always coincide; at `off` 0 a transition lies at the plate too, and the sides differ."""
+    inner, outer = TWO_TUBE.tubes
+    tubes = (
+        dataclasses.replace(inner, straight_length=0.06, curved_length=0.08),
+        dataclasses.replace(outer, straight_length=0.09, curved_length=0.05),
+    )
+    if pieces:
+        tubes = (as_pieces(tubes[0]), as_pieces(tubes[1]))
+    space = joint_space(dataclasses.replace(TWO_TUBE, tubes=tubes, calibration=None))
+    q = np.array([0.5, -1.3, space.middle()[2] + off])
+    posture = start_at(space, q)
+    assert posture is not None
+    for side, told in ((1, posture.jacobian), (-1, posture.backward)):
+        for k in range(3):
+
+            def there(step: float, k: int = k) -> Any:
+                at = start_at(space, q + step * np.eye(3)[k])
+                assert at is not None
+                return np.append(at.tip, at.margin)
+
+            values = [there(side * 1e-4 * m) for m in range(5)]
+            expected = np.tensordot([-25 / 12, 4.0, -3.0, 4 / 3, -1 / 4], values, 1) / (side * 1e-4)
+            found = np.append(told[0][:, k], told[2][k])
+            assert np.abs(found - expected).max() < 2e-6 * max(1.0, np.abs(expected).max())

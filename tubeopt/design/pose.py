@@ -82,7 +82,7 @@ def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
 
 class Pose:
     """A solved pose: values at once; derivatives where they are asked for, (.., L) by what `wrt` names of PARAMETERS,
-    n columns each, then by what `more` says that changes.
+    n columns each, then by what `more` says that changes; or by the directions `along` (L, Q) in place of these.
 
     n tubes, m shape points.
     """
@@ -92,9 +92,10 @@ class Pose:
         solved: PlainPoint,
         wrt: Sequence[str] = (),
         more: Callable[[Linearised], Sequence[Change]] | None = None,
+        along: Array | None = None,
     ) -> None:
         self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
-        self._wrt, self._more = tuple(wrt), more
+        self._wrt, self._more, self._along = tuple(wrt), more, along
 
     position, frame, arc_length = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
 
@@ -107,9 +108,17 @@ class Pose:
     @cached_property
     def derivatives(self) -> Linearised:
         """Derivatives at fixed arc lengths."""
-        member = self.solved.member
-        here = Standing(self.problem, member.rotations, self.solved.state.theta, self.arm)
-        return Linearised(here, member.robot.tubes, self.margin, self._wrt, more=self._more)
+        tubes = self.solved.member.robot.tubes
+        return Linearised(self._standing, tubes, self.margin, self._wrt, more=self._more, along=self._along)
+
+    @cached_property
+    def by_joints(self) -> Linearised:
+        """Derivatives by the joint values, tube by tube."""
+        return Linearised(self._standing, self.solved.member.robot.tubes, self.margin)
+
+    @cached_property
+    def _standing(self) -> Standing:
+        return Standing(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
 
     @property
     def shape_slopes(self) -> tuple[Array, Array, Array]:
@@ -153,5 +162,5 @@ class Pose:
             found = member.solve(member.unknowns(theta))
             if found.converged:
                 solved = Point(0.0, member, found.state, least.margin)
-                return least.margin, Pose(solved, self._wrt, self._more).margin_slope
+                return least.margin, Pose(solved, self._wrt, self._more, self._along).margin_slope
         return value, self.derivatives.certificate(value, mode)

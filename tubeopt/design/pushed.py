@@ -13,7 +13,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
-from .state import JOINTS, State
+from .state import JOINTS, State, moving
 
 STRONGEST = 10.0
 """N; a pose that bears more along its tip counts as one that bears this."""
@@ -27,9 +27,9 @@ def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, f
     does not bear it there."""
     plain, names, rows = _unloaded(state, index)
     pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
-    of = linearise(pushed, names, more=state.piece_changes)
-    moved = np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]])
-    change = of.tip_position @ moved - state.pose(index).tip_slope @ state.chain(index)
+    directions, chain = moving(np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]]))
+    of = linearise(pushed, names, more=state.piece_changes, along=directions)
+    change = of.tip_position @ chain - state.pose(index).tip_slope @ state.chain(index)
     return pushed.tip_position - plain.tip_position, change
 
 

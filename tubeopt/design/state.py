@@ -157,7 +157,8 @@ class State:
         if index not in self._poses:
             solved = solve_pose(self.tubes, *self.joint_values(index), self.guesses.get(index))
             self.guesses[index] = twist_at(solved)
-            self._poses[index] = Pose(solved, (*JOINTS, *self.resized), self.piece_changes)
+            directions, self._chains[index] = moving(np.concatenate([*self.joint_slopes(index), self._reshaped]))
+            self._poses[index] = Pose(solved, (*JOINTS, *self.resized), self.piece_changes, directions)
         return self._poses[index]
 
     @cached_property
@@ -183,9 +184,8 @@ class State:
         return np.concatenate([*self.resized.values(), np.eye(self.layout.size)[self.free_pieces]])
 
     def chain(self, index: PoseNumber) -> Array:
-        """(L, X) change of what a pose is differentiated by: its joint values, dimensions that move, free pieces."""
-        if index not in self._chains:
-            self._chains[index] = np.concatenate([*self.joint_slopes(index), self._reshaped])
+        """(Q, X) 1 where a direction in which a pose is differentiated is that of an unknown."""
+        self.pose(index)
         return self._chains[index]
 
     def jacobian(self, index: PoseNumber, *, turning: bool = False) -> tuple[Array, Array]:
@@ -200,9 +200,8 @@ class State:
         """(12 n,) change of the tip's place, then of its frame, and by how much that changes (12 n, X)."""
 
         def here(state: State) -> Array:
-            pose = state.pose(index)
-            slopes = pose.tip_slope, pose.tip_turn
-            return np.concatenate([each[:, : 2 * state.layout.n].ravel(order="F") for each in slopes])
+            of = state.pose(index).by_joints
+            return np.concatenate([each.ravel(order="F") for each in (of.tip_position, of.tip_rotation)])
 
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale
@@ -219,5 +218,13 @@ class State:
     def certificate_at(self, translations: tuple[float, ...]) -> tuple[float, Array]:
         """mu_cert at translations (n,), m, and its change (X,)."""
         solved = without_solving(self.tubes, np.array(translations))
-        value, slope = Pose(solved, [*self.resized], self.piece_changes).certificate
-        return value, slope @ self._reshaped
+        directions, chain = moving(self._reshaped)
+        value, slope = Pose(solved, [*self.resized], self.piece_changes, directions).certificate
+        return value, slope @ chain
+
+
+def moving(rows: Array) -> tuple[Array, Array]:
+    """(L, Q) the directions of rows (L, X) in which anything changes, and (Q, X) the unknowns of these: derivatives
+    along them, times the second, are those by all unknowns."""
+    columns = np.flatnonzero(rows.any(0))
+    return rows[:, columns], np.eye(rows.shape[1])[columns]

@@ -14,7 +14,7 @@ from ..solvers.parallel.blas import small
 from ..typing import Array
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
-from .linearised import Linearised, linearise
+from .linearised import Linearised, linearise, sharing
 from .result import Equilibrium, Jacobian
 from .solving import assembly_of
 from .state import arm_of_equilibrium, problem_of
@@ -35,8 +35,9 @@ def derivatives_of(
 ) -> Derivatives | Linearised:
     """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
     are by default those of the robot."""
+    carriages = equilibrium.robot.moving_together if carriages is None else carriages
     if is_general(equilibrium.robot):
-        return linearise(equilibrium, wrt, side)
+        return linearise(equilibrium, wrt, side, along=sharing(carriages, wrt))
     assembly = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
@@ -47,7 +48,7 @@ def derivatives_of(
             )
     return Derivatives(
         arm,
-        equilibrium.robot.moving_together if carriages is None else carriages,
+        carriages,
         wrt=wrt,
         side=side,
         margin=equilibrium.margin,
@@ -125,6 +126,6 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
 def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Derivatives | Linearised:
     """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
     if equilibrium.load is not None:
-        return linearise(equilibrium, wrt, side)
+        return linearise(equilibrium, wrt, side, along=sharing(equilibrium.robot.moving_together, wrt))
     by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
     return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel

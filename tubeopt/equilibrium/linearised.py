@@ -17,8 +17,10 @@ since no other change of the mode matters to it. What is continuous where the tu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,6 +56,9 @@ from .solving import discretisation_of, reduced_problem, sample_rotation
 APART = 1e-7
 """Margins of either sign smaller than this are those of a fold."""
 
+SAME_SPEED = 1e-12
+"""Part of the greatest speed below which speeds of breakpoints that coincide differ by round-off alone."""
+
 PLACES = tuple(ENDS.tolist())
 
 
@@ -81,34 +86,82 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Breakpoints:
-    """J breakpoints in front of the plate: the `tube` that has each, the `index` of the piece that begins there, and
-    2 J cross-sections there, of what the tube uncovers when it moves to a side, then of what was there; `there` (2 J,)
-    whether there is any tube."""
+    """J breakpoints in front of the plate or at it: the `tube` that has each, its `place` (m), the `index` of the piece
+    that begins there, and numbers of those that coincide, `together`."""
 
     tube: Index
-    index: Index
     place: Array
+    index: Index
+    together: tuple[tuple[int, ...], ...]
+
+
+@lru_cache(maxsize=64)
+def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
+    """Those of all tubes; `between` are the arc lengths (P + 1,) between the pieces."""
+    own = [(i, s) for i in range(assembly.n_tubes) for s in _places(assembly, i) if s > -ROUND_OFF]
+    place = np.array([s for _, s in own])
+    index = np.searchsorted(np.frombuffer(between), place - 2 * ROUND_OFF)
+    where: dict[int, list[int]] = {}
+    for j, k in enumerate(index.tolist()):
+        where.setdefault(k, []).append(j)
+    tube = np.array([i for i, _ in own], dtype=np.intp)
+    return Breakpoints(tube, place, index, tuple(tuple(each) for _, each in sorted(where.items())))
+
+
+class Strip(NamedTuple):
+    """What breakpoints that coincide uncover between two of their shifted places: those of `past` moved beyond it. It
+    lies on the side of the tip or, where it is `behind`, of the plate; places are numbers of breakpoints."""
+
+    together: tuple[int, ...]
+    past: tuple[int, ...]
+    behind: bool
+
+
+def strips_of(points: Breakpoints, speed: Array) -> dict[Strip, Array]:
+    """The strips (T,) that directions uncover and their widths (Q,), if breakpoints move towards the tip at `speed`
+    (J, Q). The order in which the places are then decides which tubes are in a strip."""
+    widths: dict[Strip, Array] = {}
+    for own in points.together:
+        ahead, rows = bool(points.place[own[0]] > ROUND_OFF), speed[[*own]]
+        if len(own) == 1:
+            widths[Strip(own, own, False)] = rows[0] if ahead else np.maximum(rows[0], 0.0)
+            continue
+        for column in np.flatnonzero(rows.any(0)).tolist():
+            pace = rows[:, column].tolist()
+            levels = sorted([0.0, *pace])
+            least = SAME_SPEED * max(levels[-1], -levels[0])
+            for low, high in pairwise(levels):
+                if high - low > least and (high > 0 or ahead):
+                    past = tuple(j for j, one in zip(own, pace, strict=True) if one >= high - least)
+                    widths.setdefault(Strip(own, past, high <= 0), np.zeros(speed.shape[1]))[column] += high - low
+    return {strip: width for strip, width in widths.items() if width.any()}
+
+
+@dataclass(frozen=True, eq=False)
+class Uncovered:
+    """Of T strips: the `index` of the piece that begins there and 2 T cross-sections, of what the motion uncovers, then
+    of what was there; `there` (2 T,) whether there is any tube, and the `outermost` one."""
+
+    index: Index
     sections: CrossSections
     there: Mask
     outermost: Index
 
 
 @lru_cache(maxsize=64)
-def breakpoints_of(assembly: Assembly, between: bytes, side: int) -> Breakpoints:
-    """Those that move towards the tip (`side` 1) or the plate (-1); `between` are the arc lengths (P + 1,) between the
-    pieces."""
-    cuts, nudge, n = np.frombuffer(between), side * ROUND_OFF, assembly.n_tubes
-    own = [(i, s) for i in range(n) for s in _places(assembly, i) if s > -nudge]
-    tube, place = np.array([i for i, _ in own], dtype=np.intp), np.array([s for _, s in own])
-    before = np.repeat((place + nudge)[:, None], n, axis=1)
-    after = before.copy()
-    after[np.arange(len(tube)), tube] -= 2 * nudge
-    near = np.concatenate([after, before])
+def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) -> Uncovered:
+    """What strips uncover; `between` as for `breakpoints_of`."""
+    points, n = breakpoints_of(assembly, between), assembly.n_tubes
+    first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
+    place = points.place[first]
+    near = np.repeat(np.concatenate([place, place])[:, None] + ROUND_OFF, n, axis=1)
+    for row, strip in enumerate(strips):
+        near[row, points.tube[[*strip.past]]] -= 2 * ROUND_OFF
+        if strip.behind:
+            near[row + len(strips), points.tube[[*strip.together]]] -= 2 * ROUND_OFF
     present = near < assembly.end
-    return Breakpoints(
-        tube=tube,
-        index=np.searchsorted(cuts, place - 2 * ROUND_OFF),
-        place=place,
+    return Uncovered(
+        index=points.index[first],
         sections=_sections(assembly, np.concatenate([place, place]), near),
         there=np.asarray(present.any(1)),
         outermost=n - 1 - present[:, ::-1].argmax(1),
@@ -139,14 +192,18 @@ def _sections(assembly: Assembly, s: Array, near: Array) -> CrossSections:
 class Linearised:
     """Derivatives of an equilibrium by what `wrt` names of its n tubes, n columns each, computed where asked for.
 
+    Where breakpoints coincide they are directional: those along a sum of parameters are not the sum of those by each.
+
     Args:
         here: the arm in equilibrium.
         tubes: of which it is.
         margin: of the equilibrium.
         wrt: names of PARAMETERS.
-        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
-            derivatives differ.
+        side: 1 for parameters that grow, so that breakpoints move towards the tip, -1 for those that shrink: where
+            breakpoints coincide the derivatives differ.
         more: changes of the tubes at fixed arc lengths, one further column each.
+        along: (L, Q) directions, by what `wrt` and `more` give, that replace these L columns; as where a group of tubes
+            moves at once. Where moments act, no direction moves breakpoints to both sides.
 
     Raises:
         InputError: a name that is not among PARAMETERS, a side that is neither 1 nor -1; or the tip draws back from
@@ -162,21 +219,23 @@ class Linearised:
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
         more: Callable[[Linearised], Sequence[Change]] | None = None,
+        along: Array | None = None,
     ) -> None:
         check_wrt(wrt, side)
         self.here, self.tubes, self.value, self.wrt, self.side = here, tuple(tubes), margin, tuple(wrt), side
         self.problem, self.assembly = here.problem, here.problem.assembly
         self.n, self.arm, self.cuts = here.n, here.shape, here.cuts
         self._more = [] if more is None else list(more(self))
-        self.size = self.n * len(self.wrt) + len(self._more)
+        self._along = along
+        self.size = self.n * len(self.wrt) + len(self._more) if along is None else along.shape[1]
 
     # --- what changes -------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _given(self) -> tuple[Forcing, Array, Array]:
-        """What the parameters change; the natural turn (n, Q) up to the ends of the tubes; by how much each moves the
-        breakpoints (J, Q)."""
-        here, n, size = self.here, self.n, self.size
+    def _entered(self) -> tuple[Forcing, Array, Array]:
+        """What the parameters change beside breakpoints; the natural turn (n, Q) up to the ends of the tubes; by how
+        much each moves the breakpoints (J, Q)."""
+        here, n, size = self.here, self.n, self.n * len(self.wrt) + len(self._more)
         points, bases = (here.pieces, here.degree), np.zeros((3, n, size))
         forcing = Forcing(
             base=bases[0],
@@ -184,18 +243,50 @@ class Linearised:
             data=np.zeros((*points, 3 * n, size)),
             rate=np.zeros((*points, n, size)),
             force=np.zeros((*points, 3, size)),
-            jumps=np.zeros((here.pieces + 1, here.size, size)),
+            jumps=np.zeros((here.pieces + 1, here.size, self.size)),
             side=self.side,
         )
-        speed = np.zeros((len(self._breakpoints.tube), size))
+        wound, speed = bases[2], np.zeros((len(self._breakpoints.tube), size))
         for k, name in enumerate(self.wrt):
-            self._enter(forcing, (bases[2], speed), (k * n, name))
+            self._enter(forcing, (wound, speed), (k * n, name))
         for column, change in enumerate(self._more, start=n * len(self.wrt)):
             forcing.transmission[:, column], forcing.rate[..., column] = change.transmission, change.rate
             forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
-            bases[2][:, column] = change.wound
-        np.add.at(forcing.jumps, self._breakpoints.index, self._strips[0][:, :, None] * speed[:, None])
-        return forcing, bases[2], speed
+            wound[:, column] += change.wound
+        if self._along is None:
+            return forcing, wound, speed
+        along = self._along
+        forcing = replace(
+            forcing,
+            base=forcing.base @ along,
+            transmission=forcing.transmission @ along,
+            data=_combined(forcing.data, along),
+            rate=_combined(forcing.rate, along),
+            force=_combined(forcing.force, along),
+        )
+        return forcing, wound @ along, speed @ along
+
+    @cached_property
+    def _uncovering(self) -> tuple[Uncovered, Array]:
+        """What the directions uncover, and the widths (T, Q) of the strips."""
+        widths = strips_of(self._breakpoints, self.side * self._entered[2])
+        table = np.array([*widths.values()]).reshape(len(widths), self.size)
+        return uncovered_by(self.assembly, self.cuts.tobytes(), tuple(widths)), table
+
+    @property
+    def _strips(self) -> Uncovered:
+        return self._uncovering[0]
+
+    @property
+    def _widths(self) -> Array:
+        return self._uncovering[1]
+
+    @cached_property
+    def _given(self) -> tuple[Forcing, Array]:
+        """All that the directions change; the natural turn (n, Q) up to the ends of the tubes."""
+        forcing, wound, _ = self._entered
+        np.add.at(forcing.jumps, self._strips.index, self._gains[0][:, :, None] * self._widths[:, None])
+        return forcing, wound
 
     def _enter(self, into: Forcing, more: tuple[Array, Array], what: tuple[int, str]) -> None:
         """Enter what a parameter of the tubes changes into n columns from the first one on."""
@@ -316,22 +407,22 @@ class Linearised:
 
     @cached_property
     def _breakpoints(self) -> Breakpoints:
-        return breakpoints_of(self.assembly, self.cuts.tobytes(), self.side)
+        return breakpoints_of(self.assembly, self.cuts.tobytes())
 
     @cached_property
     def _force_there(self) -> Array:
-        """(J, 3) force on the cross-section at the breakpoints, on the side to which they move."""
-        here, index = self.here, self._breakpoints.index
+        """(T, 3) force on the cross-section at the strips, on the side to which they lie."""
+        here, index = self.here, self._strips.index
         if self.side < 0:
             return np.asarray(here.t.basis((1.0,), 0)[0] @ here.force[index - 1])
         table = np.concatenate([here.t.basis((0.0,), 0)[0] @ here.force, here.tip_force[None]])
         return np.asarray(table[index])
 
     @cached_property
-    def _strips(self) -> tuple[Array, Array, Array, Array]:
-        """What the rates of the state (J, 2 n + 6), the motion of the tip (J, 3), the elastic energy per length and
-        |u|^2 (J,) gain where a breakpoint moves."""
-        here, points = self.here, self._breakpoints
+    def _gains(self) -> tuple[Array, Array, Array, Array]:
+        """What the rates of the state (T, 2 n + 6), the motion of the tip (T, 3), the elastic energy per length and
+        |u|^2 (T,) gain per width of a strip."""
+        here, points = self.here, self._strips
         index, count = points.index, len(points.index)
         if not count:
             return np.zeros((0, here.size)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
@@ -360,8 +451,8 @@ class Linearised:
 
     @cached_property
     def _sections_there(self) -> tuple[Sections, Array, tuple[Array, ...]]:
-        """Cross-sections at the 2 J places, 1 / kt (2 J, n) there, and of what they are: theta, kb, m, b."""
-        here, points = self.here, self._breakpoints
+        """Cross-sections at the 2 T places, 1 / kt (2 T, n) there, and of what they are: theta, kb, m, b."""
+        here, points = self.here, self._strips
         index, tubes = points.index, points.sections
         frame, moment = here.end_frame[index], here.moment_ahead if self.side < 0 else here.moment_behind
         bent = (frame[..., :2].swapaxes(1, 2) @ moment[index][..., None])[..., 0]
@@ -376,46 +467,50 @@ class Linearised:
     @cached_property
     def response(self) -> Response:
         """Of the arm."""
-        forcing, _, speed = self._given
+        forcing = self._given[0]
         here, load = self.here, self.here.load
         if load is not None:
-            self._must_stay(speed)
+            self._must_stay()
             if load.distributed is not None:
                 force = load.per_length(self.cuts[-1:] + self.side * ROUND_OFF)[0, FORCE]
-                forcing.force[:] += np.outer(force, self._longer(speed))
+                forcing.force[:] += np.outer(force, self._longer)
         return here.respond(forcing)
 
-    def _must_stay(self, speed: Array) -> None:
+    def _must_stay(self) -> None:
         """Refuse motions that draw the tip, or the end of a tube, from under what acts there."""
         here, ends, points = self.here, self.assembly.end, self._breakpoints
         assert here.load is not None
-        at = {i: np.abs(points.place - ends[i]) <= ROUND_OFF for i in range(self.n)}
-        moving = {i for i in range(self.n) if speed[at[i] & (points.tube == i)].any()}
-        tip = self.cuts[-1]
-        if self.side < 0 and self._longer(speed).any() and any(part.at >= tip - TIP for part in here.load.points):
+        tip, pace = self.cuts[-1], np.zeros((self.n, self.size))
+        at_end = np.abs(points.place - ends[points.tube]) <= ROUND_OFF
+        pace[points.tube[at_end]] = self.side * self._entered[2][at_end]
+        if (self.side * self._longer < 0).any() and any(part.at >= tip - TIP for part in here.load.points):
             raise InputError(
                 f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
                 "derivatives by what moves it out (side=1)"
             )
-        left = {tube for k, tube, _ in here.joints if self.side < 0 and abs(self.cuts[k] - ends[tube]) <= TIP}
+        left = {tube for k, tube, _ in here.joints if (pace[tube] < 0).any() and abs(self.cuts[k] - ends[tube]) <= TIP}
         if any(here.load.moment):
-            last = {i for i in range(self.n) if tip - ends[i] <= ROUND_OFF}
-            left |= last - {here.tip_tube} if self.side > 0 else ({here.tip_tube} if len(last) > 1 else set())
-        if left & moving:
-            tube = min(left & moving) + 1
+            last = np.flatnonzero(tip - ends <= ROUND_OFF)
+            over = pace[last] > pace[here.tip_tube]
+            # A tube that runs ahead takes the moment over, or one that stays while that with the moment draws back.
+            left |= {int(i) for i, row in zip(last, over, strict=True) if (row & (pace[i] > 0)).any()}
+            left |= {here.tip_tube} if (over.any(0) & (pace[here.tip_tube] < 0)).any() else set()
+        if left:
             raise SolveError(
-                f"there is no derivative by the end of tube {tube}: a moment acts there, which another tube takes over"
+                f"there is no derivative by the end of tube {min(left) + 1}: a moment acts there, which another tube "
+                "takes over"
             )
 
-    def _longer(self, speed: Array) -> Array:
+    @cached_property
+    def _longer(self) -> Array:
         """(Q,) change of the arm's length."""
-        at_tip = self._breakpoints.index == self.here.pieces
-        return np.asarray((self._strips[1] @ self.here.end_frame[-1, :, 2] * at_tip) @ speed)
+        at_tip = self._strips.index == self.here.pieces
+        return np.asarray((self._gains[1] @ self.here.end_frame[-1, :, 2] * at_tip) @ self._widths)
 
     @property
     def pushed(self) -> Array:
         """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
-        return np.outer(self.here.end_frame[-1, :, 2], self._longer(self._given[2]))
+        return np.outer(self.here.end_frame[-1, :, 2], self._longer)
 
     @cached_property
     def tip_position(self) -> Array:
@@ -442,10 +537,12 @@ class Linearised:
         return self._moved(self.arm.arc_length)
 
     def _moved(self, s: Array) -> Array:
-        """(len(s), Q) motion of places that divide the stretches between breakpoints as they do."""
-        index, first = np.unique(self._breakpoints.index, return_index=True)
-        index, first = index[index > 0], first[index > 0]
-        speed, knots = self._given[2][first], np.concatenate([[0.0], self.cuts[index]])
+        """(len(s), Q) motion of places that divide the stretches between breakpoints as they do; of those that coincide
+        the foremost counts."""
+        points, pace = self._breakpoints, self.side * self._entered[2]
+        each = [own for own in points.together if points.index[own[0]] > 0]
+        knots = np.concatenate([[0.0], self.cuts[points.index[[own[0] for own in each]]]]) if each else np.zeros(1)
+        speed = self.side * np.array([pace[[*own]].max(0) for own in each])
         share = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
         return np.stack(share, axis=1) @ speed if share else np.zeros((len(s), self.size))
 
@@ -512,12 +609,12 @@ class Linearised:
         """(Q,) of int |u|^2 ds, 1/m."""
         here, u = self.here, self.here.at.curvature
         pull = (2 * here.weights.ravel()[:, None] * u).ravel()
-        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + self._strips[3] @ self._given[2])
+        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + self._gains[3] @ self._widths)
 
     @cached_property
     def energy(self) -> Array:
         """(Q,) of the elastic energy, J."""
-        here, (forcing, _, speed), n = self.here, self._given, self.n
+        here, forcing, n = self.here, self._given[0], self.n
         moved, weights, size = self.response, here.weights.ravel(), self.size
         by = weights[:, None] * here.at.by_energy
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
@@ -532,7 +629,7 @@ class Linearised:
         # The torque that the transmissions feel, behind what moves at the plate.
         held, gained = here.torque_ahead[0], (moved.state - forcing.jumps)[0, n + 3 : 2 * n + 3]
         out += (held**2 / 2) @ forcing.transmission + (here.transmission * held) @ gained
-        return np.asarray(out + self._strips[2] @ speed)
+        return np.asarray(out + self._gains[2] @ self._widths)
 
     @cached_property
     def margin(self) -> Array:
@@ -546,7 +643,7 @@ class Linearised:
 
     def _margin(self, *, one_of_two: bool) -> Array:
         if not self.here.pieces:
-            return np.asarray(-self._softened @ self._given[2])
+            return -self._softened
         if self.value >= FLAT:
             return np.zeros(self.size)
         load = self.here.load
@@ -567,12 +664,12 @@ class Linearised:
 
     @property
     def _softened(self) -> Array:
-        """(J,) by how much the margin of an arm of length zero falls per length of what leaves the plate: the largest
-        eigenvalue of -dM/dtheta over the stiffness of the transmissions, which alone twist there, or 0."""
-        count, root = len(self._breakpoints.index), np.sqrt(self.here.transmission)
-        slope = self._sections_there[0].by_torque[..., : self.n] * self._breakpoints.there[:, None, None]
+        """(Q,) by how much the margin of an arm of length zero falls with what leaves the plate: the largest eigenvalue
+        of -dM/dtheta over the stiffness of the transmissions, which alone twist there, or 0."""
+        count, root = len(self._strips.index), np.sqrt(self.here.transmission)
+        slope = self._sections_there[0].by_torque[..., : self.n] * self._strips.there[:, None, None]
         second = -root[:, None] * (slope[:count] - slope[count:]) * root
-        return np.asarray(np.linalg.eigvalsh(second).max(1, initial=0.0))
+        return np.asarray(np.linalg.eigvalsh(np.tensordot(self._widths.T, second, 1)).max(1, initial=0.0))
 
     def per_tube(self, columns: Array) -> Array:
         """Every tube has a carriage of its own."""
@@ -594,7 +691,7 @@ class Linearised:
 
     def _quotient(self, mode: Response, softness: float, *, worst: bool = False) -> Array:
         """(Q,) of a least eigenvalue of the second variation, from its mode."""
-        here, (forcing, _, speed), n, size = self.here, self._given, self.n, self.size
+        here, forcing, n, size = self.here, self._given[0], self.n, self.size
         weights, torque = here.weights, mode.torque[..., 0]
         y, felt = mode.phi[..., 0], mode.bent[..., 0]
         count, data = len(here.at.energy), bool(forcing.data.any())
@@ -611,7 +708,7 @@ class Linearised:
         out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
         held = mode.state[0, n + 3 : 2 * n + 3, 0]
         out -= softness * held**2 @ forcing.transmission
-        out += self._mode_gains(mode, softness, worst=worst) @ speed
+        out += self._mode_gains(mode, softness, worst=worst) @ self._widths
         return np.asarray(out / here.elastic(mode, softness))
 
     def _carried(self, mode: Response, by: Array) -> Array:
@@ -630,8 +727,8 @@ class Linearised:
         return np.asarray(out - (twice @ here.axis[..., None]).ravel() @ self._given[0].force.reshape(-1, size))
 
     def _mode_gains(self, mode: Response, softness: float, *, worst: bool) -> Array:
-        """(J,) what the margin gains where a breakpoint moves."""
-        here, points, n = self.here, self._breakpoints, self.n
+        """(T,) what the margin gains per width of a strip."""
+        here, points, n = self.here, self._strips, self.n
         index, count = points.index, len(points.index)
         if not count:
             return np.zeros(0)
@@ -654,6 +751,11 @@ def _parts(table: Array) -> tuple[Array, Array, Array, Array]:
     """theta, kb, m (X, n) and b (X, 2) of a table (X, 3 n + 2)."""
     n = table.shape[1] // 3
     return table[:, :n], table[:, n : 2 * n], table[:, 2 * n : 3 * n], table[:, 3 * n :]
+
+
+def _combined(columns: Array, along: Array) -> Array:
+    """(..., Q) along directions (L, Q), of (..., L)."""
+    return np.asarray((columns.reshape(-1, len(along)) @ along).reshape(*columns.shape[:-1], along.shape[1]))
 
 
 def _at(weights: Array, values: Array) -> Array:
@@ -704,6 +806,7 @@ def linearise(
     wrt: Sequence[str] = ("rotations", "translations"),
     side: int = 1,
     more: Callable[[Linearised], Sequence[Change]] | None = None,
+    along: Array | None = None,
 ) -> Linearised:
     """Derivatives of an equilibrium of concentric tubes; see `Linearised`.
 
@@ -717,7 +820,20 @@ def linearise(
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     tubes = equilibrium.robot.tubes
     straight = "curvature" in wrt and not all(tube.curvature for tube in tubes)
-    return Linearised(standing_of(equilibrium, straight), tubes, equilibrium.margin, wrt, side, more)
+    return Linearised(standing_of(equilibrium, straight), tubes, equilibrium.margin, wrt, side, more, along)
+
+
+def sharing(carriages: Sequence[Sequence[int]], wrt: Sequence[str]) -> Array | None:
+    """(L, L) directions in which tubes of a carriage move together, equal parts of the motion each; None where every
+    tube has a carriage of its own. The chain rule holds for every motion that is possible."""
+    if "translations" not in wrt or all(len(tubes) == 1 for tubes in carriages):
+        return None
+    n = sum(len(tubes) for tubes in carriages)
+    along, first = np.eye(n * len(wrt)), n * list(wrt).index("translations")
+    for tubes in carriages:
+        own = first + np.array(tubes)
+        along[np.ix_(own, own)] = 1 / len(tubes)
+    return along
 
 
 @lru_cache(maxsize=8)

@@ -26,6 +26,7 @@ import scipy
 
 from ...errors import SolveError
 from ...robots.load import Load
+from ...robots.order import last_tube
 from ...typing import Array, Index
 from .arm import ArmShape
 from .buffered import bent_function
@@ -195,7 +196,7 @@ class Standing:
         self.force = np.zeros((*points, 3))
         if burden is not None:
             self.force += burden.force.reshape(self.force.shape) + self.following * self.tip_force
-        self.tip_tube = int(np.argmax(self.problem.assembly.end))
+        self.tip_tube = int(last_tube(self.problem.assembly.end))
         self.along: Array | None = None
         self.felt = np.zeros(self.phase.shape)
         self.joints: list[tuple[int, int, Array]] = []
