@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.optimize import brentq
 from tests.stability.test_pair import Case
 from tubeopt import snap_free_certificate
 from tubeopt.stability import certificate
-from tubeopt.stability.pair import Pair, greatest_bend, margins
+from tubeopt.stability.pair import TOLERANCE, Pair, greatest_bend, least_margin_of_pair, margins
 from tubeopt.typing import Array
 
 
@@ -36,6 +37,16 @@ def test_no_margin_of_a_pair_bends_more_than_the_bound(coupling: float, reach: f
     assert most <= greatest_bend(pair) * (1 + 1e-12)
     if not reach:
         assert most == pytest.approx(greatest_bend(pair), rel=1e-9)
+
+
+def test_the_least_margin_between_samples_is_bounded_by_the_second_derivative() -> None:
+    """mu = 1 + c cos(x + psi), which bends by c at its least value 1 - c, wherever the samples lie."""
+    for lag in np.linspace(0, 2 * np.pi / 32, 201):
+        pair = replace(lever(0.3, 0.0, 1.7), lag=np.array([lag]))
+        least = 1 - 0.3 * 1.7**2
+        found = least_margin_of_pair(pair)
+        assert found.bound <= least + 1e-12
+        assert found.bound >= least - 2 * TOLERANCE * (1 - least)
 
 
 def test_a_strong_pair_is_solved_for_each_tip_alone() -> None:
