@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from tests.stability.test_pair import Case
 from tubeopt import snap_free_certificate
 from tubeopt.stability import certificate
-from tubeopt.stability.pair import TOLERANCE, Pair, greatest_bend, least_margin_of_pair, margins
+from tubeopt.stability.pair import TOLERANCE, Pair, farthest_fold, greatest_bend, least_margin_of_pair, margins
 from tubeopt.typing import Array
 
 
@@ -47,6 +47,17 @@ def test_the_least_margin_between_samples_is_bounded_by_the_second_derivative() 
         found = least_margin_of_pair(pair)
         assert found.bound <= least + 1e-12
         assert found.bound >= least - 2 * TOLERANCE * (1 - least)
+
+
+@pytest.mark.parametrize("lead", [1.01, 2.0, 8.0])
+def test_a_stable_pair_snaps_within_the_farthest_turn(lead: float) -> None:
+    """The joint is at a(x) = x + lead sin x, stable where it grows: the longest way is from one fold to the next."""
+    pair = replace(lever(0.5, 0.0, 1.0), lever=np.array([lead / 0.5]))
+    fold = np.arccos(-1 / lead)
+    true = 2 * (fold + lead * np.sin(fold))
+    assert true <= farthest_fold(pair)
+    assert farthest_fold(pair) == pytest.approx(2 * np.pi + 1.1 * 2 * lead, rel=1e-3)
+    assert lead < 2 or true > 2 * np.pi
 
 
 def test_a_strong_pair_is_solved_for_each_tip_alone() -> None:

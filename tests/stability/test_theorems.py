@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.examples import CRL, nested
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
 from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability.certificate import convexity, worst_case
+from tubeopt.stability.eccentric_bound import cross_sections, longest
+from tubeopt.stability.eccentric_certificate import Segment, proved_margin
 from tubeopt.stability.loaded_certificate import bundle_of
 
 
@@ -85,3 +88,39 @@ def test_what_a_mesh_leaves_out_is_taken_off_the_certificate() -> None:
     assert plain > finest + 1e-11
     assert finest - 2 * (plain - finest) < convexity(robot, home) <= finest + 1e-13
     assert snap_free_certificate(robot) == convexity(robot, home)
+
+
+def stretched_segment(*outer: tuple[float, float]) -> Segment:
+    """Three tubes with outer segments (delta, length)."""
+    return Segment((0, 1, 2), (0.0, 0.05), 10.0, delta=0.2, length=0.5, transmission=1.0, outer=outer)
+
+
+def test_outer_segments_stretch_three_tubes_by_their_spread() -> None:
+    """By D cos(c), D cos(c + 120 deg), D cos(c - 120 deg): the square is 3/2 D^2, at any rotations of their tubes."""
+    random, outer = np.random.default_rng(0), ((0.05, 0.7), (0.02, 1.3))
+    theta = random.uniform(0, 2 * np.pi, (400, len(outer), 3))
+    theta[:50] = random.uniform(0, 2 * np.pi, (50, 1, 1))
+    each = [length * (cross_sections(theta[:, k], delta)[1] - 1) for k, (delta, length) in enumerate(outer)]
+    stretch = np.sum(each, axis=0)
+    assert stretch.sum(1) == pytest.approx(np.zeros(400), abs=1e-12)
+    most = np.sqrt(2 / 3 * (stretch**2).sum(1).max())
+    assert 0.999 * stretched_segment(*outer).spread <= most <= stretched_segment(*outer).spread
+
+
+@pytest.mark.parametrize("outer", [(), ((0.25, 2.0),), ((0.1, 3.0), (0.2, 2.5))])
+def test_the_proof_of_unequal_transmissions_is_sharp(outer: tuple[tuple[float, float], ...]) -> None:
+    """R = tan(phi) P + delta x J is less than the inverse of lam + D cos(c + 120 deg i) for all c, and no more."""
+    segment, alike = stretched_segment(*outer), np.ones((3, 3)) / 3
+    apart = np.cos(np.linspace(0, 2 * np.pi, 73)[:, None] + 2 * np.pi / 3 * np.arange(3))
+
+    def left(reach: float, soft: float) -> float:
+        each = soft * (segment.transmission + segment.spread * apart)
+        forms = np.eye(3) / each[:, None] - (np.eye(3) - alike) / reach - segment.delta * soft * segment.length * alike
+        return float(np.linalg.eigvalsh(forms)[:, 0].min())
+
+    def excess(soft: float) -> float:
+        reach = brentq(left, 1e-3, 1e3, args=(soft,), xtol=1e-13)
+        return soft * segment.length - longest(segment.delta, np.arctan(1 / reach))
+
+    true = 1 - 1 / brentq(excess, 0.3, 1.5, xtol=1e-12) ** 2
+    assert proved_margin(segment) == pytest.approx(true, abs=1e-9)

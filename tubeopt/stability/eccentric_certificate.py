@@ -5,9 +5,10 @@ Each segment is one problem of three tubes (see `eccentric_bound`): inner segmen
 of their straight tubes, and in front of its own curved part an outer segment only changes how long its tubes are. The
 robot cannot snap if no segment can.
 
-*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. The three lam_i
-differ by what the outer segments stretch them, at most D = sum delta omega L over these, and sum up to three times
-their mean lam: then tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam), is enough.
+*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. Outer segments
+stretch them to lam + d cos(c), lam + d cos(c + 120 deg) and lam + d cos(c - 120 deg), with d at most D, the sum of
+delta omega L over these segments. So tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam),
+is enough, and necessary where c is 0.
 
 *Closed form.* Two tubes turned to c and the third to c + pi neither twist nor turn one another: an equilibrium at every
 length, whose linearisation has constant coefficients. Where one of these is unstable, with segments further out and in
@@ -63,7 +64,7 @@ class Segment:
 
     @property
     def spread(self) -> float:
-        """Bound D of the difference of the three transmissions."""
+        """Bound D of what the three transmissions differ by from their mean."""
         return sum(delta * length for delta, length in self.outer)
 
 
