@@ -452,15 +452,16 @@ def test_derivatives_are_the_general_ones_of_every_robot() -> None:
             told = compiled_slopes(at, (side,) * n, either=False, dimensions=True)
             of = derivatives_of(at, PARAMETERS, side=side)
             assert told is not None
-            for mine, other in (
-                (told.position, of.tip_position),
-                (told.turn, of.tip_rotation),
-                (told.tip_rotations, of.tip_rotations),
-                (told.energy, of.energy),
-                (told.margin, of.margin),
+            # A margin close to 1 is that of a mode that the mesh resolves to some digits only.
+            for mine, other, same in (
+                (told.position, of.tip_position, 1e-9),
+                (told.turn, of.tip_rotation, 1e-9),
+                (told.tip_rotations, of.tip_rotations, 1e-9),
+                (told.energy, of.energy, 1e-9),
+                (told.margin, of.margin, 3e-6),
             ):
                 for a, b in zip(np.split(mine, 7, axis=-1), np.split(other, 7, axis=-1), strict=True):
-                    assert a == pytest.approx(b, rel=0, abs=1e-10 * np.abs(b).max() + 1e-14)
+                    assert a == pytest.approx(b, rel=0, abs=same * np.abs(b).max() + 1e-14)
 
 
 @compiler

@@ -1,5 +1,5 @@
-"""How torsion along a solved arm changes with joint values and with every dimension and stiffness of the tubes, and
-the breakpoints that move with these: see `derivatives`."""
+"""How torsion along a solved arm of tubes off the centreline changes with joint values and with every dimension and
+stiffness of the tubes, and the breakpoints that move with these: see `derivatives`."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class ArmChange:
         side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
             derivatives differ.
         margin: of the equilibrium.
-        problem: gives the reduced problem that the arm solves; the margin of tubes off the centreline asks for it.
+        problem: gives the reduced problem that the arm solves; the margin asks for it.
 
     Raises:
         InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
@@ -125,8 +125,8 @@ class ArmChange:
         *,
         wrt: Sequence[str] = ("rotations", "translations"),
         side: int = 1,
-        margin: float = 1.0,
-        problem: Callable[[], ReducedProblem] | None = None,
+        margin: float,
+        problem: Callable[[], ReducedProblem],
     ) -> None:
         check_wrt(wrt, side)
         self.arm, self.assembly, self.carriages = arm, arm.assembly, carriages
@@ -223,7 +223,7 @@ class ArmChange:
             return np.zeros((0, 2 * n)), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
         theta, twist = (jumps.twice(table) for table in self.arm.states)
         there = jumps.stiffness.any(1, keepdims=True)
-        function = section_function("section", 2 * count, n, bool(place))
+        function = section_function("section", 2 * count, n, True)
         moment, stretch, u, bending = function(theta, jumps.solid, jumps.moment, *place)
         turned, bent = np.where(there, stretch, 1.0) * twist, u * there
         density = (bending * there)[:, 0] + (turned * twist) @ kt / 2

@@ -1,9 +1,9 @@
-"""Derivatives of an equilibrium by the implicit function theorem: of the tip, of any point of the arm, of energy and
-margin, with respect to joint values and to every dimension and stiffness of the tubes.
+"""Derivatives of an equilibrium of tubes off the centreline by the implicit function theorem: of the tip, of any point
+of the arm, of energy and margin, with respect to joint values and to every dimension and stiffness of the tubes.
 
 What moves along the arm is taken at fixed arc lengths; a breakpoint that moves uncovers a stretch on which another
 cross-section takes over, which is a jump of the rates there. The pose follows from d phi = int R du ds and
-dp = int R du x (p(L) - p) ds, the margin, a Rayleigh quotient, from the change of the second variation at its mode.
+dp = int R du x (p(L) - p) ds. Concentric tubes: `linearised`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,8 @@ from ..block.transcription.linear import cross, cumulate, poses_at_points
 from ..robots.assembly import ROUND_OFF
 from ..typing import Array
 from .arm_change import ArmChange
-from .margin import quotient_change
+from .linearised import FLAT
 from .offset import offset_change
-
-FLAT = 1 - 1e-9
-"""Margin above which nothing softens: the greatest value, 1, which does not change."""
 
 
 class Derivatives(ArmChange):
@@ -127,32 +124,19 @@ class Derivatives(ArmChange):
 
     @cached_property
     def energy(self) -> Array:
-        """(Q,) of the elastic energy, J.
-
-        On the centreline the equilibrium is a minimum of it: only what the parameters change at a fixed shape counts.
-        """
+        """(Q,) of the elastic energy, J."""
         arm, at, n = self.arm, self.slopes, self.arm.n_tubes
         t, kt, h = arm.tableau, arm.torsional_stiffness, arm.length[:, None, None]
         base, first = arm.twist[:1].sum(0), self.first("torsional_stiffness")
         out = self.gains[2] @ self.jumps.spread
-        if arm.place or self.reshaped:
-            weights, w = h * t.weights[:, None], arm.twist[:, None] + h * (t.adjoint @ at.rate)
-            pull = weights * at.bending_slope
-            if arm.place:
-                stretch = weights * kt * at.stretch * w
-                pull += ((weights * kt * w**2 / 2)[..., None, :] @ at.stretch_slope)[..., 0, :]
-                out += _total(stretch, self.twist_change) + _total(pull[..., :n], self.response.inner)
-            if self.reshaped:
-                by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
-                out += _total(by_data, self.data)
-        if arm.place:
-            out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ self.response.end[0, n:]
-        else:
-            # At a fixed shape a longer transmission is a softer spring, kt / |beta|.
-            out -= (kt * base**2 / 2) @ self.transmitted
-            turned = self.first("rotations")
-            if turned is not None:
-                out[turned : turned + n] -= kt * base
+        weights, w = h * t.weights[:, None], arm.twist[:, None] + h * (t.adjoint @ at.rate)
+        stretch, pull = weights * kt * at.stretch * w, weights * at.bending_slope
+        pull += ((weights * kt * w**2 / 2)[..., None, :] @ at.stretch_slope)[..., 0, :]
+        out += _total(stretch, self.twist_change) + _total(pull[..., :n], self.response.inner)
+        if self.reshaped:
+            by_data = np.concatenate([pull[..., n:], weights * at.stretch * w**2 / 2], axis=2).sum(1)
+            out += _total(by_data, self.data)
+        out += (kt * base**2 / 2) @ self.transmitted + (kt * arm.transmission * base) @ self.response.end[0, n:]
         if first is not None:
             out[first : first + n] += arm.transmission * base**2 / 2
         return self.per_tube(out)
@@ -162,12 +146,8 @@ class Derivatives(ArmChange):
         """(Q,) of the margin; NaN where it is a double eigenvalue."""
         if not self.arm.n_pieces:
             return self.per_tube(-self._softened @ self.jumps.spread)
-        # No elastic coupling (or none that softens): it stays at its greatest value, 1.
-        if self.value >= FLAT or (self.arm.place and self.problem is None):
-            return self.per_tube(np.zeros(self.size))
-        if self.arm.place and self.problem is not None:
-            return self.per_tube(offset_change(self, self.problem()))
-        return self.per_tube(quotient_change(self, self.value))
+        # With no coupling that softens it stays at its greatest value, 1.
+        return self.per_tube(np.zeros(self.size) if self.value >= FLAT else offset_change(self, self.problem()))
 
     @property
     def _softened(self) -> Array:
@@ -175,7 +155,7 @@ class Derivatives(ArmChange):
         eigenvalue of -V'' over the stiffness kt / |beta| of the transmissions, which alone twist there, or 0."""
         jumps, n, place = self.jumps, self.arm.n_tubes, self.arm.place
         theta = jumps.twice(self.arm.states[0])
-        slope = section_function("balance", len(theta), n, bool(place))(theta, jumps.solid, jumps.moment, *place)[1]
+        slope = section_function("balance", len(theta), n, True)(theta, jumps.solid, jumps.moment, *place)[1]
         root = np.sqrt(self.arm.transmission / self.arm.torsional_stiffness)
         second = -root[:, None] * jumps.gain(slope.reshape(-1, n, n)) * root
         symmetric = (second + second.swapaxes(1, 2)) / 2

@@ -33,12 +33,12 @@ def derivatives_of(
     side: int = 1,
     carriages: Carriages | None = None,
 ) -> Derivatives | Linearised:
-    """Derivatives of an equilibrium without load, computed where they are asked for; see `Derivatives`. Its `carriages`
-    are by default those of the robot."""
+    """Derivatives of an equilibrium, computed where they are asked for: see `Linearised` and, of tubes off the
+    centreline, `Derivatives`. Its `carriages` are by default those of the robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
-    if is_general(equilibrium.robot):
-        return linearise(equilibrium, wrt, side, along=sharing(carriages, wrt))
     assembly = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
+    if not assembly.eccentric:
+        return linearise(equilibrium, wrt, side, along=sharing(carriages, wrt))
     arm = arm_of_equilibrium(equilibrium, assembly)
     if arm.n_pieces:
         off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
@@ -125,7 +125,6 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
 
 def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Derivatives | Linearised:
     """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
-    if equilibrium.load is not None:
-        return linearise(equilibrium, wrt, side, along=sharing(equilibrium.robot.moving_together, wrt))
-    by_kernel = None if is_general(equilibrium.robot) else _by_kernel(equilibrium, wrt, side)
+    plain = equilibrium.load is None and not is_general(equilibrium.robot)
+    by_kernel = _by_kernel(equilibrium, wrt, side) if plain else None
     return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel

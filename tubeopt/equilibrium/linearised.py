@@ -48,10 +48,12 @@ from ..robots.load import FORCE, MOMENT, masses
 from ..robots.tubes import Tube
 from ..typing import Array, Index, Mask
 from .arm_change import check_wrt
-from .derivatives import FLAT
 from .load_problem import loaded_problem
 from .result import Equilibrium, refuse_friction
 from .solving import discretisation_of, reduced_problem, sample_rotation
+
+FLAT = 1 - 1e-9
+"""Margin above which nothing softens: the greatest value, 1, which does not change."""
 
 APART = 1e-7
 """Margins of either sign smaller than this are those of a fold."""
@@ -86,11 +88,12 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Breakpoints:
-    """J breakpoints in front of the plate or at it: the `tube` that has each, its `place` (m), the `index` of the piece
-    that begins there, and numbers of those that coincide, `together`."""
+    """J breakpoints in front of the plate or at it: the `tube` that has each, its `place` (m), whether it is the `end`
+    of the tube, the `index` of the piece that begins there, and numbers of those that coincide, `together`."""
 
     tube: Index
     place: Array
+    end: Mask
     index: Index
     together: tuple[tuple[int, ...], ...]
 
@@ -98,14 +101,15 @@ class Breakpoints:
 @lru_cache(maxsize=64)
 def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
     """Those of all tubes; `between` are the arc lengths (P + 1,) between the pieces."""
-    own = [(i, s) for i in range(assembly.n_tubes) for s in _places(assembly, i) if s > -ROUND_OFF]
-    place = np.array([s for _, s in own])
+    each = [_places(assembly, i) for i in range(assembly.n_tubes)]
+    own = [(i, s, k == len(row) - 1) for i, row in enumerate(each) for k, s in enumerate(row) if s > -ROUND_OFF]
+    place = np.array([s for _, s, _ in own])
     index = np.searchsorted(np.frombuffer(between), place - 2 * ROUND_OFF)
     where: dict[int, list[int]] = {}
     for j, k in enumerate(index.tolist()):
         where.setdefault(k, []).append(j)
-    tube = np.array([i for i, _ in own], dtype=np.intp)
-    return Breakpoints(tube, place, index, tuple(tuple(each) for _, each in sorted(where.items())))
+    tube, end = np.array([i for i, _, _ in own], dtype=np.intp), np.array([last for _, _, last in own], dtype=bool)
+    return Breakpoints(tube, place, end, index, tuple(tuple(some) for _, some in sorted(where.items())))
 
 
 class Strip(NamedTuple):
@@ -155,32 +159,31 @@ def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) 
     first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
     place = points.place[first]
     near = np.repeat(np.concatenate([place, place])[:, None] + ROUND_OFF, n, axis=1)
+    bends = near.copy()
     for row, strip in enumerate(strips):
-        near[row, points.tube[[*strip.past]]] -= 2 * ROUND_OFF
-        if strip.behind:
-            near[row + len(strips), points.tube[[*strip.together]]] -= 2 * ROUND_OFF
+        for at, moved in ((row, strip.past), (row + len(strips), strip.together if strip.behind else ())):
+            near[at, points.tube[[*moved]]] -= 2 * ROUND_OFF
+            # Where a curved part begins to grow its end moves alone.
+            bends[at, points.tube[[j for j in moved if not points.end[j]]]] -= 2 * ROUND_OFF
     present = near < assembly.end
     return Uncovered(
         index=points.index[first],
-        sections=_sections(assembly, np.concatenate([place, place]), near),
+        sections=_sections(assembly, np.concatenate([place, place]), bends, present),
         there=np.asarray(present.any(1)),
         outermost=n - 1 - present[:, ::-1].argmax(1),
     )
 
 
 def _places(assembly: Assembly, tube: int) -> list[float]:
-    """Arc lengths (m) of the breakpoints of a tube, but for where it is held."""
-    if assembly.lengthwise is not None:
-        own = [cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube][1:]]
-    else:
-        own = [float(assembly.transition[tube]), float(assembly.end[tube])]
-    own.sort()
+    """Arc lengths (m) of the breakpoints of a tube in their order, but for where it is held."""
+    if assembly.lengthwise is None:
+        return [float(assembly.transition[tube]), float(assembly.end[tube])]
+    own = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube][1:])
     return [s for k, s in enumerate(own) if not k or s - own[k - 1] > ROUND_OFF]
 
 
-def _sections(assembly: Assembly, s: Array, near: Array) -> CrossSections:
-    """The tubes at arc lengths (X,), each on the side of (X, n)."""
-    present = near < assembly.end
+def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> CrossSections:
+    """The tubes at arc lengths (X,), each on the side of (X, n), and (X, n) which are there."""
     if assembly.lengthwise is not None:
         return assembly.lengthwise.at(s[:, None] + assembly.transmission, near + assembly.transmission, present)
     kb = assembly.bending_stiffness * present
@@ -323,16 +326,19 @@ class Linearised:
         def moves(place: Array) -> Array:
             if name == "translations":
                 return np.ones_like(place)
-            return np.maximum(place - own.straight_length, 0.0) / own.curved_length
+            return np.maximum(place - own.straight_length, 0.0) / (own.curved_length or np.inf)
 
-        speed[mine, column] += moves(points.place[mine] + held)
+        pace = moves(points.place[mine] + held)
+        if name == "curved_length":
+            pace[points.end[mine]] = 1.0
+        speed[mine, column] += pace
         into.transmission[i, column] -= float(moves(np.array(held))) * self._softness(i)
         end = float(self.assembly.end[i])
         if self._density[i] and end > -self.side * ROUND_OFF:
-            gained = float(moves(np.array(end + held))) * self._density[i]
-            into.force[..., column] += (self._arc_length < end)[..., None] * (gained * self._gravity)
+            into.force[..., column] += (self._arc_length < end)[..., None] * (self._density[i] * self._gravity)
+        stretches = name == "curved_length" and own.curved_length > 0
         if table is None:
-            if name == "curved_length":
+            if stretches:
                 grown = max(held - own.straight_length, 0.0) / own.curved_length
                 into.transmission[i, column] += grown * self._softness(i)
             return
@@ -341,7 +347,7 @@ class Linearised:
         for k, rate in enumerate(self._passing[:3]):
             into.data[..., k * n + i, column] -= rate[..., i] * moved
         into.rate[..., i, column] -= self._passing[3][..., i] * moved
-        if name == "curved_length":
+        if stretches:
             straight = np.array([tube.straight_length for tube in self.tubes])
             up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
             into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length

@@ -1,4 +1,5 @@
-"""The collocated torsion of an arm, linearised: how rotations and torsions along it answer to whatever changes.
+"""The collocated torsion of an arm of tubes off the centreline, linearised: how rotations and torsions along it answer
+to whatever changes.
 
 The derivatives of a cross-section come from CasADi; here is the linear algebra of the collocation. A state is
 (theta, w) where a piece begins; its change at the end of a piece is linear in that at its beginning and in the change
@@ -48,8 +49,8 @@ class Arm:
 
     @property
     def place(self) -> tuple[Array, ...]:
-        """Offset and angle (n,) of the tubes, or nothing for concentric ones."""
-        return (self.assembly.offset, self.assembly.offset_angle) if self.assembly.eccentric else ()
+        """Offset and angle (n,) of the tubes."""
+        return self.assembly.offset, self.assembly.offset_angle
 
     @cached_property
     def flat(self) -> tuple[Array, Array, Array]:
@@ -98,7 +99,7 @@ class Slopes:
 def slopes_at(arm: Arm, theta: Array) -> Slopes:
     """Cross-sections at theta (P, X, n), by CasADi."""
     pieces, count, n = theta.shape
-    function = section_function("linear", pieces * count, n, bool(arm.place))
+    function = section_function("linear", pieces * count, n, True)
     kb, m = arm.flat[1:] if theta is arm.inner else arm.repeated(count)
     out = [part.copy() for part in function(theta.reshape(-1, n), kb, m, *arm.place)]
     # CasADi stores (rows, 3n) by columns: (points, 3n, rows).
@@ -153,7 +154,7 @@ def chain_of(arm: Arm, at: Slopes, *, dimensions: bool) -> Chain:
     # Columns: theta, w where the piece begins, then the data. Of theta' / g at the points, by them and by the data.
     size = 2 * n + 3 * n * dimensions
     twist_inner = h * _spread(t.adjoint, rate)
-    twist_given = np.zeros((pieces if dimensions or arm.place else 1, count * n, size))
+    twist_given = np.zeros((pieces, count * n, size))
     twist_given[:, :, n : 2 * n] = same
     if dimensions:
         gained = np.zeros((pieces, count * n, 3 * n))
@@ -161,16 +162,15 @@ def chain_of(arm: Arm, at: Slopes, *, dimensions: bool) -> Chain:
         by_data[..., : 2 * n] = at.rate_slope[..., n:]
         by_data[..., range(n), range(2 * n, 3 * n)] = -at.rate / arm.torsional_stiffness
         twist_given[:, :, 2 * n :] = h * (adjoint @ gained)
-    if arm.place:
-        stretch = at.stretch.reshape(pieces, count * n, 1)
-        twist_inner, twist_given = stretch * twist_inner, stretch * twist_given
-        inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
-        more = inside[..., None] * at.stretch_slope
-        for k in range(count):
-            block = slice(k * n, (k + 1) * n)
-            twist_inner[:, block, block] += more[:, k, :, :n]
-            if dimensions:
-                twist_given[:, block, 2 * n : 4 * n] += more[:, k, :, n:]
+    stretch = at.stretch.reshape(pieces, count * n, 1)
+    twist_inner, twist_given = stretch * twist_inner, stretch * twist_given
+    inside = arm.twist[:, None] + h * (t.adjoint @ at.rate)
+    more = inside[..., None] * at.stretch_slope
+    for k in range(count):
+        block = slice(k * n, (k + 1) * n)
+        twist_inner[:, block, block] += more[:, k, :, :n]
+        if dimensions:
+            twist_given[:, block, 2 * n : 4 * n] += more[:, k, :, n:]
     matrix = -h * (spread @ twist_inner)
     _diagonal(matrix)[:] += 1.0
     right = h * (spread @ twist_given)
@@ -237,7 +237,7 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
 def _profile(arm: Arm, at: Slopes) -> Profile:
     """theta along the arm, told by its torsion at the points."""
     inside = arm.twist[:, None] + arm.length[:, None, None] * (arm.tableau.adjoint @ at.rate)
-    return Profile(arm.theta, arm.twist, at.rate, (at.stretch - 1) * inside if arm.place else None)
+    return Profile(arm.theta, arm.twist, at.rate, (at.stretch - 1) * inside)
 
 
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
@@ -297,15 +297,13 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     columns = np.concatenate([inner, section], axis=2)
     rate = at.rate_slope @ columns - (at.rate / arm.torsional_stiffness)[..., None] * data[:, None, 2 * n :]
     start, twist = np.split(response.state[:-1], 2, axis=1)
-    extra = None
 
     def flat(values: Array) -> Array:
         return values.reshape(*values.shape[:-2], -1)
 
-    if arm.place:
-        inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
-        turned = twist[:, None] + h * along(t.adjoint, rate)
-        extra = flat((at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns))
+    inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
+    turned = twist[:, None] + h * along(t.adjoint, rate)
+    extra = flat((at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns))
     change = turned_along(t, arm.length, Profile(flat(start), flat(twist), flat(rate), extra), tuple(x.tolist()))
     return change.reshape(*change.shape[:2], *start.shape[1:])
 
