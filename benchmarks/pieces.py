@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tubeopt import ConcentricRobot, Piece, Tube, forward_kinematics, forward_kinematics_batch
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 
 from .shooting import Array
 from .timing import show, table

@@ -35,8 +35,8 @@ from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.clearance import ClearanceCorrection, clearance_correction
 from .equilibrium.file import load_equilibrium
 from .equilibrium.kinematics import forward_kinematics
+from .equilibrium.problem import Discretisation
 from .equilibrium.result import Equilibrium, Jacobian, Statistics, Status, Verification
-from .equilibrium.solving import Discretisation
 from .errors import InputError, SolveError
 from .inverse import (
     IkSession,

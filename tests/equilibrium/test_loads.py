@@ -28,7 +28,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.loaded import evaluate, unknowns
 from tubeopt.equilibrium.answer import point_of
-from tubeopt.equilibrium.load_problem import loaded_problem
+from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.compiled.binding import kernel_of
@@ -427,8 +427,8 @@ def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pyte
     ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere), (turned, None, elsewhere)
     ends = [forward_kinematics(robot, a, shift, load=q, guess=g) for a, q, g in ways]
     with monkeypatch.context() as patch:
-        patch.setattr("tubeopt.equilibrium.kinematics.compiled", lambda *arguments: None)
-        patch.setattr("tubeopt.equilibrium.kinematics._compiled", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.compiled.loaded", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.compiled.unloaded", lambda *arguments: None)
         for end, (a, q, g) in zip(ends, ways, strict=True):
             general = forward_kinematics(robot, a, shift, load=q, guess=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)

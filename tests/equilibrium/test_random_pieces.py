@@ -10,8 +10,7 @@ from scipy.interpolate import make_interp_spline
 
 from tests.general_reference import Bundle, Stretch, shoot, straight
 from tubeopt import ConcentricRobot, Piece, Tube, forward_kinematics
-from tubeopt.equilibrium.answer import point_of
-from tubeopt.equilibrium.solving import discretisation_of
+from tubeopt.equilibrium.answer import discretisation_of, point_of
 
 
 def random_piece(random: np.random.Generator, length: float, stiffness: tuple[float, float]) -> tuple[Piece, Stretch]:

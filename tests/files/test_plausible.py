@@ -29,7 +29,7 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.requirements import Strain
-from tubeopt.equilibrium.load_problem import check_load
+from tubeopt.equilibrium.problem import check_load
 from tubeopt.errors import ImplausibleWarning, undoubted
 from tubeopt.files.checked import check
 from tubeopt.files.fields import EntryOf

@@ -25,7 +25,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.pieces import as_pieces
-from tubeopt.equilibrium.load_problem import loaded_problem
+from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.stability.deflection import most_borne, under_any_force
 from tubeopt.stability.loaded_certificate import bundle_of
 from tubeopt.typing import Array

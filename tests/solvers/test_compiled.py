@@ -30,11 +30,11 @@ from tubeopt import (
     forward_kinematics_batch,
     load_robot,
 )
-from tubeopt.equilibrium import kinematics, loaded
+from tubeopt.equilibrium import compiled
 from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
 from tubeopt.robots.robot import Robot, is_general
-from tubeopt.solvers.compiled import binding, remembered
+from tubeopt.solvers.compiled import binding
 from tubeopt.solvers.compiled import library as building
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
@@ -51,7 +51,7 @@ SEGMENTED = SegmentedEccentricRobot(
 def general_solver() -> Iterator[None]:
     """Forward kinematics without the kernel."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kinematics, "solve_compiled", lambda *_: None)
+        patch.setattr(compiled, "solve_compiled", lambda *_: None)
         yield
 
 
@@ -294,7 +294,7 @@ def test_the_text_of_a_kernel_is_made_once_for_each_state_of_the_sources(
     assert [building.kernel_path((3, "none"), text), len(made)] == [path, 1]
     path.unlink()  # what a note names may be gone
     assert [building.kernel_path((3, "none"), text), len(made)] == [path, 2]
-    monkeypatch.setattr(remembered, "_sources", lambda: "others")
+    monkeypatch.setattr(building, "_sources", lambda: "others")
     assert [building.kernel_path((3, "none"), text), len(made)] == [path, 3]
 
 
@@ -358,7 +358,7 @@ def test_loaded_equilibria_are_those_of_the_general_solver(load: Load) -> None:
         one = forward_kinematics(THESIS, alpha, shift, load=load)
         warm = forward_kinematics(THESIS, turned, shift, load=load, guess=one)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(loaded, "solve_loaded_compiled", lambda *_: None)
+            patch.setattr(compiled, "solve_loaded_compiled", lambda *_: None)
             check_same_loaded(one, forward_kinematics(THESIS, alpha, shift, load=load))
             check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, guess=one))
 

@@ -16,7 +16,7 @@ from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.program import structure_of
 from tubeopt.block.transcription.reduced import ReducedProblem, reduce, residual
 from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.ipopt import _program, solve_ipopt
 from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array

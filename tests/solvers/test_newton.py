@@ -12,7 +12,7 @@ from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, nested, u
 from tubeopt import ConcentricRobot, Discretisation
 from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers import newton as module
 from tubeopt.solvers.newton import descend, leave_saddle, newton
 from tubeopt.solvers.settings import Newton

@@ -27,7 +27,7 @@ from tubeopt import (
     worst_margin,
 )
 from tubeopt.block.transcription.second_variation import softenings
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.robot import Robot
 from tubeopt.stability import EccentricVerdict, eccentric_bound

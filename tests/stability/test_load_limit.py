@@ -31,7 +31,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
-from tubeopt.equilibrium.load_problem import loaded_problem
+from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.solvers.newton import loaded_margin
 from tubeopt.stability.folds import slide
 from tubeopt.stability.loaded_certificate import Bundle, bundle_of

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from tests.examples import CRL, nested
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability.certificate import convexity, worst_case
 from tubeopt.stability.eccentric_bound import cross_sections, longest
 from tubeopt.stability.eccentric_certificate import Segment, proved_margin

@@ -21,7 +21,7 @@ from tubeopt import (
     worst_certificate,
     worst_margin,
 )
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import SnapSearch, snap_free_certificate
 from tubeopt.stability.sheet import folds, stable_sheet
 from tubeopt.typing import Array

@@ -20,7 +20,7 @@ from .. import __version__
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space

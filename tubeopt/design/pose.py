@@ -18,7 +18,7 @@ from ..block.transcription.standing import Standing
 from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.linearised import Change, Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded
-from ..equilibrium.solving import reduced_assembly
+from ..equilibrium.problem import reduced_assembly
 from ..errors import SolveError
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot

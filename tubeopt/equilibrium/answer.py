@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..block.transcription import arm as arms
-from ..block.transcription.arm import ArmShape, CollocationPoints, Found
-from ..block.transcription.collocated import STEPS
+from ..block.transcription.arm import CollocationPoints, Found
+from ..block.transcription.collocated import ENDS, STEPS
 from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import elastic_energy, loaded_arm
-from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.reduced import ReducedProblem, pull_rate
 from ..block.transcription.whole_arm import evaluate_arm
+from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot, is_general
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .load_problem import EXTRA_POINTS, LOADED_DISCRETISATION, check_load, loaded_problem, loading_of
 from .member import Loaded, LoadedPoint, Member, Place, Point, Unloaded, interpolate
+from .problem import (
+    DEFAULT_DISCRETISATION,
+    EXTRA_POINTS,
+    LOADED_DISCRETISATION,
+    Discretisation,
+    assembly_of,
+    check_load,
+    loaded_problem,
+    loading_of,
+)
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
-from .solving import DEFAULT_DISCRETISATION, Discretisation, discretisation_of, lever, sample_rotation
 
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
@@ -148,30 +158,6 @@ def built(
     return equilibrium
 
 
-def found_by_kernel(answer: dict[str, Any]) -> Found:
-    """What the compiled kernel found without a load; its fields are overwritten by the next solve."""
-    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
-    return Found(
-        ArmShape(
-            arc_length=answer["arc_length"][:m].copy(),
-            rotation=answer["rotation"][:m].T.copy(),
-            torsion=answer["torsion"][:m].T.copy(),
-            curvature=answer["curvature"][:m].copy(),
-            position=answer["position"][:m].copy(),
-            frame=answer["frame"][:m].copy(),
-        ),
-        tip_rotations=answer["tip_rotations"].copy(),
-        section_start=answer["section_start"][: int(answer["sections"])].copy(),
-        tube_end=answer["tube_end"].copy(),
-        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
-        margin=float(answer["margin"]),
-        energy=float(answer["energy"]),
-        residual=float(answer["residual"]),
-        errors=(float(answer["mesh_error"]), float(answer["tip_error"]), 0.0),
-        iterations=int(answer["iterations"]),
-    )
-
-
 def error_of(equilibrium: Equilibrium) -> float:
     """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, under a load of the length of the
     arm, whichever is larger."""
@@ -258,3 +244,58 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]
     ):
         return sample_rotation(start, start.point), start.point_curvature
     return sample_rotation(start, s), interpolate(_own(start), start.point_curvature, problem)
+
+
+def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
+    """The discretisation on which an equilibrium was solved."""
+    how = equilibrium.statistics
+    return Discretisation(how.family, how.degree, how.refinement)
+
+
+def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
+    """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
+    where a tube is made of pieces."""
+    own = equilibrium.point
+    if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
+        theta = equilibrium.point_rotation
+        if is_general(equilibrium.robot):
+            placed = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
+            theta = theta - placed.wound(arc_length)
+        return theta
+    arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
+    return sample_arms(equilibrium.robot, equilibrium.translations, equilibrium.arc_length, arm, arc_length)
+
+
+def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
+    """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
+    rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
+    phi = rotation - robot.assembly(translations).wound(s) if is_general(robot) else rotation
+    if len(s) < 2:
+        return np.repeat(phi, len(arc_length), axis=-2)
+    if is_general(robot):
+        # The polynomial through the shape points of each piece: its rate jumps between.
+        piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
+        x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
+        basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))
+        around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]
+        return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
+    k = np.clip(np.searchsorted(s, arc_length, side="right") - 1, 0, len(s) - 2)
+    h = (s[k + 1] - s[k])[:, None]
+    x = np.clip((arc_length - s[k]) / h[:, 0], 0.0, 1.0)[:, None]
+    value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
+    value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
+    return np.asarray(value)
+
+
+@lru_cache(maxsize=16)
+def lever(problem: ReducedProblem) -> float:
+    """By how much a tip can move with a wrong theta, m per rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
+
+    The curvature u itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum
+    kb_i bounds it.
+    """
+    mesh = problem.mesh
+    if not len(mesh.length):
+        return 0.0
+    ahead = mesh.start[-1] + mesh.length[-1] - mesh.start - mesh.length / 2
+    return float((pull_rate(problem) * mesh.length) @ ahead)

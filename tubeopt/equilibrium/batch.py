@@ -21,8 +21,8 @@ from ..solvers.compiled.binding import solve_many_compiled
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
 from .answer import measure
+from .compiled import grow_many
 from .kinematics import forward_kinematics
-from .loaded import grow_many
 from .result import Equilibrium
 
 CHUNK = 2048

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -15,8 +15,8 @@ from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .member import Loaded, Member, Place, Point, Unloaded
+from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
-from .solving import DEFAULT_DISCRETISATION, Discretisation
 
 P = TypeVar("P", bound=Place)
 
@@ -169,28 +169,6 @@ class Milestone:
 
     t: float
     pose: Equilibrium
-
-
-def by_kernel(
-    family: Family, start: Milestone, solve: Callable[[Equilibrium, float], Equilibrium | None]
-) -> Iterator[Milestone]:
-    """Equilibria after `start` as far as t = 1, or to where a compiled kernel declines even short steps.
-
-    `solve`: the equilibrium at t on the branch of one close by; None where the kernel declines.
-    """
-    # Less a round-off that would make a step longer than the kernel takes.
-    longest = (1 - 1e-9) * family.path.largest_step()
-    here, step = start, longest
-    while here.t < 1.0:
-        t = 1.0 if here.t + step >= 1 - 1e-12 else here.t + step
-        pose = solve(here.pose, t)
-        if pose is not None:
-            here, step = Milestone(t, pose), min(2 * step, longest)
-            yield here
-            continue
-        step /= 2
-        if step < longest * CONTINUATION.shortest_compiled:
-            return
 
 
 def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | None:

@@ -42,11 +42,10 @@ from ..solvers.newton import full_steps
 from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
-from .answer import answered, at_points, found_at
-from .load_problem import check_load, loading_of
+from .answer import answered, at_points, found_at, lever, sample_rotation
 from .member import Loaded, Point, Unloaded, interpolate
+from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
-from .solving import Discretisation, lever, sample_rotation
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""

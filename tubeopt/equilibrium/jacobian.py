@@ -15,8 +15,8 @@ from ..typing import Array
 from .arm_change import PARAMETERS
 from .derivatives import Derivatives
 from .linearised import Linearised, linearise, sharing
+from .problem import assembly_of
 from .result import Equilibrium, Jacobian
-from .solving import assembly_of
 from .state import arm_of_equilibrium, problem_of
 
 JOINTS = ("rotations", "translations")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,44 +21,34 @@ from ..block.transcription.reduced import (
 )
 from ..block.transcription.second_variation import margin
 from ..errors import InputError, SolveError, positive
-from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
-from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .answer import answered, built, error_of, found_at, found_by_kernel, point_of, to_equilibrium, unsolved
+from .answer import FOLDED, answered, error_of, found_at, point_of, to_equilibrium, unsolved
+from .compiled import along, nearby, unloaded
 from .continuation import (
     Family,
     JointPath,
     Milestone,
     bifurcates,
-    by_kernel,
-    largest_twist,
     reach,
     shortest_arm,
     small_motion,
     step_to,
 )
-from .load_problem import LOADED_DISCRETISATION, check_load
-from .loaded import compiled
 from .member import Loaded, Member, Place, PlainPoint, Point, Unloaded
-from .method import NAMED, Method, method_of, only_plain
-from .result import Equilibrium, Statistics, Status
-from .solving import DEFAULT_DISCRETISATION, Discretisation
+from .method import TOLERANCE, Asked, Method, method_of, only_plain
+from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation, check_load
+from .result import Equilibrium, Status
 from .verification import verify_equilibrium
-
-TOLERANCE = 1e-8
-"""Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
 
 KINEMATICS_LIMIT = 60.0
 """s, for one equilibrium: most take a few milliseconds, under a load a tenth of a second."""
-
-FOLD = "Newton's method does not stay at the equilibrium of the program: it is a fold (margin 0)"
 
 Along = Callable[[Array], Array]
 
@@ -119,14 +107,12 @@ def forward_kinematics(  # noqa: PLR0913
     began = time.perf_counter()
     check_robot(robot)
     alpha, place = joint_values(robot, rotations, translations)
-    check_turn(alpha)
     shift = tuple(place.tolist())
-    check_reach(robot.tubes, shift)
     by = method_of(method)
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
-    asked, found = _Asked(by, tolerance, began), None
+    asked = Asked(by, tolerance, began)
     if load is not None:
         check_load(robot, load, shift)
         only_plain(by, load, discretisation)
@@ -134,40 +120,16 @@ def forward_kinematics(  # noqa: PLR0913
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
-    elif by is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION:
-        found = _quick(robot, alpha, shift, guess, asked)
-    if found is None and guess is None:
-        point, start = _cold(Unloaded.of(robot, alpha, shift, discretisation), by)
-        found = _to_tolerance(point, start, asked)
-    elif found is None:
-        assert guess is not None
+    if guess is None:
+        found = _cold(robot, alpha, shift, discretisation, asked)
+    else:
         own = np.concatenate([guess.rotations, guess.translations])
         path = JointPath(robot, own, np.concatenate([alpha, place]), discretisation)
         found = on_branch(Family(path, load, guess.load), guess, asked)
     return verify_equilibrium(found) if verify else found
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """By which method, to which tolerance, and since when (s)."""
-
-    method: Method = NAMED["newton"]
-    tolerance: float = TOLERANCE
-    began: float = 0.0
-
-
-def _quick(
-    robot: Robot, alpha: Array, shift: tuple[float, ...], guess: Equilibrium | None, asked: _Asked
-) -> Equilibrium | None:
-    """By the compiled kernel, on its usual mesh or on one twice as fine; None where that does not do."""
-    for refinement in (0, 1):
-        found = _compiled(robot, alpha, shift, guess, (asked.began, refinement))
-        if found is None or error_of(found) <= asked.tolerance:
-            return found
-    return None
-
-
-def _to_tolerance(point: Place, start: str, asked: _Asked) -> Equilibrium:
+def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
     """The equilibrium of a point that was reached from `start`, on the first mesh whose estimated error is small
     enough, as far as finer ones help.
 
@@ -192,65 +154,20 @@ def _to_tolerance(point: Place, start: str, asked: _Asked) -> Equilibrium:
     raise AssertionError("the finest mesh either holds the tolerance or raises")
 
 
-def _compiled(
-    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, how: tuple[float, int]
-) -> Equilibrium | None:
-    """A stable equilibrium by the compiled kernel: cold, or by a small motion from a guess; None where it declines.
-    `how`: when the solve began (s), and how often the pieces of the mesh are halved."""
-    if _tied(robot):
-        _check_translations(robot, shift)
-    start, translations = None, np.array(shift)
-    if guess is not None:
-        turn, length = rotations - guess.rotations, max(float(guess.arc_length[-1]), shortest_arm(robot))
-        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
-            return None
-        arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
-        start = Start(*arm, turn, guess.translations)
-    answer = solve_compiled(robot, rotations, translations, start, how[1])
-    if answer is None or (answer["contraction"] > CONTINUATION.largest_ratio and start is not None):
-        return None
-    if answer["largest_change"] > (CONTINUATION.largest_twist if guess is None else largest_twist(guess.margin)):
-        return None
-    begin = "tubes without torsion" if start is None else "guess"
-    statistics = Statistics(
-        method="newton",
-        iterations=int(answer["iterations"]),
-        elements=int(answer["elements"]),
-        degree=DEFAULT_DISCRETISATION.degree,
-        start=begin,
-        seconds=time.perf_counter() - how[0] - answer["loading"],
-        refinement=how[1],
-        loading=answer["loading"],
-    )
-    return built(robot, (rotations, shift), found_by_kernel(answer), statistics)
-
-
-def nearby(family: Family, guess: Equilibrium, t: float, asked: _Asked | None = None) -> Equilibrium | None:
-    """The stable equilibrium at t of a family on the branch of `guess`, a small change away, by the compiled kernel;
-    None where that declines, as it does close to a fold."""
-    asked = asked or _Asked(began=time.perf_counter())
-    if family.load is not None:
-        return compiled(guess, family.under_load(t), asked.tolerance, asked.began, asked.method.newton)
-    rotations, translations = family.path.at(t)
-    found = _compiled(family.path.robot, rotations, tuple(translations.tolist()), guess, (asked.began, 0))
-    return found if found is not None and found.margin > 0 and error_of(found) <= asked.tolerance else None
-
-
-@lru_cache(maxsize=64)
-def _tied(robot: Robot) -> bool:
-    """Whether tubes move together."""
-    return len(robot.moving_together) < robot.n_tubes
-
-
-@lru_cache(maxsize=256)
-def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
-    """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
-    robot.assembly(np.array(shift))
+def _cold(
+    robot: Robot, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation, asked: Asked
+) -> Equilibrium:
+    """The stable equilibrium that is found from tubes without torsion, else by way of home."""
+    if asked.of_kernel(None, discretisation):
+        quick = unloaded(robot, rotations, shift, None, asked)
+        if quick is not None:
+            return quick
+    return _to_tolerance(*_descended(Unloaded.of(robot, rotations, shift, discretisation), asked.method), asked)
 
 
 @small
-def _cold(member: Unloaded, by: Method) -> tuple[Place, str]:
-    """A stable equilibrium from tubes without torsion, else by way of home."""
+def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
+    """A stable equilibrium, and from where energy descent led to it."""
     failure = ""
     try:
         point = _resolved(member, _untwisted(member.problem, member.rotations), by)
@@ -328,35 +245,37 @@ def _from_home(problem: ReducedProblem, rotations: Array) -> NewtonResult[Evalua
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
-    began = time.perf_counter()
-    quick = _compiled(robot, rotations, translations, guess, (began, 0))
-    if quick is None:
-        turn, shift = rotations - guess.rotations, translations - guess.translations
-        if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
-            return None
-        own = np.concatenate([guess.rotations, guess.translations])
-        family = Family(JointPath(robot, own, np.concatenate([rotations, translations])))
-        # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
-        near = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
-        if near is None:
-            return None
-        quick = to_equilibrium(near, "guess", began)
-    if error_of(quick) <= TOLERANCE:
+    asked = Asked()
+    quick = unloaded(robot, rotations, translations, guess, asked)
+    if quick is not None:
         return quick
-    return forward_kinematics(robot, rotations, translations, guess=quick)
+    turn, shift = rotations - guess.rotations, translations - guess.translations
+    if not small_motion(turn, shift, max(float(guess.arc_length[-1]), shortest_arm(robot))):
+        return None
+    own = np.concatenate([guess.rotations, guess.translations])
+    family = Family(JointPath(robot, own, np.concatenate([rotations, translations])))
+    # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
+    near = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
+    if near is None:
+        return None
+    found = to_equilibrium(near, "guess", asked.began)
+    if error_of(found) <= asked.tolerance:
+        return found
+    return forward_kinematics(robot, rotations, translations, guess=found)
 
 
 @small
-def on_branch(family: Family, guess: Equilibrium, asked: _Asked) -> Equilibrium:
+def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
     """The equilibrium at t = 1 of a family on the branch of `guess`, which is that at t = 0; raises SolveError as
     `forward_kinematics`."""
     d, grows = family.path.discretisation, family.load is not None and guess.load is None and not family.path.moves
-    here, usual = Milestone(0.0, guess), asked.method is NAMED["newton"] and d == DEFAULT_DISCRETISATION
-    if usual or (family.load is not None and asked.method.name == "newton"):
-        quick = nearby(family, guess, 1.0, asked)
-        if quick is not None:
-            return quick
-        here = here if grows else _quickly(family, guess, asked)
+    here = Milestone(0.0, guess)
+    if asked.of_kernel(family.load, d):
+        if grows:
+            quick = nearby(family, guess, 1.0, asked)
+            here = here if quick is None else Milestone(1.0, quick)
+        else:
+            here = [here, *along(family, here, asked)][-1]
         if here.t == 1.0:
             return here.pose
     if grows:
@@ -372,17 +291,6 @@ def on_branch(family: Family, guess: Equilibrium, asked: _Asked) -> Equilibrium:
                 f"{Status.BRANCH_ENDED}: it ends {100 * point.t:.2f} % of the way from the guess to the goal", here.pose
             )
     return _to_tolerance(_by_method(point, asked.method), start, asked)
-
-
-def _quickly(family: Family, guess: Equilibrium, asked: _Asked) -> Milestone:
-    """The last equilibrium along a family to which the compiled kernel comes."""
-    # Under a load that grows from none the kernel goes on from an equilibrium under a zero load.
-    first = guess if family.load == guess.load or guess.load is not None else nearby(family, guess, 0.0, asked)
-    if first is None:
-        return Milestone(0.0, guess)
-    origin = Milestone(0.0, first)
-    last = [origin, *by_kernel(family, origin, partial(nearby, family, asked=asked))][-1]
-    return last if last.t > 0 else Milestone(0.0, guess)
 
 
 def _start(family: Family, here: Milestone) -> Place:
@@ -438,5 +346,5 @@ def equilibrium_at(
     s = member.torsion.arc_length
     theta = rotation_at(s).T.reshape(-1, robot.n_tubes)
     curvature = None if load is None or curvature_at is None else curvature_at(s).T
-    point = Point.near(member, member.unknowns(theta, curvature), FOLD)
-    return _to_tolerance(point, "a program", _Asked(began=began))
+    point = Point.near(member, member.unknowns(theta, curvature), FOLDED)
+    return _to_tolerance(point, "a program", Asked(began=began))

@@ -47,10 +47,10 @@ from ..robots.lengthwise import CrossSections, Lengthwise
 from ..robots.load import FORCE, MOMENT, masses
 from ..robots.tubes import Tube
 from ..typing import Array, Index, Mask
+from .answer import discretisation_of, sample_rotation
 from .arm_change import check_wrt
-from .load_problem import loaded_problem
+from .problem import loaded_problem, reduced_problem
 from .result import Equilibrium, refuse_friction
-from .solving import discretisation_of, reduced_problem, sample_rotation
 
 FLAT = 1 - 1e-9
 """Margin above which nothing softens: the greatest value, 1, which does not change."""

@@ -28,8 +28,14 @@ from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, full_steps, loaded_margin, loaded_residual, torsional_turn, turn_of
 from ..solvers.settings import NEWTON, Newton
 from ..typing import Array, Index
-from .load_problem import LOADED_DISCRETISATION, loaded_problem, loading_of
-from .solving import DEFAULT_DISCRETISATION, Discretisation, reduced_problem
+from .problem import (
+    DEFAULT_DISCRETISATION,
+    LOADED_DISCRETISATION,
+    Discretisation,
+    loaded_problem,
+    loading_of,
+    reduced_problem,
+)
 
 S = TypeVar("S", Evaluation, LoadedState)
 M = TypeVar("M", bound="Member[Any]")

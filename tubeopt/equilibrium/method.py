@@ -1,15 +1,19 @@
-"""By which method an equilibrium is solved for, with which settings."""
+"""How an equilibrium is solved for: method, settings, tolerance."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import time
+from dataclasses import dataclass, field, replace
 
 from ..errors import InputError, choice
 from ..robots.load import Load
 from ..solvers.settings import NEWTON, Ipopt, Newton
-from .solving import DEFAULT_DISCRETISATION, Discretisation
+from .problem import DEFAULT_DISCRETISATION, Discretisation
 
 METHODS = ("newton", "ipopt", "energy")
+
+TOLERANCE = 1e-8
+"""Wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,22 @@ class Method:
 
 
 NAMED = {name: Method(name) for name in METHODS}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """By which method, to which tolerance (see TOLERANCE), and since when (s)."""
+
+    method: Method = NAMED["newton"]
+    tolerance: float = TOLERANCE
+    began: float = field(default_factory=time.perf_counter)
+
+    def of_kernel(self, load: Load | None, discretisation: Discretisation) -> bool:
+        """Whether a compiled kernel solves what is asked: by its own method, on its own points. Under a load the
+        settings of Newton's method that hold there are the kernel's, too."""
+        if load is not None:
+            return self.method.name == "newton"
+        return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
 
 
 def method_of(given: str | Newton | Ipopt) -> Method:

@@ -222,7 +222,7 @@ class Equilibrium(Displayed):
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
         several the innermost."""
-        found: Array = late("tubeopt.equilibrium.loaded.compliance_of")(self)
+        found: Array = late("tubeopt.equilibrium.compliance.compliance_of")(self)
         return found
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
@@ -236,13 +236,13 @@ class Equilibrium(Displayed):
         Raises:
             InputError: a place that is not on the arm, a tube that is not there, a load without an energy.
         """
-        found: Array = late("tubeopt.equilibrium.loaded.compliance_at")(self, arc_length, tube)
+        found: Array = late("tubeopt.equilibrium.compliance.compliance_at")(self, arc_length, tube)
         return found
 
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
-        found: Array = late("tubeopt.equilibrium.loaded.base_wrench_of")(self)
+        found: Array = late("tubeopt.equilibrium.compliance.base_wrench_of")(self)
         return found
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:

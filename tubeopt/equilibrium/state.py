@@ -15,10 +15,10 @@ from ..block.transcription.tableau import tableau
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import Assembly
 from ..typing import Array
-from .answer import point_of
+from .answer import discretisation_of, point_of
 from .member import PlainPoint
+from .problem import reduced_problem
 from .result import Equilibrium, refuse_load
-from .solving import discretisation_of, reduced_problem
 
 
 def arm_of(point: PlainPoint) -> Arm:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..equilibrium.kinematics import equilibrium_at, forward_kinematics
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError
 from ..inverse.chart import Arms, Chart
 from ..inverse.clock import Clock, LateError

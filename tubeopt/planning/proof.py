@@ -21,7 +21,7 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import check_load
+from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, finite, instance, positive

@@ -17,7 +17,7 @@ from ..errors import InputError, undoubted, vector
 from ..typing import Array, late
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
-from .limits import FAR, MOST_TURN, JointLimits
+from .limits import FAR, MOST_TURN, JointLimits, check_reach, check_turn
 from .order import home_translations
 from .tubes import Tube, warn_of_units
 
@@ -130,8 +130,12 @@ def shifts(robot: Robot, translations: ArrayLike | None) -> Array:
 
 
 def joint_values(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
-    """Rotations (n,), rad, and translations (n,), m, None for home; raises InputError naming what is wrong."""
-    return vector("rotations", rotations, robot.n_tubes), shifts(robot, translations)
+    """Rotations (n,), rad, and translations (n,), m, None for home; raises InputError naming what is wrong: not n
+    finite numbers, or numbers in another unit."""
+    alpha, shift = vector("rotations", rotations, robot.n_tubes), shifts(robot, translations)
+    check_turn(alpha)
+    check_reach(robot.tubes, shift.tolist())
+    return alpha, shift
 
 
 def keeps_hash(cls: type[Kept]) -> type[Kept]:

@@ -16,7 +16,7 @@ from ..block.transcription.standing import Standing
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, softness, whitened
 from ..display import Displayed
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, finite_array
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small

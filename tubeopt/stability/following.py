@@ -17,7 +17,7 @@ from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.friction import Held, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
 from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction

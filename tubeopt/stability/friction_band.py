@@ -24,7 +24,7 @@ from ..block.transcription.loaded_arm import integration_to
 from ..block.transcription.orientation import tangent_slopes
 from ..display import Displayed
 from ..equilibrium.friction import check_rubbing, shaken
-from ..equilibrium.load_problem import check_load, loading_of
+from ..equilibrium.problem import check_load, loading_of
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..robots.friction import Friction
 from ..robots.load import Load

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.answer import sample_rotation, to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import check_load
 from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, Point
+from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.solving import sample_rotation
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot

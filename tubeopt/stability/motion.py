@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
-from ..equilibrium.continuation import Family, JointPath, Milestone, by_kernel, follow, step_to
-from ..equilibrium.kinematics import nearby
-from ..equilibrium.load_problem import LOADED_DISCRETISATION
+from ..equilibrium.compiled import along
+from ..equilibrium.continuation import Family, JointPath, Milestone, follow, step_to
 from ..equilibrium.member import Place
+from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import SolveError
 from ..robots.load import Load
@@ -118,7 +118,7 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
     kernel = kernel_of(family.path.robot) if all(load is None or load.has_energy for load in family.loads) else None
     while here.t < 1.0:
         if kernel is not None:
-            for step in by_kernel(family, here, partial(nearby, family)):
+            for step in along(family, here):
                 yield step
                 here = step
             if here.t >= 1.0:

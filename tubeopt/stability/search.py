@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..equilibrium.member import Point, Unloaded
-from ..equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError
 from ..robots.robot import Robot, is_general
 from ..solvers.sampling import sobol

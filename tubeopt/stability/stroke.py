@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.load_problem import LOADED_DISCRETISATION, loaded_problem
+from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load

@@ -10,7 +10,7 @@ from tests.examples import CRL, MM, THESIS, configurations, opposed
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.reduced import ReducedProblem
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.newton import newton
 
 ROTATIONS = np.array([0.3, -0.8, 1.2])

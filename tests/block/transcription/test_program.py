@@ -12,7 +12,7 @@ from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.program import add_torsion, structure_of, torsion_guess, torsion_numbers
 from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.block.violation import violations_of, worst
-from tubeopt.equilibrium.solving import Discretisation, reduced_problem
+from tubeopt.equilibrium.problem import Discretisation, reduced_problem
 from tubeopt.solvers.ipopt import EQUILIBRIUM, inside_points
 from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array

@@ -14,7 +14,7 @@ from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.answer import to_equilibrium
-from tubeopt.equilibrium.solving import DEFAULT_DISCRETISATION, reduced_problem
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 

@@ -3,7 +3,7 @@
 
 #define RULES 3
 
-/* Mesh and cross-sections at joint values: what equilibrium/load_problem.py and block/transcription/mesh.py do. */
+/* Mesh and cross-sections at joint values: what equilibrium/problem.py and block/transcription/mesh.py do. */
 typedef struct {
     Layout layout;
     int tip_tube;

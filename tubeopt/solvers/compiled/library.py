@@ -6,6 +6,7 @@ Where there is no C compiler, or it fails, `library` is None, and the general so
 from __future__ import annotations
 
 import atexit
+import contextlib
 import ctypes
 import hashlib
 import logging
@@ -24,10 +25,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 import platformdirs
+import scipy
 
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
 from ...block.transcription.whole_arm import SHAPE_RATIO
+from ...errors import InputError
+from ...files.files import write_text
 from ...physics.certificate import coupling_rate_function
 from ...physics.shape import carry_function
 from ...physics.torsion import section_functions
@@ -36,8 +40,9 @@ from ...robots.order import SAME_END
 from ..settings import NEWTON
 from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
-from .remembered import note_of, remember, remembered
 from .text import HERE, c_text
+
+PACKAGE = Path(__file__).parents[2]
 
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros")
 """Sums may be reordered into vectors; infinities and NaN keep their meaning, since the kernel asks for them."""
@@ -166,13 +171,35 @@ def _found_or_built(kind: Kind, text: Callable[[], str]) -> Path | None:
     own = compiler()
     if own is None:
         return None
-    note = note_of(cache_directory() / "kernels", (*map(str, kind), *own, *_tuning()))
-    path = remembered(note)
-    if path is None:
-        path = _build(text())
-        if path is not None and path.parent == note.parent:
-            remember(note, path)
-    return path
+    # A note names the library that the sources made: CasADi takes longer to generate the text than a command to run.
+    words = "\0".join((_sources(), *map(str, kind), *own, *_tuning()))
+    note = cache_directory() / "kernels" / f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.name"
+    try:
+        path = note.parent / note.read_text().strip()
+        if path.is_file():
+            return path
+    except (OSError, UnicodeDecodeError):
+        pass
+    built = _build(text())
+    if built is not None and built.parent == note.parent:
+        with contextlib.suppress(InputError):  # without a note the text is generated again
+            write_text(note, built.name)
+    return built
+
+
+SOURCES = ("block", "physics", "robots", "solvers")
+"""Packages whose source makes the C text, or numbers in it."""
+
+
+@lru_cache(maxsize=1)
+def _sources() -> str:
+    """What the sources and versions are, as a hash."""
+    found = hashlib.sha256("\0".join((ca.CasadiMeta.version(), np.__version__, scipy.__version__)).encode())
+    for name in SOURCES:
+        for path in sorted((PACKAGE / name).rglob("*.[cp]*")):
+            if path.suffix in (".c", ".py"):
+                found.update(f"\0{path.relative_to(PACKAGE)}\0".encode() + path.read_bytes())
+    return found.hexdigest()
 
 
 def _tuning() -> tuple[str, ...]:

@@ -1,23 +1,45 @@
-"""Loaded problems of a robot: mesh, forces and weight from its tubes and a `Load`."""
+"""The problem of a robot at translations, under a load or none: sections, mesh, forces and weight."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from ..block.transcription.loaded import LoadedProblem, Loading, load_problem
-from ..block.transcription.mesh import loaded_counts, loaded_mesh
+from ..block.transcription.mesh import loaded_counts, loaded_mesh, make_mesh, piece_counts
 from ..block.transcription.reduced import ReducedProblem, reduce
+from ..block.transcription.tableau import FAMILIES
 from ..constants import GRAVITY
-from ..errors import InputError, implausible, triple
+from ..display import Displayed
+from ..errors import InputError, choice, implausible, triple, whole
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
 from ..typing import Array
-from .solving import Discretisation
+
+
+@dataclass(frozen=True)
+class Discretisation(Displayed):
+    """How the torsion problem is transcribed."""
+
+    family: str = "gauss"
+    """Of collocation."""
+    degree: int = 6
+    """Of its polynomials."""
+    refinement: int = 0
+    """How often the default pieces of the mesh are halved."""
+
+    def __post_init__(self) -> None:
+        choice("family", self.family, FAMILIES)
+        whole("degree", self.degree, 1)
+        whole("refinement", self.refinement)
+
+
+DEFAULT_DISCRETISATION = Discretisation()
 
 LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
@@ -28,6 +50,25 @@ KEPT = 128
 
 EXTRA_POINTS = 1
 """Collocation points by which the check of the mesh is finer than the solution."""
+
+
+@lru_cache(maxsize=64)
+def assembly_of(robot: Robot, translations: tuple[float, ...]) -> Assembly:
+    """The bundle of a robot at translations (n,), m."""
+    return robot.assembly(np.array(translations))
+
+
+@lru_cache(maxsize=64)
+def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisation: Discretisation) -> ReducedProblem:
+    """The reduced torsion problem at given translations, built once for all rotations."""
+    return reduced_assembly(assembly_of(robot, translations), discretisation)
+
+
+def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
+    """The reduced torsion problem of tubes that are placed."""
+    d = discretisation
+    pieces = piece_counts(assembly, d.refinement)
+    return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
 
 
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:

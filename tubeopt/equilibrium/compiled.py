@@ -1,0 +1,205 @@
+"""Equilibria by the compiled kernels: one, those along a family, and many under one load.
+
+A function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is close
+by, or no mesh is fine enough. The general solver then goes on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ..block.transcription.arm import ArmShape, CollocationPoints, Found, arc_lengths
+from ..block.transcription.collocated import STEPS
+from ..block.transcription.loaded import LoadedProblem
+from ..robots.load import Load
+from ..robots.robot import Robot
+from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compiled
+from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
+from ..solvers.settings import CONTINUATION, NEWTON, Newton
+from ..typing import Array, Mask
+from .answer import answered, at_points, built, error_of, sample_arms, sample_rotation
+from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
+from .member import Loaded, interpolate
+from .method import Asked
+from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, check_load, loaded_rules
+from .result import Equilibrium, Statistics
+
+
+def unloaded(
+    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, asked: Asked
+) -> Equilibrium | None:
+    """The stable equilibrium without a load at joint values: from tubes without torsion, or by a small motion from a
+    guess; on the usual mesh or, where that is too coarse, on one twice as fine."""
+    if _tied(robot):
+        _check_translations(robot, shift)
+    start, most, translations = None, CONTINUATION.largest_twist, np.array(shift)
+    if guess is not None:
+        turn, length = rotations - guess.rotations, max(float(guess.arc_length[-1]), shortest_arm(robot))
+        if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
+            return None
+        arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
+        start, most = Start(*arm, turn, guess.translations), largest_twist(guess.margin)
+    for refinement in (0, 1):
+        answer = solve_compiled(robot, rotations, translations, start, refinement)
+        if answer is None or answer["largest_change"] > most:
+            return None
+        if start is not None and answer["contraction"] > CONTINUATION.largest_ratio:
+            return None
+        statistics = Statistics(
+            method="newton",
+            iterations=int(answer["iterations"]),
+            elements=int(answer["elements"]),
+            degree=DEFAULT_DISCRETISATION.degree,
+            start="tubes without torsion" if start is None else "guess",
+            seconds=time.perf_counter() - asked.began - answer["loading"],
+            refinement=refinement,
+            loading=answer["loading"],
+        )
+        found = built(robot, (rotations, shift), _found(answer), statistics)
+        if error_of(found) <= asked.tolerance:
+            return found
+    return None
+
+
+@lru_cache(maxsize=64)
+def _tied(robot: Robot) -> bool:
+    """Whether tubes move together."""
+    return len(robot.moving_together) < robot.n_tubes
+
+
+@lru_cache(maxsize=256)
+def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
+    """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
+    robot.assembly(np.array(shift))
+
+
+def _found(answer: dict[str, Any]) -> Found:
+    """Copies of what the kernel found: its next solve overwrites the fields."""
+    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
+    return Found(
+        ArmShape(
+            arc_length=answer["arc_length"][:m].copy(),
+            rotation=answer["rotation"][:m].T.copy(),
+            torsion=answer["torsion"][:m].T.copy(),
+            curvature=answer["curvature"][:m].copy(),
+            position=answer["position"][:m].copy(),
+            frame=answer["frame"][:m].copy(),
+        ),
+        tip_rotations=answer["tip_rotations"].copy(),
+        section_start=answer["section_start"][: int(answer["sections"])].copy(),
+        tube_end=answer["tube_end"].copy(),
+        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
+        margin=float(answer["margin"]),
+        energy=float(answer["energy"]),
+        residual=float(answer["residual"]),
+        errors=(float(answer["mesh_error"]), float(answer["tip_error"]), 0.0),
+        iterations=int(answer["iterations"]),
+    )
+
+
+def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | None:
+    """The stable equilibrium under a dead load: grown from `start`, which bears none, or a small change of it, which
+    bears one."""
+    robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
+    if not (load.has_energy and start.margin > 0):
+        return None
+    problem, turn = there.problem, rotations - start.rotations
+    given: tuple[Array, Array | None]
+    if start.load is None:
+        if turn.any() or not np.array_equal(start.translations, shift):
+            return None
+        given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
+    elif small_motion(turn, shift - start.translations, float(start.arc_length[-1])):
+        given, word = at_points(start, problem), "guess"
+    else:
+        return None
+    margin, settings = start.margin, asked.method.newton
+    for refinement in range(settings.loaded_refinements + 1):
+        rules = loaded_rules(robot, shift, load, refinement)
+        found = solve_loaded_compiled(rules, (rotations, turn), given, margin)
+        if found is None:
+            return None
+        if not _too_coarse(found, rules.problem, asked.tolerance, settings):
+            d = replace(LOADED_DISCRETISATION, refinement=refinement)
+            return answered(Loaded(robot, rules.problem, rotations, shift, d), found, word, asked.began)
+        finer = loaded_rules(robot, shift, load, refinement + 1).problem
+        known = [found.points.point_rotation - rules.problem.wound, found.points.point_curvature]
+        table = interpolate(rules.problem, np.concatenate(known, axis=1), finer)
+        margin, given, turn = found.margin, (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn
+    return None
+
+
+def _too_coarse(found: Found, problem: LoadedProblem, tolerance: float, settings: Newton) -> bool:
+    theta, tip, margin = found.errors
+    return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
+
+
+def nearby(family: Family, guess: Equilibrium, t: float, asked: Asked) -> Equilibrium | None:
+    """The stable equilibrium at t of a family on the branch of `guess`, a small change away; None as well close to a
+    fold."""
+    if family.load is not None:
+        return loaded(guess, family.under_load(t), asked)
+    rotations, translations = family.path.at(t)
+    found = unloaded(family.path.robot, rotations, tuple(translations.tolist()), guess, asked)
+    return found if found is not None and found.margin > 0 else None
+
+
+def along(family: Family, start: Milestone, asked: Asked | None = None) -> Iterator[Milestone]:
+    """Equilibria after `start` as far as t = 1, or to where the kernel declines even short steps."""
+    longest = family.path.largest_step()
+    if longest < 1.0:
+        longest *= 1 - 1e-9  # a round-off may make a step longer than the kernel takes
+    here, step = start, longest
+    if family.load is not None and start.pose.load is None and family.path.moves:
+        # Where joints move, the kernel goes on from an equilibrium under a load, if it is zero.
+        first = nearby(family, start.pose, start.t, asked or Asked())
+        if first is None:
+            return
+        here = Milestone(start.t, first)
+    while here.t < 1.0:
+        t = 1.0 if here.t + step >= 1 - 1e-12 else here.t + step
+        pose = nearby(family, here.pose, t, asked or Asked())
+        if pose is not None:
+            here, step = Milestone(t, pose), min(2 * step, longest)
+            yield here
+            continue
+        step /= 2
+        if step < longest * CONTINUATION.shortest_compiled:
+            return
+
+
+def grow_many(
+    robot: Robot, rotations: Array, translations: Array, load: Load, tolerance: float
+) -> tuple[Array, Array, Mask] | None:
+    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels.
+
+    Rows of tip position (3), tip frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy; the
+    compliances (M, 6, 6); and (M,) which are fine: grown from an equilibrium without load, and on a mesh fine enough.
+    None where there is no kernel for them.
+    """
+    shift = tuple(translations.tolist())
+    check_load(robot, load, shift)
+    first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
+    if first is None:
+        return None
+    s = first["arc_length"][: int(first["pieces"]) * STEPS + 1].copy()
+    arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
+    unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
+    assert unloaded is not None
+    rules = loaded_rules(robot, shift, load)
+    problem, n = rules.problem, robot.n_tubes
+    length = problem.torsion.assembly.total_length
+    theta = sample_arms(robot, translations, s, arms, problem.torsion.arc_length)
+    ends = np.searchsorted(arc_lengths(problem.mesh), np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
+    found = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
+    if found is None:
+        return None
+    table, compliance, declined = found
+    coarse = np.maximum(table[:, n + 14], table[:, n + 15] / length) > tolerance
+    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
