@@ -13,8 +13,8 @@ from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.files import write_stl
 from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
-from tubeopt.shaping.mold.gcode_reader import hazards, milled
-from tubeopt.shaping.mold.spec import PlateSpec, VentSpec, WorkshopSpec
+from tubeopt.shaping.mold.gcode_reader import hazards, milled, read_gcode
+from tubeopt.shaping.mold.spec import MillingSpec, PlateSpec, VentSpec, WorkshopSpec
 
 from .gcode_machine import Block, mill
 
@@ -46,7 +46,7 @@ def test_nothing_is_done_that_breaks_a_tool(dialect: str, touch_plate: float | N
         for text in made:
             seen = mill(text)
             assert not seen.errors
-            assert not hazards(text)
+            assert not hazards(read_gcode(text))
             assert seen.ended
             assert seen.offsets == {"G55"}
             assert max(map(len, text.splitlines())) < 75
@@ -104,6 +104,13 @@ def test_the_plate_is_cut_out_but_for_its_tabs() -> None:
     assert np.sort(gaps)[-3] < 0.3
 
 
+def test_a_program_takes_no_longer_than_a_week() -> None:
+    spec = MoldSpec(milling=MillingSpec(step_down=1e-5, feed=2e-5))
+    # The groove is some 70 mm long, with leads and overrun, and takes 200 passes of 0.01 mm at 0.02 mm/s: 8 days.
+    with pytest.raises(InputError, match=r"the moves of base_\d.nc take [\d.]+ days; they must take at most 7 days"):
+        programs(plan_mold(SMALL, spec), "base")
+
+
 def test_the_relief_is_that_of_the_machine() -> None:
     mold = small()
     stages, made = stages_of(mold, "base"), texts(mold, "base")
@@ -120,8 +127,8 @@ def test_the_relief_is_that_of_the_machine() -> None:
 def test_hazards_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mold = small()
     good = texts(mold, "base")[0]
-    assert "rapid speed" in hazards(good.replace("G1 Z-", "G0 Z-"))[0]
-    assert "spindle still" in hazards(good.replace("M3", "M5"))[0]
+    assert "rapid speed" in hazards(read_gcode(good.replace("G1 Z-", "G0 Z-")))[0]
+    assert "spindle still" in hazards(read_gcode(good.replace("M3", "M5")))[0]
     monkeypatch.setattr("tubeopt.shaping.mold.gcode._up", lambda mold: iter(["G0 Z5.0000"]))
     with pytest.raises(SolveError, match="rapid speed below the plate's face"):
         write_gcode(mold, tmp_path)

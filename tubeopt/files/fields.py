@@ -238,7 +238,9 @@ def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
 
 def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
     scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
-    limits = {name: (Decimal(repr(bound)) - zero) / scale for name, bound in _bounds(marks).items()}
+    limits = {
+        name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(marks).items()
+    }
 
     def _write(value: float) -> Any:
         if zero:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from ...errors import SolveError
+from ...errors import InputError, SolveError
 from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge
@@ -22,6 +23,7 @@ from .drawing import PARTS
 from .gcode_reader import (
     PER_MINUTE,
     TOLERANCE,
+    Motion,
     Relief,
     cutter_ways,
     hazards,
@@ -42,6 +44,9 @@ POINT = 0.3
 
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
+
+LONGEST = 7 * 86400.0
+"""Time (s) that a program may take: longer ones come from a number in another unit."""
 
 CANNED = ("linuxcnc", "mach")
 """Dialects that know the drill cycle G83."""
@@ -76,10 +81,15 @@ class Program:
     tool: str
     text: str
 
+    @cached_property
+    def motions(self) -> tuple[Motion, ...]:
+        """Its moves, read again from the text."""
+        return read_gcode(self.text)
+
     @property
     def time(self) -> float:
         """How long its moves take, s; without dwells and changes of tools."""
-        return sum(motion.time for motion in read_gcode(self.text))
+        return sum(motion.time for motion in self.motions)
 
 
 def write_programs(made: Sequence[Program], directory: Path) -> list[Path]:
@@ -118,9 +128,19 @@ def programs_for(part: str, title: str, clear: float, spec: MoldSpec, stages: Se
         files = {f"{part}.nc": stages}
     made = [Program(name, part, some[0].tool, program(title, clear, spec, some)) for name, some in files.items()]
     for each in made:
-        for wrong in hazards(each.text):
+        for wrong in hazards(each.motions):
             raise SolveError(f"{each.file}: {wrong}")
+        check_duration(each.file, each.time)
     return made
+
+
+def check_duration(file: str, time: float) -> None:
+    """Raise InputError for a program whose moves take longer than any is run, s."""
+    if time > LONGEST:
+        raise InputError(
+            f"the moves of {file} take {time / 86400:.3g} days; they must take at most {LONGEST / 86400:.0f} days, by "
+            "greater feeds or deeper cuts"
+        )
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,10 +123,10 @@ def _arc(number: int, start: Point, end: Point, *, centre: Point, left: bool) ->
     return Arc(start, first + side * math.pi / 2, radius * turn, side / radius)
 
 
-def hazards(text: str) -> list[str]:
+def hazards(motions: Iterable[Motion]) -> list[str]:
     """What a program must not do: rapid moves below the plate's face, cuts without feed or with the spindle still."""
     found = []
-    for motion in read_gcode(text):
+    for motion in motions:
         if min(motion.start, motion.end) >= 0:
             continue
         if motion.feed is None:
@@ -173,15 +173,17 @@ def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
     x, y = (np.arange(-margin, side + margin, pixel) + pixel / 2 for side in size)
     depth = np.zeros((len(y), len(x)))
     for text, diameter in cuts:
+        lowest: dict[Arc, float] = {}  # of the passes along one piece the deepest leaves what is seen
         for motion in read_gcode(text):
-            if min(motion.start, motion.end) < 0:
-                _cut(depth, (x, y), motion, diameter / 2)
+            lowest[motion.piece] = min(motion.start, motion.end, lowest.get(motion.piece, 0.0))
+        for piece, z in lowest.items():
+            if z < 0:
+                _cut(depth, (x, y), piece, -z, diameter / 2)
     return Relief(x, y, depth)
 
 
-def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float) -> None:
-    """Take away what a cutter of this radius reaches in one move, as deep as the lower of its ends."""
-    piece = motion.piece
+def _cut(depth: Array, axes: tuple[Array, Array], piece: Arc, deep: float, radius: float) -> None:
+    """Take away what a cutter of this radius reaches in moves along one piece, `deep` (m) below the face."""
     way = piece.point(spaced(piece.length, 0.5e-3))
     low, high = way.min(0) - radius, way.max(0) + radius
     window = tuple(
@@ -191,6 +193,6 @@ def _cut(depth: Array, axes: tuple[Array, Array], motion: Motion, radius: float)
     points = np.column_stack([gx.ravel(), gy.ravel()])
     if not len(points):
         return
-    level = np.where(piece.distance(points) <= radius, -min(motion.start, motion.end), 0.0)
+    level = np.where(piece.distance(points) <= radius, deep, 0.0)
     view = depth[window]
     np.maximum(view, level.reshape(gx.shape), out=view)

@@ -22,6 +22,7 @@ from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
 from .files import manifold, trimesh, write_solid
+from .gcode import check_duration
 from .mandrel import Cylinder, Mandrel
 
 TOLERANCE = 1e-5
@@ -74,6 +75,7 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
     assert isinstance(mandrel.body, Cylinder)
     outer = mandrel.body.radius
     passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
+    check_duration("mandrel.nc", passes * float(table[-1, 0] - table[0, 0]) / milling.feed)
     safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
     lines = [
         f"(mandrel of tube {mandrel.number}: cylinder {2 * outer * TO_MM:.4f} mm, ball-nose end mill "

@@ -25,8 +25,11 @@ LENGTH, ROOM = Range(above=0.0, most=2.0), Range(least=0.0, most=2.0)
 SMALL, STEP = Usual(1e-5, 0.4), Usual(1e-6, 0.02)
 """Of parts of molds and tools, and of depths of single cuts, m."""
 
-FEED, SPEED = Range(above=0.0, most=1.0), Range(above=0.0, most=2000.0)
-"""Of milling machines: m/s, and revolutions per second."""
+CUT = Range(least=1e-5, most=2.0)
+"""Depths of single cuts, m: a program with smaller ones has thousands of passes, and machines do not set them."""
+
+FEED, SPEED = Range(least=2e-5, most=1.0), Range(above=0.0, most=2000.0)
+"""Of milling machines: m/s, at least 1.2 mm/min, and revolutions per second."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class MillingSpec:
     end_mills: Annotated[tuple[EndMill, ...], "those at hand; by default common ones from 0.4 to 3 mm"] = tuple(
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
     )
-    step_down: Annotated[float, unit("mm"), LENGTH, STEP, "greatest depth of one pass"] = 0.5e-3
+    step_down: Annotated[float, unit("mm"), CUT, STEP, "greatest depth of one pass"] = 0.5e-3
     feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the groove"] = 5e-3
     plunge_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "into the material"] = 2e-3
     spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "revolutions"] = 200.0
@@ -148,11 +151,11 @@ class WorkshopSpec:
     spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "wait after the spindle was switched on"] = 3.0
     drill_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "of drills"] = 2e-3
     drill_spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "of drills"] = 50.0
-    peck: Annotated[float, unit("mm"), LENGTH, STEP, "depth after which a drill clears its chips"] = 2e-3
+    peck: Annotated[float, unit("mm"), CUT, STEP, "depth after which a drill clears its chips"] = 2e-3
     cut_out: Annotated[bool, "whether plates are cut out of larger stock; else they come in their size"] = True
     outline_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the end mill that cuts plates out"] = 4e-3
     outline_reach: Annotated[float, unit("mm"), LENGTH, SMALL, "depth to which that end mill cuts"] = 25e-3
-    outline_step: Annotated[float, unit("mm"), LENGTH, STEP, "greatest depth of one of its passes"] = 1e-3
+    outline_step: Annotated[float, unit("mm"), CUT, STEP, "greatest depth of one of its passes"] = 1e-3
     outline_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the outline"] = 10e-3
     tab_width: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs that hold the plate in its stock"] = 6e-3
     tab_height: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs"] = 2e-3
