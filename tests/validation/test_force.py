@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.examples import THESIS
 from tubeopt import InputError, Load, estimate_force, estimate_forces, forward_kinematics
 from tubeopt.robots.calibration import Calibration, SavedRegistration
+from tubeopt.robots.friction import Friction
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements
 from tubeopt.validation.force import ForceRecord, Measured, _trial
@@ -128,6 +129,18 @@ def test_what_makes_no_sense_says_so() -> None:
         estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), noise=0)
     with pytest.raises(InputError, match="known has a force or moment that turns with the tip"):
         estimate_force(THESIS, ROTATIONS, tip_position=(0, 0, 0.2), known=Load(moment=(1, 0, 0), frame="tip"))
+
+
+def test_what_the_estimates_leave_out_is_remarked() -> None:
+    robot = replace(THESIS, clearance=(5e-5, 5e-5), friction=Friction(1e-3))
+    made = [ForceRecord(each, None, 1e-4, (), ()).remarks for each in (THESIS, robot)]  # type: ignore[arg-type]
+    assert made == [
+        (),
+        (
+            "the room between the tubes (clearance) is left out of the estimates",
+            "friction between the tubes is left out of the estimates",
+        ),
+    ]
 
 
 def test_standard_errors_of_a_record_are_roots_of_variances() -> None:

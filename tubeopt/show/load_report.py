@@ -119,6 +119,7 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     line("too small to be told", lambda r: _untold(r)),
     Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
     Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
+    Quantity("remarks", "what the robot has and the estimates leave out"),
 )  # fmt: skip
 
 
@@ -172,7 +173,7 @@ class ForceReport(Report[ForceRecord]):
         )
         more = len(told) - SHOWN
         rest = [f"and {counted(more, 'row')} more, which --out saves in forces.csv"] if more > 0 else []
-        return [grid(columns, cells), *remarks(rest)]
+        return [grid(columns, cells), *remarks(rest), *remarks(self.answer.remarks, what="remark")]
 
     def save(self, directory: Path) -> list[Path]:
         """Write forces.json, and forces.csv with a row per row of the recording."""

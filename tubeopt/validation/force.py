@@ -19,6 +19,7 @@ from ..equilibrium.answer import point_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, choice, finite, instance, positive, vector, whole
+from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.order import last_tube
@@ -230,6 +231,16 @@ class ForceRecord(Displayed):
         """(N, 3) of the forces by axis, N; inf where an axis is not seen, NaN in rows without an estimate."""
         rows = [np.full(3, np.nan) if e is None else np.sqrt(np.diag(e.covariance)) for e in self.estimates]
         return np.array(rows)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the robot has and the estimates leave out."""
+        r = self.robot
+        words = {
+            "the room between the tubes (clearance)": isinstance(r, ConcentricRobot) and r.clearance is not None,
+            "friction between the tubes": isinstance(r, ConcentricRobot) and r.friction is not None,
+        }
+        return tuple(f"{what} is left out of the estimates" for what, has in words.items() if has)
 
 
 @typed
