@@ -88,6 +88,11 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     entry = check(MeasurementMap, load_yaml(path), path)
     folder = Path(path).parent
     recorded = read_recorded(folder / entry.tips, entry.si("frame_rate_Hz"))
+    if recorded.meaning and entry.joints is None:
+        raise InputError(
+            f"{path}: joints is missing; of {entry.tips}, an export of a tracker, only the tools are read, so the "
+            "joint readings must be in a CSV file of their own"
+        )
     # A column that is of the other file alone says nothing of this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
     meanings = {**recorded.meaning, **mine}
