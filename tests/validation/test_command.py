@@ -113,6 +113,16 @@ def test_a_fit_writes_the_calibrated_robot(run: Run, tmp_path: Path) -> None:
     assert "held_out_error_mm" in (tmp_path / "residuals.csv").read_text()
 
 
+@pytest.mark.parametrize("flags", [[], ["--fit", "curvature", "--folds", "0"]])
+def test_without_a_registration_none_is_reported(run: Run, flags: list[str], tmp_path: Path) -> None:
+    ctr().save(tmp_path / "robot.yaml")
+    save_measurements(turned(ctr(), 6), tmp_path / "m.csv")
+    where = [str(tmp_path / name) for name in ("robot.yaml", "m.csv")]
+    words = " ".join(run("validate", *where, "--registration", "none", "--out", str(tmp_path), *flags).out.split())
+    assert "registration none: the device's frame is the plate's" in words
+    assert "yaw" not in words
+
+
 def test_what_was_noticed_in_the_file_is_printed_without_a_fit(run: Run, tmp_path: Path) -> None:
     ctr().save(tmp_path / "robot.yaml")
     m = turned(ctr(), 6)

@@ -106,13 +106,17 @@ def _both_ways(v: Validation) -> str | None:
     )
 
 
+def _registered(found: Registration) -> str:
+    if np.array_equal(found.rotation, np.eye(3)) and not found.translation.any():
+        return f"{found.method}: the device's frame is the plate's"
+    return f"{found.method}: yaw {np.degrees(found.yaw):.2f} deg, tilt {np.degrees(found.tilt):.2f} deg"
+
+
 COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
     Quantity("count", "measured", lambda v: len(v.measurements), words=_measured),
-    Quantity("registration", "registration", of=REGISTRATION,
-             words="{registration[method]}: yaw {registration[yaw_deg]:.2f} deg, "
-             "tilt {registration[tilt_deg]:.2f} deg"),
+    Quantity("registration", "registration", of=REGISTRATION, words=lambda v: _registered(v.registration)),
     Quantity("registration_error", "standard errors of a registration by least squares, for the shapes of the model",
              of=REGISTRATION_ERROR, label="known to", words="{registration_error[turn_deg]:.2f} deg and "
              "{registration_error[reach_mm]:.2f} mm at the arm's length (standard errors)"),

@@ -342,7 +342,9 @@ class FitProblem:
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
         calibrated = self._calibrated(measurements)
-        after = replace(validate(calibrated, measurements), registration_error=known)
+        after = validate(calibrated, measurements)
+        registration = replace(after.registration, method=model.method)
+        after = replace(after, registration=registration, registration_error=known)
         return Fit(
             robot=calibrated,
             estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
