@@ -9,6 +9,7 @@ import pytest
 from tests.command_line import ROOT, THESIS, Run, refused
 from tubeopt.files.units import as_typed
 
+ETR = [str(ROOT / "configs/robots/thesis_etr.yaml"), str(ROOT / "configs/experiments/synthetic_etr.csv")]
 PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
 
 
@@ -45,6 +46,10 @@ PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
             ["mold", "plan", THESIS, "--cold-length-mm", "90000"],
             "cold_length of the mold is 90000 mm; it must be at most",
         ),
+        (
+            ["measure", THESIS, "--fit", "curvture"],
+            "--fit: parameter 'curvture' is not known; did you mean 'curvature'?",
+        ),
         (["mold", "materials", "--set-degC", "850"], "if these are K, give 576.85 degC"),
         (["measure", THESIS, "--fit", "curvature_1", "--seed", "-1"], "--seed is -1; it must be at least 0"),
         (
@@ -77,6 +82,10 @@ def test_messages_name_the_flag_in_its_unit(run: Run, arguments: list[str], word
         (
             "goal_deg: [1, 0, 0]\nload: {points: [{at_mm: 50, force_mN: [0, 2, 0, 3]}]}",
             "load: points[0].force_mN has 4 numbers; it must have 3: x, y, z",
+        ),
+        (
+            "goal_deg: [1, 0, 0]\nrates: {rotation_deg_per_s: [10, 20]}",
+            "plan.yaml: rates.rotation_deg_per_s is [10, 20]; it must be one number, or 3 (one per tube)",
         ),
     ],
 )
@@ -158,10 +167,61 @@ def test_a_file_of_another_kind_is_one_sentence(run: Run, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(("value", "code"), [("1", 2), ("-2", 2)])
 def test_folds_are_none_or_two_and_more(run: Run, value: str, code: int) -> None:
-    etr, measured = "configs/robots/thesis_etr.yaml", "configs/experiments/synthetic_etr.csv"
-    outcome = run("validate", str(ROOT / etr), str(ROOT / measured), "--folds", value)
+    outcome = run("validate", *ETR, "--folds", value)
     assert refused(outcome) == [f"--folds is {value}; it must be 0, or at least 2"]
     assert outcome.code == code
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ("--fit curvture", "--fit: parameter 'curvture' is not known; did you mean 'curvature'?"),
+        ("--fit rotation_all,rotation_1", "--fit: parameter 'rotation_1' is named twice"),
+        ("--compare --fit curvture", "--fit: effect 'curvture' cannot be compared; did you mean 'curvature'?"),
+        ("--fit curvature --axis-noise-deg 1", "--axis-noise-deg is given, and the measurements have no directions"),
+        *(
+            (f"{flag} {value}".strip(), f"{flag} is given without --fit or --compare; only these use it")
+            for flag, value in (
+                ("--axis-noise-deg", "1"),
+                ("--noise-mm", "1"),
+                ("--folds", "3"),
+                ("--confidence", "0.9"),
+                ("--loss", "huber"),
+                ("--priors", ""),
+            )
+        ),
+    ],
+)
+def test_flags_of_a_fit_are_checked_and_never_ignored(run: Run, flags: str, words: str) -> None:
+    (message,) = refused(run("validate", *ETR, *flags.split()))
+    assert message.startswith(words)
+
+
+def test_rates_of_all_studies_name_their_key(run: Run, tmp_path: Path) -> None:
+    words = "rates.translation_mm_per_s is [10, 20]; it must be one number, or 3 (one per tube)"
+    rates = "rates: {translation_mm_per_s: [10, 20]}\n"
+    (tmp_path / "t.csv").write_text("time_s,rotation_1_deg,rotation_2_deg,rotation_3_deg\n0,0,0,0\n5,10,0,0\n")
+    (tmp_path / "v.yaml").write_text(f"kind: verify\nrobot: {THESIS}\ntrajectory: t.csv\n{rates}")
+    (tmp_path / "p.yaml").write_text(f"{PLAN}goal_deg: [1, 0, 0]\n{rates}")
+    (tmp_path / "u.yaml").write_text(f"kind: verify\nrobot: {THESIS}\ntrajectory: t.csv\nstudy: p.yaml\n")
+    arm = f"{{robot: {THESIS}, goal_deg: [1, 0, 0]}}"
+    (tmp_path / "a.yaml").write_text(f"kind: plan_arms\narms: [{arm}, {arm}]\n{rates}")
+    for name in "va":
+        assert refused(run("run", str(tmp_path / f"{name}.yaml"))) == [f"{tmp_path}/{name}.yaml: {words}"]
+    (message,) = refused(run("run", str(tmp_path / "u.yaml")))
+    assert message.endswith(f"{tmp_path}/p.yaml: {words}") or message.endswith(f"p.yaml: {words}")
+
+
+def test_programs_of_a_mold_stay_finite(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    for keys, words in (
+        ("milling: {step_down_mm: 0.0005}", "milling.step_down_mm is 0.0005; it must be at least 0.01"),
+        ("milling: {feed_mm_per_min: 0.001}", "milling.feed_mm_per_min is 0.001; it must be at least 1.2"),
+        ("workshop: {peck_mm: 0.001}", "workshop.peck_mm is 0.001; it must be at least 0.01"),
+        ("workshop: {outline_step_mm: 0.001}", "workshop.outline_step_mm is 0.001; it must be at least 0.01"),
+    ):
+        path.write_text(f"kind: mold\n{keys}\n")
+        assert refused(run("mold", "plan", THESIS, "--mold", str(path))) == [f"{path}: {words}"]
 
 
 @pytest.mark.parametrize(

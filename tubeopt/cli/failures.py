@@ -92,9 +92,12 @@ def told_by_flag(typed: Mapping[str, str], known: Mapping[str, str]) -> Iterator
 
 def _in_flags(line: str, flags: Mapping[str, str]) -> str:
     """A line with flags in place of keys, unless it is about a file; a key that is a plain word only beside another, or
-    where it is what the line says to be missing or given."""
+    where it begins the line, or is what the line says to be missing or given."""
     if OF_FILE.match(line):
         return line
+    begins = re.match(r"(\w+): ", line)
+    if begins is not None and begins[1] in flags:
+        return flags[begins[1]] + line[begins.end(1) :]
     absent = ABSENT.match(line)
     named = {key for key in absent.groups() if key} if absent is not None else set()
     out = line
@@ -104,7 +107,7 @@ def _in_flags(line: str, flags: Mapping[str, str]) -> str:
         if "_" in key:
             out = re.sub(rf"(?<![\w./-]){key}(?!\w)", flag, out)
         elif out != line:
-            out = re.sub(rf"\b(and|or) {key}\b", rf"\1 {flag}", out)
+            out = re.sub(rf"\b(and|or|without) {key}\b", rf"\1 {flag}", out)
     return out
 
 

@@ -70,7 +70,7 @@ class RateLimits(Displayed):
         for name in OF_JOINTS:
             values = np.atleast_1d(np.array(getattr(self, name)))
             if len(values) not in (1, n):
-                raise InputError(f"{name} of the rate limits has {len(values)} numbers; it must be 1 or {n}")
+                raise InputError(f"rate_limits.{name} has {len(values)} numbers; it must have 1, or {n} (one per tube)")
             table.append(np.broadcast_to(values, (n,)))
         rates, accelerations = (
             np.concatenate([turn, [move[list(tubes)].min() for tubes in space.carriages]])

@@ -18,7 +18,7 @@ from ..typing import Progress
 from .anatomy_file import BasePart
 from .base import Started, Study
 from .obstacle_file import Bodies, Place, Surrounded
-from .plan_study import Aimed, RatesEntry
+from .plan_study import Aimed, RatesEntry, check_rates
 
 
 class PlacedPart(Started):
@@ -75,6 +75,7 @@ class ArmsStudy(Surrounded, Study):
 
     @model_validator(mode="after")
     def _landmarks(self) -> Self:
+        check_rates(self.rates, *(arm.robot for arm in self.arms))
         around = shared(self.anatomy)
         for arm in self.arms:
             arm.placed(around)

@@ -17,12 +17,24 @@ from ..files.marks import Usual
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
+from ..robots.robot import Robot
 from ..typing import Array, Progress
 from .base import OnePerTube, Started, check_within, joints_of, said_of
 from .load_file import LoadedStudy
 from .obstacle_file import Place, Surrounded, TipPlace
 
 RatesEntry = EntryOf[RateLimits]
+
+
+def check_rates(rates: RatesEntry | None, *robots: Robot) -> None:
+    """Raise ValueError, with the key, for rates of another number of tubes than a robot has."""
+    for key, value in rates or ():
+        for robot in robots:
+            if isinstance(value, list) and len(value) not in (1, robot.n_tubes):
+                raise ValueError(
+                    f"rates.{key} is [{', '.join(map(str, value))}]; it must be one number, or {robot.n_tubes} "
+                    "(one per tube)"
+                )
 
 
 class EntryPart(Entry):
@@ -129,6 +141,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
+        check_rates(self.rates, self.robot)
         joints = self.goal_deg is not None or self.goal_mm is not None
         tips = [each for each in (self.tip_mm, self.tip_at, self.tip_path_mm) if each is not None]
         if joints + len(tips) != 1:

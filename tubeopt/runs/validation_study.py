@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from decimal import Decimal
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from ..errors import InputError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
 from ..files.fields import asking, values
 from ..files.marks import Usual
@@ -34,6 +38,24 @@ MeasurementsPath = Annotated[
     Field(description="path of the CSV file of measured tips, or of the YAML that maps one, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
+
+
+OF_FITS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
+"""Keys that nothing but a fit uses."""
+
+OF_NAMES = re.compile(r"(no )?(parameter|effect)s? ")
+"""How a message begins on names of parameters or effects, which `fit` has."""
+
+
+@contextmanager
+def _by_key() -> Iterator[None]:
+    """Begin a message on the names of parameters with the key that has them."""
+    try:
+        yield
+    except InputError as error:
+        if OF_NAMES.match(str(error)):
+            raise InputError(f"fit: {error}") from None
+        raise
 
 
 def _not_one(folds: int) -> int:
@@ -84,8 +106,15 @@ class ValidationStudy(Timed):
         if self.registration != "base-axis" and (self.base_position_mm or self.base_axis):
             raise ValueError("base_position_mm and base_axis are for registration base-axis only")
         self._base()
+        if not (self.fit or self.compare):
+            for key in OF_FITS:
+                if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
+                    raise ValueError(f"{key} is given without fit or compare; only these use it")
+        if self.axis_noise_deg is not None and self.measurements.orientation is None:
+            raise ValueError("axis_noise_deg is given, and the measurements have no directions")
         if self.fit and not self.compare:
-            choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
+            with _by_key():
+                choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
         return self
 
     def _base(self) -> BasePose:
@@ -108,7 +137,8 @@ class ValidationStudy(Timed):
             SolveError: a shape is not found; in a fit, none.
         """
         if self.compare:
-            return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
+            with _by_key():
+                return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
         if self.fit:
             return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
         return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
@@ -136,9 +166,10 @@ class MeasureStudy(Timed):
 
     def run(self, progress: Progress | None = None) -> Placement:
         """The configurations; raises SolveError where too few have the margin."""
-        return where_to_measure(
-            self.robot,
-            self.fit,
-            self.count,
-            **self.in_si("min_margin", "noise_mm", "registration", "seed"),
-        )
+        with _by_key():
+            return where_to_measure(
+                self.robot,
+                self.fit,
+                self.count,
+                **self.in_si("min_margin", "noise_mm", "registration", "seed"),
+            )

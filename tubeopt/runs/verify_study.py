@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
@@ -21,7 +21,7 @@ from ..typing import Progress
 from .base import RobotPath, Timed
 from .load_file import LoadedStudy
 from .obstacle_file import Surrounded
-from .plan_study import PlanStudy, RatesEntry
+from .plan_study import PlanStudy, RatesEntry, check_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +78,11 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
         description="margin, obstacles, clearance, force, load and rates of this plan study, where none are given here",
         examples=["STUDY.yaml"],
     )
+
+    @model_validator(mode="after")
+    def _rates_of_the_robot(self) -> Self:
+        check_rates(self._asked().rates, self.trajectory[1].robot)
+        return self
 
     def _asked(self) -> VerifyStudy | PlanStudy:
         """What is asked: of the plan study where there is one, but for the keys that are given beside it."""
