@@ -246,6 +246,7 @@ def _bearing(
     known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
     def bears(floor: float) -> float:
+        """Certificate under the force of the best design with at least `floor` without force."""
         try:
             found = search(_without_force(task, one, floor))
         except DesignNotFoundError as error:

@@ -136,6 +136,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         return x * scale
 
     def residual(part: Array) -> Array:
+        """(r,) what the free unknowns `part` violate; NaN where there is no equilibrium."""
         nonlocal rows_count
         found = evaluate(program, full(part))
         if found is None:
@@ -218,6 +219,7 @@ def improve(
     seen: list[tuple[float, Array]] = []
 
     def values(x: Array) -> Values:
+        """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
         found = evaluate(program, x * scale)
         if found is None:
             return nowhere(count, len(x))

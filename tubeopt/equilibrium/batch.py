@@ -156,6 +156,7 @@ def forward_kinematics_batch(  # noqa: PLR0913
     failures: list[tuple[int, str]] = []
 
     def run(rows: slice) -> int:
+        """Solve rows into `table`; returns how many they were."""
         if load is None:
             left = _solve_rows(robot, alpha, shift, rows, table, tolerance)
         else:

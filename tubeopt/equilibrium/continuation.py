@@ -21,7 +21,7 @@ from .result import Equilibrium
 P = TypeVar("P", bound=Place)
 
 SHORT_ARM = 0.1
-"""Length of an arm, over that of the longest tube, up to which its tubes hardly couple."""
+"""Length of an arm over that of the longest tube: in shorter arms tubes hardly couple."""
 
 
 def largest_twist(margin: float) -> float:
@@ -89,7 +89,7 @@ class JointPath:
         return float(change[:n].max()), float(change[n:].max()) / longest
 
     def events(self) -> list[float]:
-        """Fractions, 1 included, at which the order of breakpoints may change: two meet, or one meets the plate."""
+        """Fractions, 1 included, where two breakpoints meet, or one meets the plate: there their order may change."""
         if not self.slides:
             return [1.0]
         n = len(self.start) // 2
@@ -222,8 +222,10 @@ def follow(
 
 
 def _left(here: Place, before: Place, power: int) -> float:
-    """How far ahead the margin of two points vanishes, a power of which falls in proportion to t: the first towards a
-    bifurcation, the second towards a fold; infinity where it grows."""
+    """How far ahead of `here`, in t, the margin vanishes; infinity where it grows.
+
+    A power of the margin falls linearly with t: the first power towards a bifurcation, the second towards a fold.
+    """
     if not 0 < here.margin < before.margin:
         return np.inf
     return (here.t - before.t) / ((before.margin / here.margin) ** power - 1)
@@ -237,7 +239,7 @@ def reach(
     stable: bool = True,
     shortest: float = CONTINUATION.shortest_step,
 ) -> P:
-    """The last point of `follow`, which is `start` where the branch ends at once."""
+    """The last point of `follow`; `start` where the branch ends at once."""
     return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
 
 

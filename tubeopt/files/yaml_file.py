@@ -86,6 +86,7 @@ def _noun(data: object) -> str:
 
 class _Loader(yaml.SafeLoader):
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        """The node of a mapping; raises ConstructorError for a key that is given twice."""
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:

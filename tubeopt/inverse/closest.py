@@ -116,6 +116,7 @@ class _Miss:
         return False
 
     def model(self, at: Posture, side: int, last: Step | None) -> _Lagrangian:
+        """The quadratic model of distance and constraints at a posture."""
         goal, scale, m = self.goal, self.goal.space.scale, len(at.q)
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
         rows, bounds, names = goal.demands(at)

@@ -119,6 +119,7 @@ def linear(at: Posture) -> Callable[[Quantity], tuple[Array, Array]]:
     n = at.space.robot.n_tubes
 
     def slope(one: Quantity) -> Array:
+        """(..., m) change of a quantity with the joints."""
         match one.name:
             case "rotations":
                 return at.space.spread[:n]

@@ -1,4 +1,4 @@
-"""A mesh over the sections of an arm: pieces on which theta is one polynomial."""
+"""A mesh over the sections of an arm: on each piece theta is one polynomial."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Mesh:
     Attributes:
         tableau: collocation points of every element.
         start, length: (p,) arc length of each piece, m.
-        section: (p,) the section of which it is a part.
+        section: (p,) the section that the piece is a part of.
         collocated: (p,) whether it carries collocation points; torsion is linear in arc length where it does not.
     """
 
@@ -111,10 +111,11 @@ LOADED_WAVES = 0.5
 
 
 def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np.intp]:
-    """(m,) pieces per section of an arm on whose cross-sections at most `force`, N, and at its tip `moment`, N m, act.
+    """(m,) pieces per section of a loaded arm.
 
-    Bending under a force n is as fast as sqrt(n / K), and bends an arm by no more than that of an elastica, twice this
-    rate, or of a lever as long as the arm.
+    A force of at most `force`, N, acts on its cross-sections, and the moment `moment`, N m, on its tip. Bending under a
+    force n varies at the rate sqrt(n / K). Its curvature is at most twice this rate, as in an elastica. It is also at
+    most that under a lever as long as the arm.
     """
     rate, natural, finest, stiffness, pull = needs(assembly)
     fast = np.sqrt(force / stiffness)
@@ -126,7 +127,7 @@ def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np
 
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
-    """Mesh whose pieces all have collocation points: what is loaded bends, be it curved or straight."""
+    """Mesh with collocation points in all pieces: a loaded arm also bends where its tubes are straight."""
     everywhere = np.ones(assembly.n_sections, dtype=bool)
     return _mesh(assembly, pieces, everywhere, tableau(family, degree))
 
@@ -140,7 +141,7 @@ def make_mesh(
 
 
 def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: Tableau) -> Mesh:
-    """Mesh with numbers of pieces (m,) in the sections, of which those that are `collocated` (m,) have points."""
+    """Mesh with `counts` (m,) pieces in the sections; those marked in `collocated` (m,) have collocation points."""
     unknown = int(counts[assembly.coupled].sum()) * rule.degree * assembly.n_tubes
     if max(unknown, int(counts.sum())) > MOST_ROTATIONS:
         raise InputError(

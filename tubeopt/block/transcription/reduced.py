@@ -34,7 +34,7 @@ from .green import Compliant, ahead, compliant, green_of, integrals, reach
 from .mesh import Mesh
 
 LARGE = 60
-"""Unknowns from which it pays to leave out what is 0 of L."""
+"""Unknowns; with more, leaving out the zeros of L saves time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ReducedProblem:
 
     Attributes:
         assembly, mesh: what is solved.
-        unknown: (m, n) tubes whose rotations are unknown, of each section.
+        unknown: (m, n) whether the rotation of a tube is unknown in a section.
         here: the tubes at the points that all pieces would have.
     """
 
@@ -114,12 +114,12 @@ class ReducedProblem:
 
     @property
     def point(self) -> Index:
-        """(U,) of which point each unknown is the rotation; by tube, then by point."""
+        """(U,) collocation point of each unknown; unknowns are sorted by tube, then by point."""
         return self._place[0]
 
     @property
     def tube(self) -> Index:
-        """(U,) of which tube each unknown is the rotation."""
+        """(U,) tube of each unknown."""
         return self._place[1]
 
     @cached_property
@@ -197,7 +197,7 @@ class ReducedProblem:
 
     @cached_property
     def energy_parts(self) -> float:
-        """Size (J) of the energies of bending, whose sum may be next to 0 while its round-off is theirs."""
+        """Sum of the sizes of the bending energies, J. It bounds the round-off of their sum, which may be near 0."""
         rate = mapped(bend_rate_function(self.assembly.n_tubes), len(self.weight))(self.stiffness, self.moment)[0]
         return float(self.weight @ (rate * np.abs(self.moment)).sum(1))
 
@@ -217,7 +217,7 @@ class Evaluation:
 
     @property
     def x(self) -> Array:
-        """(U,) the unknowns, all of which are of torsion."""
+        """(U,) the unknowns: all describe torsion."""
         return self.z
 
     @property
@@ -232,8 +232,10 @@ class Evaluation:
 
 
 def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> ReducedProblem:
-    """Eliminate everything but theta at the collocation points of the tubes that are coupled there, or of those in
-    `unknown` (m, n), section by section."""
+    """The reduced problem: only rotations theta at collocation points are left, of coupled tubes.
+
+    With `unknown` (m, n) it keeps the tubes that are marked there, section by section.
+    """
     if unknown is None:
         # Concentric straight tubes are carried along; tubes off the centreline are stretched where the arm is curved.
         unknown = assembly.present if assembly.eccentric else assembly.curved
@@ -241,7 +243,7 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
 
 
 def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
-    """(U, U) L of the unknowns, of which `unknowns` has point and tube: of every tube the root of its compliance."""
+    """(U, U) L: for every tube the root of its compliance. `unknowns` are point (U,) and tube (U,) of each unknown."""
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
     factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)[elements].T
     green = green_of(mesh.tableau, begin, mesh.length[elements], here.rate[elements].transpose(2, 0, 1))

@@ -26,12 +26,12 @@ class Mesh(NamedTuple):
     lift: Array
 
     def depth(self, towards_viewer: Array) -> Array:
-        """(k,) m: by which to sort facets that are seen from `towards_viewer` (3,), far ones first."""
+        """(k,) distance towards the viewer, m, to draw far facets first; `towards_viewer` (3,) points at the viewer."""
         depth: Array = self.corners.mean(1) @ towards_viewer
         return depth + self.lift * (self.normals @ towards_viewer)
 
     def placed(self, frame: Frame) -> Mesh:
-        """The same facets, which stand in a frame, as that has them in which it is given."""
+        """The facets in the coordinates in which `frame` is given; here they are in those of the frame."""
         return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
 
     def only(self, kept: Mask) -> Mesh:
