@@ -112,7 +112,7 @@ def forward_kinematics(  # noqa: PLR0913
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
-    asked = Asked(by, tolerance, began)
+    asked, found = Asked(by, tolerance, began), None
     if load is not None:
         check_load(robot, load, shift)
         only_plain(by, load, discretisation)
@@ -120,9 +120,12 @@ def forward_kinematics(  # noqa: PLR0913
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
-    if guess is None:
-        found = _cold(robot, alpha, shift, discretisation, asked)
-    else:
+    elif asked.of_kernel(None, discretisation):
+        found = unloaded(robot, alpha, shift, guess, asked)
+    if found is None and guess is None:
+        found = _to_tolerance(*_descended(Unloaded.of(robot, alpha, shift, discretisation), by), asked)
+    elif found is None:
+        assert guess is not None
         own = np.concatenate([guess.rotations, guess.translations])
         path = JointPath(robot, own, np.concatenate([alpha, place]), discretisation)
         found = on_branch(Family(path, load, guess.load), guess, asked)
@@ -152,17 +155,6 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
         point = _by_method(Point.near(there, there.carried(point), failure, by.newton), by)
     raise AssertionError("the finest mesh either holds the tolerance or raises")
-
-
-def _cold(
-    robot: Robot, rotations: Array, shift: tuple[float, ...], discretisation: Discretisation, asked: Asked
-) -> Equilibrium:
-    """The stable equilibrium that is found from tubes without torsion, else by way of home."""
-    if asked.of_kernel(None, discretisation):
-        quick = unloaded(robot, rotations, shift, None, asked)
-        if quick is not None:
-            return quick
-    return _to_tolerance(*_descended(Unloaded.of(robot, rotations, shift, discretisation), asked.method), asked)
 
 
 @small
