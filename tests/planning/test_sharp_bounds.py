@@ -15,12 +15,28 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import apart, branch, loaded_branch, passage
 from tubeopt.planning.clearing import Wanted
-from tubeopt.planning.cross_sections import Constants, Jet
+from tubeopt.planning.cross_sections import Constants, Jet, linear
 from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.sections import PARTS, Arms, Intervals
+from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
 NONE = np.zeros((1, 1, 1))
+
+STEPPED = nested((0.04, 0.05, 4.0), (0.02, 0.03, 3.0))
+"""Two tubes with transmissions, whose curved parts begin and end at different places."""
+
+
+def between(robot: Robot, *joints: tuple[Any, Any]) -> Intervals:
+    """The interval between the equilibria at two joint values."""
+    arms = Arms.of(Constants.of(robot), [forward_kinematics(robot, *each) for each in joints])
+    return Intervals.of(arms, np.array([0]), np.array([1]))
+
+
+def bounds_between(robot: Robot, *joints: tuple[Any, Any]) -> branch._Bounds:
+    """What is known of the interval between the equilibria at two joint values."""
+    return branch._Bounds(between(robot, *joints), np.ones(1))
 
 
 def rate_of_what_is_off(ball: branch._Ball) -> float:
@@ -153,3 +169,174 @@ def test_a_stretch_of_time_that_is_short_is_not_halved(share: float, more: int) 
     assert not lost
     passage._kept_clear(follower, links)
     assert follower.count == more
+
+
+def test_a_point_of_an_arc_that_slides_out_is_off_its_chord_by_the_bend_of_its_path() -> None:
+    """P = (1 - cos(k h), sin(k h)) / k at length h(t): |P_tt| is k h_t^2, all of it from the arm that grows."""
+    curvature, short, long = 0.5, 0.018, 0.022
+    robot = nested((0.0, 0.03, curvature))
+    found = branch.branch(between(robot, *(([0.0], [h - 0.03]) for h in (short, long))), np.ones(2))
+
+    def tip(h: float) -> Array:
+        return np.array([1 - np.cos(curvature * h), np.sin(curvature * h)]) / curvature
+
+    true = float(np.linalg.norm(tip((short + long) / 2) - (tip(short) + tip(long)) / 2))
+    assert 0.999 * true <= found.off.max() <= 1.03 * true
+    speeding = curvature * (long - short) ** 2
+    assert 0.999 * speeding <= found.rates[0, 0] <= 1.03 * speeding
+
+
+def test_what_bends_an_arm_otherwise_moves_a_point_by_its_lever() -> None:
+    """int (s - x) |du| dx by sums along the arm, where all tubes turn by an angle against theta~."""
+    here = [0.3, 0.1], [-0.02, -0.01]
+    bounds, turn = bounds_between(STEPPED, here, here), 1e-3
+    cuts = bounds.intervals.begin[0]
+    still = np.zeros_like(bounds.torque), np.zeros_like(bounds.bending.pairs)
+    found = bounds.off(still, np.full_like(bounds.torque, turn))[0] - bounds.off(still, np.zeros_like(bounds.torque))[0]
+    x = (np.arange(20000) + 0.5) / 20000 * cuts[-1]
+    tubes, offset = STEPPED.tubes, np.array(here[1]) + 0.0
+    there = [(x < tube.curved_length + by) for tube, by in zip(tubes, offset, strict=True)]
+    stiff = sum(tube.bending_stiffness * on for tube, on in zip(tubes, there, strict=True))
+    pull = sum(tube.bending_stiffness * tube.curvature * on for tube, on in zip(tubes, there, strict=True))
+    true = [float(((s - x).clip(0) * pull / stiff * turn).sum() * cuts[-1] / 20000) for s in cuts[1:]]
+    assert found == pytest.approx(true, rel=1e-3)
+
+
+def test_no_rotation_of_unit_torsional_energy_is_larger_than_its_weight_and_one_is_as_large() -> None:
+    """The most of y(s) over int kt y'^2 + kt / |beta| y(0)^2 = 1 is the root of the compliance, by elements."""
+    here = [0.3, 0.1], [-0.02, -0.01]
+    bounds = bounds_between(STEPPED, here, (here[0], [-0.022, -0.013]))
+    cuts = bounds.intervals.begin[0]
+    for i, (tube, held) in enumerate(zip(STEPPED.tubes, (0.06, 0.03), strict=True)):
+        for s, weight in zip(cuts[1:], bounds.weight[0][0, :, i], strict=True):
+            count = 50
+            stiff = np.full(count, tube.torsional_stiffness * count / s) if s else np.zeros(count)
+            matrix = np.diag(np.append(stiff, 0) + np.append(0, stiff)) - np.diag(stiff, 1) - np.diag(stiff, -1)
+            matrix[0, 0] += tube.torsional_stiffness / held
+            if s:
+                assert np.sqrt(np.linalg.inv(matrix)[-1, -1]) <= weight * (1 + 1e-9)
+    still = bounds_between(STEPPED, here, here)
+    true = np.sqrt((np.array([0.06, 0.03]) + cuts[1:, None]) / [tube.torsional_stiffness for tube in STEPPED.tubes])
+    assert still.weight[0][0] == pytest.approx(true, rel=1e-9)
+    assert still.weight[1][0] == pytest.approx(np.sqrt(true[:, :, None] ** 2 + true[:, None] ** 2), rel=1e-9)
+
+
+def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
+    """|beta| w(0) + int h g w of moments that are constant in every section, while all of it grows with time: the
+    bound is what it is at the end, and its derivatives there."""
+    random = np.random.default_rng(2)
+    (h, more), (held, longer), (ease,) = (
+        random.uniform(1, 2, (k, *each)) for k, each in ((2, (4, 1)), (2, (2,)), (1, (2,)))
+    )
+    m, g = random.uniform(1, 2, (3, 4, 2)), random.uniform(1, 2, (3, 4, 2))
+    bounds: Any = branch._Bounds.__new__(branch._Bounds)
+    bounds.long = linear(h[None, :, 0], (h + more)[None, :, 0])
+    bounds.transmission, bounds.ease = linear(held[None], (held + longer)[None]), Jet(ease, NONE, NONE, NONE)
+
+    def twist(t: float) -> Array:
+        moment, stretch = (a[0] + a[1] * (t - 1) + a[2] * (t - 1) ** 2 / 2 for a in (m, g))
+        gain = (h + t * more) * moment
+        mean = np.cumsum(gain[::-1], axis=0)[::-1] - gain / 2
+        return np.asarray(
+            (held + t * longer) * gain.sum(0) + np.cumsum((h + t * more) * (1 + stretch) * mean * ease, axis=0)
+        )
+
+    found, step = bounds.rotation(Jet(*m[:, None]), Jet(*g[:, None])), 1e-3
+    before, here, after = (twist(1 + k * step) for k in (-1, 0, 1))
+    assert found.v[0] == pytest.approx(here, rel=1e-9)
+    assert found.d[0] == pytest.approx((after - before) / (2 * step), rel=1e-5)
+    assert found.dd[0] == pytest.approx((after - 2 * here + before) / step**2, rel=1e-5)
+
+
+def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist() -> None:
+    """int g^2 t^2 / kt with torques t linear in every section, by sums, and of the transmissions; of stretched tubes
+    the change of g t."""
+    random = np.random.default_rng(3)
+    bounds, turn = bounds_between(STEPPED, ([0.3, 0.1], [-0.02, -0.01]), ([0.3, 0.1], [-0.02, -0.01])), 1e-3
+    count = bounds.torque.shape
+    moment, grown, more = random.uniform(1, 2, (3, *count))
+    bounds.torque_change = lambda by: moment  # type: ignore[method-assign]
+    bounds._stretch = lambda u: grown if u is bounds.bending.most else more  # type: ignore[method-assign]
+    h, kt = bounds.long.v[0], np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
+    total = np.array([0.06, 0.03]) / kt * (h[:, None] * moment[0]).sum(0) ** 2
+    ahead = np.zeros((2, 2))
+    for k in reversed(range(len(h))):
+        x = (np.arange(2000) + 0.5) / 2000 * h[k]
+        # A change of g meets the whole torque where the section begins.
+        whole = ahead[1] + h[k] * bounds.torque[0, k]
+        t = (1 + grown[0, k]) * (ahead[0] + x[:, None] * moment[0, k]) + more[0, k] * whole
+        total += (t**2).sum(0) / kt * h[k] / 2000
+        ahead += h[k] * np.array([moment[0, k], bounds.torque[0, k]])
+    still = np.zeros(count) + turn
+    found = bounds.energy((still, still[..., None] + still[..., None, :])).item()
+    assert found == pytest.approx(np.sqrt(total.sum()), rel=1e-6)
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 0.4])
+def test_what_a_rotation_calls_forth_is_its_energy_over_the_margin(stiffness: float) -> None:
+    """x + A (DF - 1) x, its norm the most of all sections of any length, of the tubes and of their pairs."""
+    weight = np.array([[[2.0, 3.0], [4.0, 5.0], [1.0, 1.0]]])
+    both = np.array([2.0, 4.0, 9.0])[:, None, None] + np.zeros((1, 1, 2, 2))
+    bounds: Any = branch._Bounds.__new__(branch._Bounds)
+    bounds.weight, bounds.stiffness, bounds.long = (
+        (weight, both),
+        np.array([stiffness]),
+        Jet(np.array([[1.0, 2.0, 0.0]]), NONE, NONE),
+    )
+    bounds.energy = lambda turn: np.array([0.3])
+    turn = weight * 0.1, both * 0.2
+    own, pair = bounds.response(turn)
+    assert own == pytest.approx(weight * (0.1 + 0.3 / stiffness))
+    assert pair == pytest.approx(both * (0.2 + 0.3 / stiffness))
+    assert bounds.norm((own, pair)).item() == pytest.approx(0.2 + 0.3 / stiffness)
+    assert bounds.norm((own, 0.1 * pair)).item() == pytest.approx(0.1 + 0.3 / stiffness)
+    only = np.zeros_like(weight)
+    only[0, 2] = 7.0
+    assert bounds.norm((only, both * 0.0)).item() == 0.0
+
+
+@pytest.mark.parametrize(("residual", "by_time", "by_ball"), [(0.4, 0.6, 0.5), (0.2, 1.2, 0.8), (0.5, 0.0, 0.0)])
+def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
+    residual: float, by_time: float, by_ball: float
+) -> None:
+    """F = e - by_time t e - by_ball e^2 / 2 - residual t (1 - t) / 2: the most of e up to half of the time."""
+    flat, made = Jet(NONE, NONE, NONE, NONE), iter((NONE + by_time, NONE + by_ball))
+    still: Any = SimpleNamespace(
+        weight=(NONE + 1, NONE[..., None] + 1),
+        bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
+        drift=SimpleNamespace(gain=lambda pair: NONE),
+        zero=NONE,
+        chord=lambda turn: None,
+        cross_sections=lambda course: (flat, flat),
+        rotation=lambda moment, stretch: Jet(NONE, NONE, NONE + residual),
+        torque_change=lambda y: NONE,
+        torque_second=lambda y, by: NONE,
+        response=lambda turn: turn,
+        norm=lambda turn: turn[0][0, 0],
+        _stretch=lambda u: u,
+        _varied=lambda varied, gained, by, moving: next(made),
+    )
+    ball, kept = branch._Bounds.ball(still, (NONE, NONE[..., None]))
+    assert kept.all()
+    q = by_time / 2
+    # At half of the time, where both the residual and q are largest, by the quadratic formula.
+    roots = np.roots([by_ball / 2, q - 1, residual / 8])
+    radius = float(roots.min())
+    assert ball.radius.item() == pytest.approx(radius)
+    assert (ball.bow.item(), ball.drift.item()) == pytest.approx((residual, by_time))
+    assert ball.stretch.item() == pytest.approx(1 - q - by_ball * radius)
+
+
+def test_what_changes_between_samples_is_off_its_chord_by_an_eighth_of_its_second_derivative() -> None:
+    """Two tubes that begin to turn against each other: theta'' changes by c / kt times the turn."""
+    length, turn = 0.04, 1e-3
+    robot = nested((0.0, length, 3.0), (0.0, length, 3.0))
+    bounds = bounds_between(robot, ([-turn / 2, 0.0], None), ([turn / 2, 0.0], None))
+    one, other = robot.tubes
+    coupling = 9.0 * one.bending_stiffness * other.bending_stiffness / (one.bending_stiffness + other.bending_stiffness)
+    pair = np.zeros((*bounds.torque.shape, 2)) + turn * (1 - np.eye(2))
+    found = bounds._between((np.zeros_like(bounds.torque), pair))[0].max(0)
+    kt = np.array([tube.torsional_stiffness for tube in robot.tubes])
+    x = np.linspace(0, length / PARTS, 101)
+    parabola = coupling * turn / kt * (x * (x[-1] - x))[:, None] / 2
+    assert found == pytest.approx(parabola.max(0), rel=1e-6)
