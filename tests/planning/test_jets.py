@@ -149,13 +149,28 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
     )
     still: Any = SimpleNamespace(
         intervals=ends,
-        drift=SimpleNamespace(bow=SimpleNamespace(dd=np.zeros((1, 1, 1)))),
+        drift=SimpleNamespace(bow=SimpleNamespace(d=np.zeros((1, 1, 1)))),
         _between=lambda turn: share * turn[0],
     )
-    (wide, _), sure = branch._Bounds.turn(still)
+    (wide, both), sure = branch._Bounds.turn(still)
     assert sure.item() == (share <= 0.5)
     if sure:
         assert wide.item() >= 0.7 / (1 - share) * (1 - 1e-12)
+        assert both.item() - 0.7 == pytest.approx(2 * (wide.item() - 0.7))
+
+
+def test_what_turns_between_samples_is_as_wrong_as_both_ends_and_as_steep_as_the_natural_turn() -> None:
+    """Of tubes whose turn is interpolated, off by 0.01 and 0.02, and off a straight line in time with rate 0.05."""
+    ends: Any = SimpleNamespace(
+        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)),
+        arms=SimpleNamespace(turn_error=np.array([[0.01], [0.02]])),
+        one=[0],
+        other=[1],
+    )
+    drift = SimpleNamespace(bow=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
+    still: Any = SimpleNamespace(intervals=ends, drift=drift, _between=lambda turn: 0.0 * turn[0])
+    (own, pair), _ = branch._Bounds.turn(still)
+    assert (own.item(), pair.item()) == pytest.approx((0.78, 0.9 + 2 * 0.08))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 0.8408, 0.841, 1.0, 3.0])

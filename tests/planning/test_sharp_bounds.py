@@ -255,7 +255,7 @@ def test_the_norm_of_a_change_is_the_torsional_energy_of_what_its_moments_twist(
     bounds, turn = bounds_between(STEPPED, ([0.3, 0.1], [-0.02, -0.01]), ([0.3, 0.1], [-0.02, -0.01])), 1e-3
     count = bounds.torque.shape
     moment, grown, more = random.uniform(1, 2, (3, *count))
-    bounds.torque_change = lambda by: moment  # type: ignore[method-assign]
+    bounds.torque_change = lambda turn: moment  # type: ignore[method-assign]
     bounds._stretch = lambda u: grown if u is bounds.bending.most else more  # type: ignore[method-assign]
     h, kt = bounds.long.v[0], np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
     total = np.array([0.06, 0.03]) / kt * (h[:, None] * moment[0]).sum(0) ** 2
@@ -299,8 +299,9 @@ def test_what_a_rotation_calls_forth_is_its_energy_over_the_margin(stiffness: fl
 def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
     residual: float, by_time: float, by_ball: float
 ) -> None:
-    """F = e - by_time t e - by_ball e^2 / 2 - residual t (1 - t) / 2: the most of e up to half of the time."""
-    flat, made = Jet(NONE, NONE, NONE, NONE), iter((NONE + by_time, NONE + by_ball))
+    """F = e - by_time t e - by_ball e^2 / 2 - residual t (1 - t) / 2: the most of e up to half of the time.
+    Half of all of it is there without what it calls forth."""
+    flat, made = Jet(NONE, NONE, NONE, NONE), iter((NONE + by_time / 2, NONE + by_ball / 2))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
         bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
@@ -308,10 +309,10 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
         zero=NONE,
         chord=lambda turn: None,
         cross_sections=lambda course: (flat, flat),
-        rotation=lambda moment, stretch: Jet(NONE, NONE, NONE + residual),
+        rotation=lambda moment, stretch: Jet(NONE, NONE, NONE + residual / 2),
         torque_change=lambda y: NONE,
         torque_second=lambda y, by: NONE,
-        response=lambda turn: turn,
+        response=lambda turn: (2 * turn[0], 2 * turn[1]),
         norm=lambda turn: turn[0][0, 0],
         _stretch=lambda u: u,
         _varied=lambda varied, gained, by, moving: next(made),

@@ -205,7 +205,7 @@ class _Bounds:
         own, pair = self.intervals.changes
         # Samples are interpolated; and the natural turn is not quite linear in time.
         wrong = self.intervals.arms.turn_error
-        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow.dd / 2)
+        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow.d)
         own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
         wide = own + 2 * more, pair + 2 * _both(more)[1]

@@ -221,8 +221,7 @@ class Drift:
     wound: Jet
     """(..., n) of that of u*_z, with one derivative by time."""
     bow: Jet
-    """(..., n) of the natural turn by time, derivatives only; half of the second is more than it is off a straight line
-    in time."""
+    """(..., n) of what the natural turn is off a straight line in time, derivatives only."""
     give: Jet
     """(...) of 1 / k."""
 
@@ -250,7 +249,7 @@ class Drift:
         slope, bend, third = (c.most(rate, *stretches) for rate in b.ease)
         eased = Jet(slope, bend * move, third * move**2)
         wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
-        bow = Jet(np.zeros_like(move), wound.v * move, wound.v * move**2, wound.d * move**2)
+        bow = Jet(np.zeros_like(move), wound.v * move**2 / 2, wound.v * move**2, wound.d * move**2)
         return Drift(False, pulls, pairs, ease, eased, wound, bow, give)
 
     def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
