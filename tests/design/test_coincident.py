@@ -11,9 +11,10 @@ import pytest
 from tests.examples import CONFIGS
 from tubeopt import ConcentricRobot, load_robot
 from tubeopt.design import Free
+from tubeopt.design.layout import FixedPose, FreePose, Layout
 from tubeopt.design.parameters import design_space
 from tubeopt.design.pieces import as_pieces
-from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.design.state import State
 from tubeopt.typing import Array
 
 ROTATIONS = (0.3, 2.9, 0.5)
@@ -36,11 +37,11 @@ def _checked(layout: Layout, x: Array, index: Any, side: int = 1) -> None:
 
     def there(at: Array) -> Array:
         pose = State(layout, at, dict(state.guesses)).pose(index)
-        return np.concatenate([pose.position[-1], pose.frame[-1][:, 2], [pose.margin]])
+        return np.concatenate([pose.arm.position[-1], pose.arm.frame[-1][:, 2], [pose.margin]])
 
     pose, chain = state.pose(index), state.chain(index)
-    heading = np.cross(pose.tip_turn @ chain, pose.frame[-1][:, 2, None], axis=0)
-    told = np.concatenate([pose.tip_slope @ chain, heading, (pose.margin_slope @ chain)[None]])
+    heading = np.cross(pose.derivatives.tip_rotation @ chain, pose.arm.frame[-1][:, 2, None], axis=0)
+    told = np.concatenate([pose.derivatives.tip_position @ chain, heading, (pose.derivatives.one_margin @ chain)[None]])
     for k, row in enumerate(np.eye(len(x))):
         expected = _towards(lambda step, row=row: there(x + step * row), side * 1e-4)  # type: ignore[misc]
         scale = max(1e-2, float(np.abs(expected).max()))

@@ -31,14 +31,15 @@ from tubeopt.design import (
     SnapFree,
     Strain,
     Target,
-    solve_one,
+    evaluation,
+    solve,
 )
+from tubeopt.design.multistart import multistart
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.relaxation import apply_changes, best_of
 from tubeopt.design.settings import COLLOCATION, OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
 from tubeopt.design.shown import shown_infeasible
-from tubeopt.design.solve import multistart
 from tubeopt.solvers.time_limit import LateError, within
 from tubeopt.typing import Array
 
@@ -193,7 +194,7 @@ def test_a_search_that_time_ends_says_what_it_found() -> None:
 def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time ends after the first feasible point of IPOPT: that design is the answer, and keeps what was asked."""
     task, count = snap_free_thesis(0.05), 0
-    plain = solve_one.evaluate
+    plain = evaluation.evaluate
 
     def evaluated(program: Program, x: Array) -> Any:
         nonlocal count
@@ -203,7 +204,8 @@ def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.M
             raise LateError
         return plain(program, x)
 
-    monkeypatch.setattr(solve_one, "evaluate", evaluated)
+    for module in (evaluation, solve):
+        monkeypatch.setattr(module, "evaluate", evaluated)
     ranking = multistart(compile_task(task))
     monkeypatch.undo()
     (found,) = ranking.designs

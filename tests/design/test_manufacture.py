@@ -18,8 +18,8 @@ from tubeopt.design import (
     choose_from_stock,
     tolerance_analysis,
 )
+from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
-from tubeopt.design.solve import multistart
 from tubeopt.design.stock import combinations, with_sizes
 from tubeopt.design.tolerance import sample_tubes
 

@@ -37,9 +37,9 @@ from tubeopt.design import (
     Target,
     Wall,
 )
-from tubeopt.design.lookup import at_state
+from tubeopt.design.evaluation import state_at
 from tubeopt.design.objectives import aim
-from tubeopt.design.program import Program, compile_task, state_at
+from tubeopt.design.program import Program, compile_task
 from tubeopt.design.rechecks import check_own, numbers_of
 from tubeopt.design.settings import OptimumSearch, StartSearch
 from tubeopt.typing import Array
@@ -115,7 +115,7 @@ def posed_task() -> DesignTask:
 
 
 def at(program: Program, expression: Expression, x: Array) -> tuple[Array, Array]:
-    return expression.linear(at_state(state_at(program, x)))
+    return expression.linear(state_at(program, x).quantity)
 
 
 def test_strain_and_clearance_of_a_pose_and_their_slopes() -> None:

@@ -42,15 +42,16 @@ from tubeopt.design import (
     Target,
 )
 from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
+from tubeopt.design.evaluation import robot_at
 from tubeopt.design.exchange import reachable
-from tubeopt.design.lookup import at_state
+from tubeopt.design.layout import FixedPose, FreePose, Layout
 from tubeopt.design.parameters import design_space
 from tubeopt.design.pieces import as_pieces
-from tubeopt.design.program import compile_task, corners, robot_at
+from tubeopt.design.program import compile_task, corners
 from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.relaxation import DesignNotFoundError
 from tubeopt.design.settings import DesignSolver, OptimumSearch, OrderSearch
-from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.design.state import State
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
 from tubeopt.solvers.sampling import sobol
@@ -125,7 +126,7 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
     asked += [Quantity("curvature", 0, (share,)) for share in (0.3, 1.0)]
 
     def look(at: Array) -> list[tuple[Array, Array]]:
-        here = at_state(State(layout, at))
+        here = State(layout, at).quantity
         return [here(one) for one in asked]
 
     steps = np.concatenate([1e-5 * space.scale, np.full(n, 1e-5), np.full(n, 1e-7)])
@@ -159,7 +160,7 @@ def test_deflections_change_as_equilibria_say() -> None:
         plain, pushed = (forward_kinematics(robot, *joints, load=load) for load in (None, Load(force)))
         return pushed.tip_position - plain.tip_position
 
-    value, slope = at_state(State(Layout(space, (FreePose(0),), (), ()), x))(Quantity("deflection", 0, force))
+    value, slope = State(Layout(space, (FreePose(0),), (), ()), x).quantity(Quantity("deflection", 0, force))
     assert value == pytest.approx(deflection(x), abs=1e-10)
     steps = np.concatenate([1e-4 * space.scale, np.full(3, 1e-4), np.full(3, 1e-6)])
     found = np.array([(deflection(x + d) - deflection(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
@@ -189,7 +190,7 @@ def test_the_certificate_of_an_s_in_an_arc_changes_as_differences_say() -> None:
     x = 0.95 * space.start
 
     def look(at: Array) -> tuple[Array, Array]:
-        return at_state(State(layout, at))(Quantity("certificate", at=(-0.004, -0.001)))
+        return State(layout, at).quantity(Quantity("certificate", at=(-0.004, -0.001)))
 
     value, slope = look(x)
     robot = ConcentricRobot(space.tubes(x))
@@ -514,7 +515,7 @@ def test_opposed_tubes_hold_each_other_straight() -> None:
     opposed = forward_kinematics(robot, pose.rotations, pose.translations)
     again = largest_strain(everywhere, robot, (opposed,))
     for i, tube in enumerate(tubes):
-        told = at_state(state)(Quantity("strain", 0, (i,)))[0][0]
+        told = state.quantity(Quantity("strain", 0, (i,)))[0][0]
         bend = tube.outer_diameter / 2 * math.hypot(9.0, 3.0)
         assert told == pytest.approx(2 * (1 - 0.3 * 0.75) / 0.25 * bend / (1 - bend), rel=1e-6)
         assert told == pytest.approx(tube.straightened_strain, rel=1e-6)
@@ -541,7 +542,7 @@ def test_stroke_forces_change_as_those_of_other_robots(turned: float) -> None:
         return limit.factor
 
     pose = FixedPose((turned, 0.0), (0.0, 0.0))
-    value, slope = at_state(State(Layout(space, (pose,), (), ()), x))(Quantity("stroke_force", 0))
+    value, slope = State(Layout(space, (pose,), (), ()), x).quantity(Quantity("stroke_force", 0))
     assert value[0] == pytest.approx(force(x), rel=1e-9)
     steps = np.diag(1e-4 * space.scale)
     found = np.array([(force(x + d) - force(x - d)) / (2 * d.sum()) for d in steps])

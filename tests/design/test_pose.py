@@ -9,7 +9,7 @@ import pytest
 
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
-from tubeopt.design.pose import Pose, Twist, solve_pose, twist_at
+from tubeopt.design.pose import Pose, Twist, solve_pose
 from tubeopt.equilibrium.arm_change import PARAMETERS
 from tubeopt.equilibrium.linearised import PLACES
 from tubeopt.robots.tubes import Tube
@@ -42,7 +42,7 @@ def test_values_are_those_of_forward_kinematics(seed: int, n: int) -> None:
     robot, numbers = random_numbers(seed, n)
     pose = pose_of(numbers)
     guess = forward_kinematics(robot, numbers["rotations"], numbers["translations"])
-    assert np.allclose(pose.position[-1], guess.tip_position, atol=1e-8)
+    assert np.allclose(pose.arm.position[-1], guess.tip_position, atol=1e-8)
     assert pose.margin == pytest.approx(guess.margin, abs=1e-7)
     assert pose.certificate[0] == pytest.approx(snap_free_certificate(robot, numbers["translations"]), abs=1e-9)
 
@@ -52,21 +52,21 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
     _, numbers = random_numbers(seed, n)
     pose = pose_of(numbers)
     position, turn, arc = pose.shape_slopes
-    assert np.allclose(pose.tip_slope, position[-1], rtol=1e-13, atol=0)
-    assert np.allclose(pose.tip_turn, turn[-1], rtol=1e-13, atol=1e-13 * np.abs(turn[-1]).max())
+    assert np.allclose(pose.derivatives.tip_position, position[-1], rtol=1e-13, atol=0)
+    assert np.allclose(pose.derivatives.tip_rotation, turn[-1], rtol=1e-13, atol=1e-13 * np.abs(turn[-1]).max())
     theta, bend = _section_slopes(pose)
-    parts = (position, turn, arc, theta, bend, pose.margin_slope, pose.certificate[1])
+    parts = (position, turn, arc, theta, bend, pose.derivatives.one_margin, pose.certificate[1])
     for k, (name, i) in enumerate((name, i) for name in PARAMETERS for i in range(n)):
         size = 1e-6 * (abs(numbers[name][i]) if name in PARAMETERS[2:] else 1.0)
         sides = []
         for sign in (1, -1):
             moved = {key: value.copy() for key, value in numbers.items()}
             moved[name][i] += sign * size
-            sides.append(pose_of(moved, twist_at(pose.solved)))
-        if sides[0].position.shape != sides[1].position.shape:
+            sides.append(pose_of(moved, pose.twist))
+        if sides[0].arm.position.shape != sides[1].arm.position.shape:
             continue  # the mesh itself changes
         changes = [_difference(a, b) / (2 * size) for a, b in zip(_values(sides[0]), _values(sides[1]), strict=True)]
-        frame = changes[1] @ pose.frame.swapaxes(1, 2)
+        frame = changes[1] @ pose.arm.frame.swapaxes(1, 2)
         changes[1] = np.stack([frame[:, 2, 1], frame[:, 0, 2], frame[:, 1, 0]], axis=1)
         for part, change in zip(parts, changes, strict=True):
             floor = 1e-7 * max(1.0, 1e-9 / size)
@@ -76,7 +76,14 @@ def test_derivatives_are_those_of_differences(seed: int, n: int) -> None:
 def _values(pose: Pose) -> tuple[Array, ...]:
     scalars = (np.array(pose.margin), np.array(pose.certificate[0]))
     theta, bend = pose.derivatives.sections
-    return (pose.position, pose.frame, pose.arc_length, theta[..., : len(pose.solved.member.rotations)], bend, *scalars)
+    return (
+        pose.arm.position,
+        pose.arm.frame,
+        pose.arm.arc_length,
+        theta[..., : len(pose.solved.member.rotations)],
+        bend,
+        *scalars,
+    )
 
 
 def _section_slopes(pose: Pose) -> tuple[Array, Array]:

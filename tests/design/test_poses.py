@@ -38,12 +38,12 @@ from tubeopt.design import (
     StrokeForce,
     Target,
 )
-from tubeopt.design.bending import pose_strain
-from tubeopt.design.lookup import at_state
-from tubeopt.design.program import Program, compile_task, evaluate, stack, state_at, total_objective
+from tubeopt.design.evaluation import evaluate, state_at
+from tubeopt.design.program import Program, compile_task
 from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.settings import OptimumSearch, OrderSearch
 from tubeopt.design.starts import with_joints
+from tubeopt.design.state import pose_strain
 from tubeopt.typing import Array
 
 MM = 1e-3
@@ -100,7 +100,7 @@ def test_derivatives_of_all_rows_are_those_of_differences() -> None:
     def at(point: Array) -> tuple[Array, Array, float, Array]:
         found = evaluate(program, point)
         assert found is not None
-        return (*stack(found[1], found[2]), *total_objective(program, found[0]))
+        return (*found.rows(), *found.objective)
 
     _, jacobian, _, slope = at(x)
     for j, size in enumerate(1e-6 * program.scale):
@@ -239,7 +239,7 @@ def test_a_stroke_force_to_be_made_large_is_that_of_the_robot_and_changes_as_tol
     program = compile_task(task)
     (aim,) = program.task.objectives
     begin, step = float(program.layout.space.start[0]), 1e-3
-    values, slopes = program.aims[aim].linear(at_state(state_at(program, np.array([begin, 0.0]))))
+    values, slopes = program.aims[aim].linear(state_at(program, np.array([begin, 0.0])).quantity)
     low, here, high = (stroke_force_of(program, begin + change) for change in (-step, 0.0, step))
     assert values.ravel() == pytest.approx([here], rel=1e-6)
     assert high < low

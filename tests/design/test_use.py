@@ -25,8 +25,8 @@ from tubeopt.design import (
     Strain,
 )
 from tubeopt.design.drawn import SHARES, drawn_back
-from tubeopt.design.lookup import at_state
-from tubeopt.design.program import compile_task, state_at
+from tubeopt.design.evaluation import state_at
+from tubeopt.design.program import compile_task
 from tubeopt.design.rechecks import numbers_of
 from tubeopt.design.remarks import remarks
 from tubeopt.typing import Array
@@ -101,11 +101,11 @@ def test_derivatives_agree_with_differences_and_values_with_solved_poses(kind: s
     asked = task(kind)
     program = compile_task(asked)
     expression, x = program.aims[asked.objectives[0]], program.layout.space.start
-    value, slope = expression.linear(at_state(state_at(program, x)))
+    value, slope = expression.linear(state_at(program, x).quantity)
     solved = [forward_kinematics(CRL, *pose) for pose in posed(CRL)]
     assert value == pytest.approx(expression(numbers_of(CRL, solved)), rel=1e-5)
     for k, step in enumerate(np.diag([1e-3] * 3)):
-        ends = [expression.linear(at_state(state_at(program, x + s * step)))[0][0] for s in (1, -1)]
+        ends = [expression.linear(state_at(program, x + s * step).quantity)[0][0] for s in (1, -1)]
         assert slope[0, k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-5, abs=1e-9)
 
 
@@ -116,7 +116,7 @@ def test_the_swept_volume_is_that_of_a_solid_of_revolution() -> None:
     pappus = 2 * np.pi * corners[:, 0].mean() * abs(a[0] * b[1] - a[1] * b[0]) / 2
     asked = task("workspace_volume")
     program = compile_task(asked)
-    value = program.aims[asked.objectives[0]].linear(at_state(state_at(program, program.layout.space.start)))[0]
+    value = program.aims[asked.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0]
     assert value == pytest.approx(pappus, rel=1e-4)
 
 
@@ -133,7 +133,7 @@ def test_tubes_of_one_circle_deploy_along_it() -> None:
             ordered=False,
         )
         program = compile_task(asked)
-        value = program.aims[asked.objectives[0]].linear(at_state(state_at(program, program.layout.space.start)))[0][0]
+        value = program.aims[asked.objectives[0]].linear(state_at(program, program.layout.space.start).quantity)[0][0]
         assert value < most if most else value > 1e-5
 
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ..block.quantities import CLEARANCES, PoseNumber
+from ..block.quantities import CLEARANCES
 from ..block.transcription.linear import cross
 from ..typing import Array, Index
 from .pose import Pose
-from .state import State
 
 WITHIN = 16
 """Places at which the arm is looked at within each of its CLEARANCES parts."""
@@ -31,7 +30,7 @@ def _cubic(x: Array) -> tuple[Array, Array]:
 def _between(pose: Pose, share: Array) -> tuple[Index, Array, Array, Array]:
     """For parts (K,) of the arm: the shape point before, the length to the next, how far along it, 0 to 1, and what
     `_cubic` weighs (4, K, 3)."""
-    s, position, tangent = pose.arc_length, pose.position, pose.frame[:, :, 2]
+    s, position, tangent = pose.arm.arc_length, pose.arm.position, pose.arm.frame[:, :, 2]
     at = share * s[-1]
     k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
     h = s[k + 1] - s[k]
@@ -49,7 +48,7 @@ def arm_slopes(pose: Pose, share: Array) -> Array:
     """(K, 3, L) change of `arm_points`, at the same part of an arm whose length changes too."""
     k, h, x, nodes = _between(pose, share)
     position, turn, arc = pose.shape_slopes
-    tangent = pose.frame[:, :, 2]
+    tangent = pose.arm.frame[:, :, 2]
     weights, rates = _cubic(x)
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
@@ -60,37 +59,39 @@ def arm_slopes(pose: Pose, share: Array) -> Array:
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 
 
-def arm_radius(state: State, index: PoseNumber, share: Array) -> tuple[Array, Array]:
-    """Radius (K,) of the arm at parts (K,) of its length, and its change (K, X).
-
-    Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
-    """
-    pose, thicker = state.pose(index), 0.5 * state.slopes["outer_diameter"]
-    radii = np.array([tube.outer_diameter / 2 for tube in state.tubes])
-    longer = pose.shape_slopes[2][-1] @ state.chain(index)
-    ends = state.joint_slopes(index)[1] + state.slopes["curved_length"]
-    beyond = (share[:, None] * pose.arc_length[-1] - pose.problem.assembly.end) / RAMP
-    ramp = np.clip(beyond, 0.0, 1.0)
-    each = radii - (radii - radii[0]) * ramp
-    tube = each.argmax(1)
-    k = np.arange(len(share))
-    thin = ramp[k, tube, None]
-    change = thin * thicker[0] + (1 - thin) * thicker[tube]
-    sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
-    rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
-    return each[k, tube], change + rate[:, None] * (share[:, None] * longer - ends[tube])
-
-
 SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
-def arm_clearance(state: State, index: PoseNumber, body: Any) -> tuple[Array, Array]:
+def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Array) -> tuple[Array, Array]:
     """Distance (CLEARANCES,) of the arm's surface from a body where it is least in each part of the arm, m, less what
-    the arm is held off, and its change (.., X)."""
-    pose = state.pose(index)
-    radius, thicker = arm_radius(state, index, SHARES)
+    the arm is held off, and its change (.., X).
+
+    `chain` (Q, X) takes the directions of the pose to the unknowns; `thicker` and `ended` (n, X) are the changes of the
+    radii of the tubes and of their ends.
+    """
+    radius, rounder = _radius(pose, thicker, ended, pose.shape_slopes[2][-1] @ chain)
     points = arm_points(pose, SHARES)
     room = body.signed_distance(points) - radius - HELD_OFF
     worst = room.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
     local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst]))
-    return room[worst], local @ state.chain(index) - thicker[worst]
+    return room[worst], local @ chain - rounder[worst]
+
+
+def _radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Array, Array]:
+    """Radius (K,) of the arm at SHARES of its length, and its change (K, X) by those of the radii and the ends of the
+    tubes, (n, X), and of its length (X,).
+
+    Beyond its end a tube's radius runs out over RAMP, so that the radius is continuous, and never too small.
+    """
+    radii = np.array([tube.outer_diameter / 2 for tube in pose.solved.member.robot.tubes])
+    share = SHARES[:, None]
+    beyond = (share * pose.arm.arc_length[-1] - pose.problem.assembly.end) / RAMP
+    ramp = np.clip(beyond, 0.0, 1.0)
+    each = radii - (radii - radii[0]) * ramp
+    tube = each.argmax(1)
+    k = np.arange(len(SHARES))
+    thin = ramp[k, tube, None]
+    change = thin * thicker[0] + (1 - thin) * thicker[tube]
+    sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
+    rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
+    return each[k, tube], change + rate[:, None] * (share * longer - ended[tube])

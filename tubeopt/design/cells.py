@@ -7,14 +7,12 @@ closed at the optimum would rather be passed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from ..typing import Array
-from .program import Program, evaluate, state_at
-from .solve_one import Attempt, Report, attempt, improve
 from .state import State
 
 
@@ -47,18 +45,17 @@ def _breakpoints(state: State, k: int) -> tuple[Array, Array]:
     return places, slopes.reshape(-1, layout.size)
 
 
-def cell_at(program: Program, x: Array) -> Cell:
-    """The orders at x."""
-    state = state_at(program, x)
+def cell_of(state: State) -> Cell:
+    """The orders in which breakpoints are."""
     orders = []
-    for k in range(len(program.layout.poses) + len(program.layout.certified)):
+    for k in range(len(state.layout.poses) + len(state.layout.certified)):
         places, _ = _breakpoints(state, k)
         ranked = np.argsort(places, kind="stable").tolist()
         orders.append(Order(tuple(i for i in ranked if places[i] > 0), tuple(i for i in ranked if places[i] <= 0)))
     return tuple(orders)
 
 
-def cell_rows(program: Program, state: State, cell: Cell) -> tuple[Array, Array, list[tuple[int, int, int]]]:
+def cell_rows(state: State, cell: Cell) -> tuple[Array, Array, list[tuple[int, int, int]]]:
     """Lengths of the sections of a cell in steps of 10 mm, >= 0 in it, their change, and what each is: the pose, and
     its breakpoints before and behind (-1 for the plate). Only those that can change."""
     values, slopes, what = [], [], []
@@ -72,7 +69,7 @@ def cell_rows(program: Program, state: State, cell: Cell) -> tuple[Array, Array,
                 values.append((places[b] - places[a]) / 1e-2)
                 slopes.append(slope / 1e-2)
                 what.append((k, a, b))
-    return np.array(values), np.reshape(slopes, (len(values), program.layout.size)), what
+    return np.array(values), np.reshape(slopes, (len(values), state.layout.size)), what
 
 
 def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
@@ -86,53 +83,3 @@ def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
         k = order.beyond.index(a)
         other = Order((*order.beyond[:k], b, a, *order.beyond[k + 2 :]), order.behind)
     return (*cell[:pose], other, *cell[pose + 1 :])
-
-
-def improve_by_cells(program: Program, start: Array, report: Report | None = None) -> Attempt:
-    """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
-    cell = cell_at(program, start)
-    best = _in_cell(program, start, cell, report)
-    tried, orders = {cell}, program.task.solver.orders
-    for _ in range(orders.most):
-        values, slopes, what = cell_rows(program, state_at(program, best.x), cell)
-        if not best.feasible or not what:
-            break
-        prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
-        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < orders.closed_section and prices[k] > 1e-8]
-        better = None
-        for k in closed:
-            other = swapped(cell, *what[k])
-            if other in tried:
-                continue
-            tried.add(other)
-            begin = _across(program, best.x, values[k], slopes[k])
-            found = _in_cell(program, begin, other, report)
-            if found.feasible and found.objective < best.objective - orders.gain * max(abs(best.objective), 1e-3):
-                better = other, found
-                break
-        if better is None:
-            break
-        cell, best = better
-    return replace(best, program=program)
-
-
-def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) -> Attempt:
-    """The optimum in one cell."""
-    if evaluate(program, start) is None:
-        return attempt(program, start, None)
-
-    def rows(state: State) -> tuple[Array, Array]:
-        return cell_rows(program, state, cell)[:2]
-
-    found = improve(program, start, report, rows=rows)
-    if program.layout.free_poses or (found.optimum is not None and found.optimum.success):
-        return found
-    other = improve(program, start, report, rows=rows, strategy="patient")
-    return min(found, other, key=lambda one: (not one.feasible, one.objective))
-
-
-def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
-    """x moved as little as possible to where a section is open on the other side."""
-    scaled = slope * program.scale
-    step = -(value + program.task.solver.orders.opened_section / 1e-2) / float(scaled @ scaled)
-    return np.clip(x + step * scaled * program.scale, program.lower, program.upper)

@@ -31,12 +31,11 @@ from ..solvers.named_program import in_time
 from ..solvers.time_limit import check_time
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
+from .evaluation import Attempt, attempt, found_at, linear_rows, objective_value
+from .layout import Via
 from .objectives import AnyObjective, Objective, key_of
-from .program import BOUNDED, Program, objective_size, objective_value, state_at
+from .program import BOUNDED, Program
 from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
-from .solve_one import Attempt, attempt
-from .state import Via
-from .statements import linear_rows
 from .task import DesignTask
 
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
@@ -106,7 +105,8 @@ class _Collocated:
 
     def __init__(self, program: Program, x: Array, held: float) -> None:
         self.program, self.opti, self.held = program, ca.Opti(), held
-        self.state = state_at(program, x)
+        start = found_at(program, x)
+        self.state = start.state
         scaled = self.opti.variable(len(x))
         self.opti.set_initial(scaled, x / program.scale)
         self.opti.subject_to(self.opti.bounded(program.lower / program.scale, scaled, program.upper / program.scale))
@@ -124,9 +124,8 @@ class _Collocated:
         self._at_least(ca.DM(values) + ca.DM(slopes) @ self.moved)
         for statement in chain.from_iterable(program.stated):
             self._at_least(statement.expression(self.look) / statement.limit.size - self.held)
-        size = objective_size(program, self.state)
         aims = [one.sign * one.weight * self._aim(one) for one in program.task.objectives]
-        self.opti.minimize(sum(aims) / size)
+        self.opti.minimize(sum(aims) / start.size)
 
     def _block(self, k: PoseNumber) -> EquilibriumBlock[Equilibrium]:
         """The block of a pose, or of its arm drawn back, posed where it is first asked for."""

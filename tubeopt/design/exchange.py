@@ -16,13 +16,14 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
+from .evaluation import robot_at, state_at, violation
+from .layout import FreePose
 from .parameters import Free
 from .pose import Twist
-from .program import Added, Program, compile_task, corners, robot_at, state_at
+from .program import Added, Program, compile_task, corners
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
-from .solve_one import to_feasibility, violation
+from .solve import to_feasibility
 from .starts import with_joints
-from .state import FreePose
 from .task import DesignTask
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
@@ -181,7 +182,7 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
     for attempt_number in range(3):
         random = np.random.default_rng([seed, attempt_number])
         begin = with_joints(alone, alone.layout.space.start, random)
-        best = min(best, violation(alone, to_feasibility(alone, begin))[0])
+        best = min(best, violation(alone, to_feasibility(alone, begin)))
         alone.guesses.clear()
         if best <= 1e-3:
             break

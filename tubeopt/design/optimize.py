@@ -20,7 +20,9 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
 from .collocation import check_collocation
+from .evaluation import Attempt
 from .exchange import carry, certified_at, violations
+from .multistart import Ranking, multistart, rank, solve_from
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, recompiled
@@ -30,8 +32,7 @@ from .remarks import Dimension, remarks
 from .requirements import Avoid, SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, Ranking, multistart, rank, solve_from
-from .solve_one import Attempt, Report
+from .solve import METHODS, Report
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
 

@@ -10,13 +10,13 @@ from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Progress
+from .evaluation import Attempt
+from .multistart import multistart, solve_from
 from .objectives import key_of
 from .optimize import settle
 from .program import compile_task, recompiled
 from .relaxation import best_of
 from .requirements import SnapFree, SnapFreeInUse
-from .solve import multistart, solve_from
-from .solve_one import Attempt
 from .task import DesignTask
 
 

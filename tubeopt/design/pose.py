@@ -27,7 +27,7 @@ from ..solvers.newton import descend
 from ..stability.certificate import worst_case
 from ..stability.pair import least_margin_of_pair, pair_of
 from ..stability.shooting import profiles, to_base
-from ..typing import Array, Of
+from ..typing import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +36,6 @@ class Twist:
 
     fraction: Array
     twist: Array
-
-
-def twist_at(solved: PlainPoint) -> Twist:
-    """Guess for a pose close by."""
-    problem = solved.member.problem
-    length = max(problem.assembly.total_length, 1e-300)
-    return Twist(problem.arc_length / length, solved.state.theta - solved.member.rotations)
 
 
 class _Draft(ConcentricRobot):
@@ -80,6 +73,13 @@ def without_solving(tubes: Sequence[Tube], translations: Array) -> PlainPoint:
     return Point(0.0, member, member.at(np.zeros(member.problem.size)), 1.0)
 
 
+def moving(rows: Array) -> tuple[Array, Array]:
+    """(L, Q) the directions of rows (L, X) in which anything changes, and (Q, X) the unknowns of these: derivatives
+    along them, times the second, are those by all unknowns."""
+    columns = np.flatnonzero(rows.any(0))
+    return rows[:, columns], np.eye(rows.shape[1])[columns]
+
+
 class Pose:
     """A solved pose: values at once; derivatives where they are asked for, (.., L) by what `wrt` names of PARAMETERS,
     n columns each, then by what `more` says that changes; or by the directions `along` (L, Q) in place of these.
@@ -97,13 +97,17 @@ class Pose:
         self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
         self._wrt, self._more, self._along = tuple(wrt), more, along
 
-    position, frame, arc_length = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
-
     @cached_property
     def arm(self) -> ArmShape:
         """The shape."""
         solved = self.solved
         return evaluate_arm(self.problem, solved.member.rotations, solved.state, solved.torsion)
+
+    @property
+    def twist(self) -> Twist:
+        """Guess for a pose close by."""
+        length = max(self.problem.assembly.total_length, 1e-300)
+        return Twist(self.problem.arc_length / length, self.solved.state.theta - self.solved.member.rotations)
 
     @cached_property
     def derivatives(self) -> Linearised:
@@ -124,24 +128,9 @@ class Pose:
     def shape_slopes(self) -> tuple[Array, Array, Array]:
         """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
         of = self.derivatives
-        position = of.position + self.frame[:, :, 2, None] * of.moved[:, None]
+        position = of.position + self.arm.frame[:, :, 2, None] * of.moved[:, None]
         position[-1] = of.tip_position
         return position, of.turned, of.moved
-
-    @property
-    def tip_slope(self) -> Array:
-        """(3, L) change of the tip's position."""
-        return self.derivatives.tip_position
-
-    @property
-    def tip_turn(self) -> Array:
-        """(3, L) change of the tip's frame (turn vector)."""
-        return self.derivatives.tip_rotation
-
-    @property
-    def margin_slope(self) -> Array:
-        """(L,) change of the margin; of a double eigenvalue, that of one mode."""
-        return self.derivatives.one_margin
 
     @cached_property
     def certificate(self) -> tuple[float, Array]:
@@ -162,5 +151,5 @@ class Pose:
             found = member.solve(member.unknowns(theta))
             if found.converged:
                 solved = Point(0.0, member, found.state, least.margin)
-                return least.margin, Pose(solved, self._wrt, self._more, self._along).margin_slope
+                return least.margin, Pose(solved, self._wrt, self._more, self._along).derivatives.one_margin
         return value, self.derivatives.certificate(value, mode)

@@ -13,25 +13,18 @@ from itertools import product
 
 import numpy as np
 
-from ..block.quantities import Expression, PoseNumber, Quantity
-from ..errors import InputError, SolveError, undoubted
-from ..robots.concentric import ConcentricRobot
-from ..solvers.time_limit import check_time
+from ..block.quantities import Expression, PoseNumber
 from ..typing import Array
-from .lookup import at_state
-from .objectives import POSED as OF_POSES
-from .objectives import AnyObjective, Objective, aim, key_of
+from .layout import FixedPose, FreePose, Layout, PoseKind, Via
+from .objectives import POSED, AnyObjective, Objective, aim
 from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
-from .statements import Points, Rows, Statement, linear_rows, stated_rows, statements
+from .state import State
+from .statements import Points, Statement, statements
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)
 """What task poses must keep where nothing else speaks of snapping."""
-
-POSED = ("margin in use", "certified margin")
-"""Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens."""
 
 BOUNDED = {
     "strain": (0.0, 1.0, 1e-2),
@@ -41,12 +34,6 @@ BOUNDED = {
     "stroke_force": (0.0, 10.0, 1e-2),
 }
 """Objectives whose worst number is bounded by an unknown of its own: its bounds and its size."""
-
-DEPTH_TOLERANCE = 1e-6
-"""How exactly (m) the pose of the objective reach_radius keeps its depth."""
-
-LEAST_SIZE = 1e-3
-"""Size (SI) of an objective that is next to 0, unless all unknowns together change it by less."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +179,7 @@ def _recorded(
                 stated.append(statements(one, pieces, posed, certified))
     aims = {}
     for wanted in task.objectives:
-        on_the_way = isinstance(wanted, Objective) and wanted.kind not in OF_POSES
+        on_the_way = isinstance(wanted, Objective) and wanted.kind not in POSED
         found = aim(wanted, pieces, passed if on_the_way else posed, certified, depth_pose)
         if found is not None:
             aims[wanted] = found
@@ -251,28 +238,9 @@ def recompiled(task: DesignTask, near: Program) -> Program:
     return replace(compile_task(task, near.added), guesses=dict(near.guesses))
 
 
-# --- values -----------------------------------------------------------------------------------------------------------
-
-
-def groups(program: Program, state: State) -> list[Rows]:
-    """All groups of rows that can be relaxed."""
-    out = [group for number, stated in enumerate(program.stated) for group in stated_rows(stated, number, state)]
-    # A limit on dimensions that are not free, and is kept, is no constraint.
-    out = [one for one in out if one.always or one.jacobian.any() or one.values.min() < 0 or one.limit.words in POSED]
-    return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
-
-
 def slack_name(k: int) -> str:
     """Name of the auxiliary unknown by which the k-th group of rows is eased, in steps of its limit."""
     return f"slack {k}"
-
-
-def _eased(state: State, group: Rows, k: int) -> Rows:
-    column = state.layout.column(slack_name(k))
-    jacobian = group.jacobian.copy()
-    jacobian[:, column] += 1.0
-    slack = float(state.x[column])
-    return replace(group, values=group.values + slack, jacobian=jacobian, slack=(slack, column))
 
 
 def elastic(program: Program, may_move: Sequence[bool]) -> Program:
@@ -289,95 +257,3 @@ def elastic(program: Program, may_move: Sequence[bool]) -> Program:
         elastic=True,
         guesses=dict(program.guesses),
     )
-
-
-def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
-    """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
-    strain and margin."""
-    values, change = linear_rows(state, program.task)
-    parts, changes = [values], [change]
-    look = at_state(state)
-    for one in built_in(program.task.objectives):
-        if one.depth is not None and program.depth_pose is not None:
-            place, slope = look(Quantity("tip_position", program.depth_pose))
-            height = place[2] - one.depth
-            parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
-            changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
-        if one.kind in program.layout.auxiliary:
-            column, size = program.layout.column(one.kind), BOUNDED[one.kind][2]
-            values, change = program.aims[one].linear(look)
-            change = -one.sign * change
-            change[:, column] += one.sign
-            parts.append(one.sign * (state.x[column] - values) / size)
-            changes.append(change / size)
-    return np.concatenate(parts), np.concatenate(changes)
-
-
-def objective_value(program: Program, state: State, one: AnyObjective) -> tuple[float, Array]:
-    """An objective in its own sign, SI, and its change (X,)."""
-    size = program.layout.size
-    if key_of(one) in program.layout.auxiliary:
-        column = program.layout.column(key_of(one))
-        return float(state.x[column]), np.eye(size)[column]
-    if one in program.aims:
-        values, changes = program.aims[one].linear(at_state(state))
-        worst = int(np.argmax(one.sign * values))
-        return float(values[worst]), changes[worst]
-    space, x = program.layout.space, state.x[: program.layout.designs]
-    base = np.where(np.abs(space.start) > 0, space.start, space.scale)
-    gap = np.pad((x - space.start) / base, (0, size - len(x)))
-    return float(gap @ gap), 2 * gap * np.pad(1 / base, (0, size - len(x)))
-
-
-def total_objective(program: Program, state: State) -> tuple[float, Array]:
-    """What is minimised, and its change (X,)."""
-    total, slope = 0.0, np.zeros(program.layout.size)
-    if program.elastic:
-        slacks = [name for name in program.layout.auxiliary if name.startswith("slack")]
-        slope[[program.layout.column(name) for name in slacks]] = 1.0
-        return float(slope @ state.x), slope
-    for one in program.task.objectives:
-        value, change = objective_value(program, state, one)
-        total += one.sign * one.weight * value
-        slope = slope + one.sign * one.weight * change
-    return total, slope
-
-
-def objective_size(program: Program, state: State) -> float:
-    """By what the objective is divided for a solver: its value, or what the unknowns change it by where that is more,
-    since it may vanish; volumes and energies in SI are small numbers."""
-    value, slope = total_objective(program, state)
-    moved = float(np.abs(slope * program.scale).max(initial=0.0))
-    return max(abs(value), min(moved, LEAST_SIZE)) or LEAST_SIZE
-
-
-def state_at(program: Program, x: Array) -> State:
-    """The state at x, SI; poses begin near the last ones solved."""
-    known = program.lately.state
-    if known is None or not np.array_equal(known.x, x):
-        known = program.lately.state = State(program.layout, x.copy(), program.guesses)
-    return known
-
-
-@undoubted()
-def robot_at(program: Program, x: Array) -> ConcentricRobot:
-    """The robot at x; raises InputError where its tubes do not fit into one another."""
-    task = program.task
-    tubes = program.layout.space.tubes(x[: program.layout.designs])
-    return replace(task.robot, tubes=tubes, name=f"{task.robot.name}, {task.name}".strip(", "))
-
-
-def evaluate(program: Program, x: Array) -> tuple[State, list[Rows], tuple[Array, Array]] | None:
-    """State, groups of rows and fixed rows at x, SI; None where there is no such robot or no equilibrium."""
-    check_time()
-    state = state_at(program, x)
-    try:
-        return state, groups(program, state), fixed_rows(program, state)
-    except (InputError, SolveError, np.linalg.LinAlgError, FloatingPointError):
-        return None
-
-
-def stack(found: Sequence[Rows], fixed: tuple[Array, Array]) -> tuple[Array, Array]:
-    """All rows, those that can be relaxed first."""
-    values = np.concatenate([*(group.values for group in found), fixed[0]])
-    return values, np.concatenate([*(group.jacobian for group in found), fixed[1]])

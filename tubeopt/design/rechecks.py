@@ -23,8 +23,8 @@ from ..robots.tubes import Tube, piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .drawn import draw
-from .pushed import STRONGEST
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
+from .state import STRONGEST
 
 MISSED = 1e-6
 """Part of a limit, or of a step of an own requirement, by which it may be missed."""

@@ -11,11 +11,12 @@ import numpy as np
 from ..errors import SolveError
 from ..solvers.time_limit import LateError
 from ..typing import Array
-from .program import Program, elastic, evaluate, recompiled
+from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, found_at, violation
+from .multistart import Ranking
+from .program import Program, elastic, recompiled
 from .shown import shown_infeasible
-from .solve import Ranking, best_from
-from .solve_one import FEASIBLE, Attempt, attempt, improve, rows_at, to_feasibility, violation
-from .statements import Limit, Rows, relaxed
+from .solve import best_from, improve, to_feasibility
+from .statements import Limit, relaxed
 from .task import DesignTask
 
 
@@ -101,8 +102,9 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     limit moves alone."""
     sums: list[tuple[float, Program, Array, Array]] = []
     for one in failed[: failed[0].program.task.solver.relaxation.starts]:
-        if evaluate(one.program, one.x) is not None:
-            movable = np.array([group.limit.movable for group in rows_at(one.program, one.x)[0]], dtype=bool)
+        found = evaluate(one.program, one.x)
+        if found is not None:
+            movable = np.array([group.limit.movable for group in found.groups], dtype=bool)
             eased = _elastic(one.program, one.x, movable)
             sums += [] if eased is None else [(float(eased[1].sum()), one.program, *eased)]
     if not sums:
@@ -111,9 +113,9 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     together = _apply(program, x, slack)
     out = [] if together is None else [together]
     moved = np.flatnonzero(slack > program.task.solver.relaxation.least_slack)
-    found = rows_at(program, x)[0]
-    values = [float(group.values.min()) for group in found]
-    near = [k for k in np.argsort(values) if found[k].limit.movable]
+    groups = found_at(program, x).groups
+    values = [float(group.values.min()) for group in groups]
+    near = [k for k in np.argsort(values) if groups[k].limit.movable]
     candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
     for k in candidates[:3]:
         single = _elastic(program, x, np.arange(len(values)) == k)
@@ -124,11 +126,11 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
 
 def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Array] | None:
     """x and slack of every group (steps) with the least sum; None where no slack of the allowed groups suffices."""
-    found, _ = rows_at(program, start)
+    groups = found_at(program, start).groups
     eased = elastic(program, may_move.tolist())
-    slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in found], 0.0)
+    slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in groups], 0.0)
     begin = to_feasibility(eased, np.concatenate([start, slack]))
-    if violation(eased, begin)[0] > program.task.solver.optimum.near:
+    if violation(eased, begin) > program.task.solver.optimum.near:
         return None
     best, enough = best_from(eased, begin), program.task.solver.relaxation.missing
     return (best.x[: len(start)], best.x[len(start) :]) if best.violation <= enough else None
@@ -136,13 +138,13 @@ def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Ar
 
 def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
     """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
-    found, _ = rows_at(program, x)
+    groups = found_at(program, x).groups
     # Enlarged until the relaxed task is found feasible; rounded a little to the demanding side, so that a limit of
     # 160 mm is told as such.
     for factor, inwards in ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0)):
         moves = [
             _change(group, factor * float(s) * group.limit.size, inwards)
-            for group, s in zip(found, slack, strict=True)
+            for group, s in zip(groups, slack, strict=True)
             if s > program.task.solver.relaxation.least_slack
         ]
         if not moves:

@@ -19,14 +19,14 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Of, Progress
+from .evaluation import FEASIBLE, attempt, robot_at, violation
+from .multistart import multistart, rank, start_values
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
-from .program import Program, compile_task, robot_at
+from .program import Program, compile_task
 from .relaxation import best_of
 from .requirements import SnapFree
-from .solve import multistart, rank
-from .solve_one import FEASIBLE, attempt, to_feasibility, violation
-from .starts import start_values
+from .solve import to_feasibility
 from .task import DesignTask
 
 
@@ -162,7 +162,7 @@ class _Search:
         if self.progress is not None:
             self.progress(self.tried)
         designs, own = self.design(u)
-        short = max(violation(program, x)[0] for program, x in zip(self.programs, designs, strict=True))
+        short = max(violation(program, x) for program, x in zip(self.programs, designs, strict=True))
         if short > FEASIBLE:
             return 1.0 + min(short, 1.0)
         score, value = self.told(designs, own)

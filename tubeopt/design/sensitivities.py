@@ -8,10 +8,9 @@ import numpy as np
 import scipy
 
 from ..typing import Array
-from .cells import cell_at, cell_rows
+from .cells import cell_of, cell_rows
+from .evaluation import Attempt, found_at, prices
 from .parameters import UNITS
-from .program import stack, state_at, total_objective
-from .solve_one import Attempt, prices, rows_at
 from .statements import Limit
 
 
@@ -33,7 +32,7 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     multipliers = _multipliers(found)
     if multipliers is None:
         return ()
-    groups, _ = rows_at(found.program, found.x)
+    groups = found_at(found.program, found.x).groups
     per_step = zip(groups, prices(groups, multipliers[0]), strict=True)
     costs = [(group.limit, price / group.limit.size) for group, price in per_step]
     costs += _bounds(found, multipliers[1])
@@ -50,16 +49,16 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
     program, x, pricing = found.program, found.x, found.program.task.solver.pricing
-    state = state_at(program, x)
-    values, jacobian = stack(*rows_at(program, x))
-    sections = cell_rows(program, state, cell_at(program, x))
+    there = found_at(program, x)
+    values, jacobian = there.rows()
+    sections = cell_rows(there.state, cell_of(there.state))
     near = np.flatnonzero(values < pricing.near)
     closed = np.flatnonzero(sections[0] < pricing.near)
     low, high = ((program.scale * pricing.near > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
-    slope = total_objective(program, state)[1] * program.scale
+    slope = there.objective[1] * program.scale
     if not matrix.size:
         return None  # nothing is near
     price, gap = scipy.optimize.nnls(matrix, slope)

@@ -1,23 +1,40 @@
-"""Solving a design program: from one start to feasibility, to the optimum, along its kinks; and from many starts."""
+"""Solving a design program from one start: least squares to feasibility, IPOPT to the optimum, along its kinks."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from ..errors import SolveError
-from ..solvers.parallel.executors import executor, run_all
-from ..solvers.time_limit import LateError
-from ..typing import Array, Progress
-from .cells import improve_by_cells
+from ..solvers.smooth import Values, minimise, nowhere
+from ..typing import Array
+from .cells import Cell, cell_of, cell_rows, swapped
 from .collocation import collocate
-from .program import Program
-from .solve_one import Attempt, Report, attempt, cubed, improve, prices, rows_at, to_feasibility, violation
-from .starts import start_values, with_joints
+from .evaluation import (
+    FEASIBLE,
+    Attempt,
+    Found,
+    MoreRows,
+    attempt,
+    cubed,
+    evaluate,
+    folded,
+    found_at,
+    prices,
+    squared,
+    state_at,
+    violation,
+)
+from .objectives import KINDS
+from .program import BOUNDED, Program, Reached
+from .starts import with_joints
+from .state import State
+
+Report = Callable[[str, float], object]
+"""Told the stage of a solve ("feasibility" or "optimum") and its measure after every iteration."""
 
 METHODS = ("reduced", "collocation")
 """Ways to the optimum: with the equilibria solved inside, or as unknowns of one program of blocks."""
@@ -25,20 +42,24 @@ METHODS = ("reduced", "collocation")
 
 def solve(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
     """The best design from a start (X,), SI, by one of METHODS."""
-    x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
-    missed = violation(program, x)[0]
+    missed, x = _nearest(program, np.clip(start, program.lower, program.upper), report)
     solver = program.task.solver
     near, restarts = solver.optimum.near, solver.starts.restarts if program.layout.free_poses else 0
     for kick in range(restarts):
         if missed <= near:
             break
         random = np.random.default_rng([kick, program.layout.size])
-        other = to_feasibility(program, with_joints(program, x[: program.layout.designs], random), report)
-        if violation(program, other)[0] < missed:
-            x, missed = other, violation(program, other)[0]
+        begin = with_joints(program, x[: program.layout.designs], random)
+        missed, x = min((missed, x), _nearest(program, begin, report), key=lambda found: found[0])
     if missed > near:
         return attempt(program, x, None)
     return _collocated(program, x, report) if method == "collocation" else best_from(program, x, report)
+
+
+def _nearest(program: Program, start: Array, report: Report | None) -> tuple[float, Array]:
+    """The violation that least squares leave from a start, in steps of its limit, and where."""
+    x = to_feasibility(program, start, report)
+    return violation(program, x), x
 
 
 def _collocated(program: Program, x: Array, report: Report | None) -> Attempt:
@@ -87,7 +108,7 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
     binds, and 0 where none does."""
     solver = program.task.solver
-    groups, _ = rows_at(program, found.x)
+    groups = found_at(program, found.x).groups
     balls = [group for group in groups if group.vector is not None]
     near = any((cubed(one).values < solver.optimum.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
@@ -121,89 +142,198 @@ def _worse(one: Attempt) -> tuple[bool, float]:
     return not one.feasible, one.objective if one.feasible else one.violation
 
 
-NOTHING = "a first design, which time did not suffice for"
-"""Where no design was looked at."""
+def improve_by_cells(program: Program, start: Array, report: Report | None = None) -> Attempt:
+    """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
+    cell = cell_of(state_at(program, start))
+    best = _in_cell(program, start, cell, report)
+    tried, orders = {cell}, program.task.solver.orders
+    for _ in range(orders.most):
+        values, slopes, what = cell_rows(state_at(program, best.x), cell)
+        if not best.feasible or not what:
+            break
+        prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
+        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < orders.closed_section and prices[k] > 1e-8]
+        better = None
+        for k in closed:
+            other = swapped(cell, *what[k])
+            if other in tried:
+                continue
+            tried.add(other)
+            begin = _across(program, best.x, values[k], slopes[k])
+            found = _in_cell(program, begin, other, report)
+            if found.feasible and found.objective < best.objective - orders.gain * max(abs(best.objective), 1e-3):
+                better = other, found
+                break
+        if better is None:
+            break
+        cell, best = better
+    return replace(best, program=program)
 
 
-@dataclass(frozen=True, eq=False)
-class Ranking:
-    """What became of all starts."""
+def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) -> Attempt:
+    """The optimum in one cell."""
+    if evaluate(program, start) is None:
+        return attempt(program, start, None)
 
-    designs: tuple[Attempt, ...]
-    """Feasible ones, the best first, each once."""
-    found: tuple[int, ...]
-    """From how many starts each was reached."""
-    failures: dict[str, int]
-    """How many starts ended infeasible, by the limit violated most."""
-    failed: tuple[Attempt, ...]
-    """Where, the least violated first."""
+    def rows(state: State) -> tuple[Array, Array]:
+        return cell_rows(state, cell)[:2]
 
-    late: int = 0
-    """How many starts a time limit ended."""
-
-    @property
-    def starts(self) -> int:
-        """Number of starts."""
-        return sum(self.found) + sum(self.failures.values())
+    found = improve(program, start, report, rows=rows)
+    if program.layout.free_poses or (found.optimum is not None and found.optimum.success):
+        return found
+    other = improve(program, start, report, rows=rows, strategy="patient")
+    return min(found, other, key=lambda one: (not one.feasible, one.objective))
 
 
-def solve_from(
-    program: Program, start: Array, report: Report | None = None, method: str = "reduced", *, keep: bool = False
-) -> Attempt:
-    """`solve` on a copy of the program that remembers no poses of other starts, unless it is to `keep` them; the best
-    on its way where a time limit ends it."""
-    own = program if keep else replace(program, guesses={})
-    try:
-        return solve(own, start, report, method)
-    except LateError:
-        return cut_short(own)
+def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
+    """x moved as little as possible to where a section is open on the other side."""
+    scaled = slope * program.scale
+    step = -(value + program.task.solver.orders.opened_section / 1e-2) / float(scaled @ scaled)
+    return np.clip(x + step * scaled * program.scale, program.lower, program.upper)
 
 
-def cut_short(program: Program) -> Attempt:
-    """The best design that a search had passed when its time was over."""
-    best = program.lately.best
-    if best is None:
-        return Attempt(program, program.lower, np.inf, np.inf, NOTHING, None, late=True)
-    x = np.clip(best.x, program.lower, program.upper)
-    return Attempt(program, x, best.objective, best.violation, best.worst, None, late=True)
+def to_feasibility(program: Program, start: Array, report: Report | None = None) -> Array:
+    """Least squares of the violations from a start: Gauss and Newton in a trust region within the bounds."""
+    scale = program.scale
+    lower, upper = program.lower / scale, program.upper / scale
+    fixed = upper - lower < 1e-12
+    begin = _settle_auxiliary(program, start) / scale
+    move = np.flatnonzero(~fixed)
+    rows_count = 0
+    slope: dict[bytes, Array] = {}
+
+    def full(part: Array) -> Array:
+        x = begin.copy()
+        x[move] = part
+        return x * scale
+
+    def residual(part: Array) -> Array:
+        """(r,) what the free unknowns `part` violate; NaN where there is no equilibrium."""
+        nonlocal rows_count
+        found = evaluate(program, full(part))
+        if found is None:
+            return np.full(rows_count, np.nan)
+        gap, jacobian = _shortfall(found, program.task.solver.optimum.inside)
+        rows_count = len(gap)
+        slope.clear()
+        slope[part.tobytes()] = jacobian[:, move] * scale[move]
+        short, words = found.violation
+        kept = short <= FEASIBLE
+        cost = found.objective[0] if kept else np.inf
+        program.lately.note(Reached(full(part), cost, 0.0 if kept else short, "" if kept else words))
+        if report is not None:
+            report("feasibility", short)
+        return gap
+
+    def jacobian(part: Array) -> Array:
+        if part.tobytes() not in slope:
+            residual(part)
+        return slope[part.tobytes()]
+
+    if evaluate(program, full(begin[move])) is None:
+        return start
+    inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
+    missed = residual(inside)
+    if not np.isfinite(missed).all() or not missed.any():
+        return full(inside)
+    result = scipy.optimize.least_squares(
+        residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,
+        xtol=1e-10, gtol=1e-10,
+    )  # fmt: skip
+    return _settle_auxiliary(program, full(result.x))
 
 
-def rank(attempts: Sequence[Attempt]) -> Ranking:
-    """Feasible designs in order, duplicates merged; the others counted."""
-    designs: list[Attempt] = []
-    found: list[int] = []
-    for one in sorted((a for a in attempts if a.feasible), key=lambda a: a.objective):
-        k = next((k for k, other in enumerate(designs) if _same(one, other)), None)
-        if k is None:
-            designs.append(one)
-            found.append(1)
-        else:
-            found[k] += 1
-    failed = sorted((a for a in attempts if not a.feasible), key=lambda a: a.violation)
-    failures = Counter(a.worst for a in failed)
-    late = sum(a.late for a in attempts)
-    return Ranking(tuple(designs), tuple(found), dict(failures.most_common()), tuple(failed), late)
+def _shortfall(found: Found, inside: float) -> tuple[Array, Array]:
+    """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
+    values, slopes = [], []
+    for group in found.groups:
+        short = np.minimum(group.values - inside, 0.0)
+        slope = group.jacobian * (short < 0)[:, None]
+        if group.vector is not None:
+            vector, change = group.vector
+            size = np.maximum(np.linalg.norm(vector, axis=1), 1e-12)[:, None]
+            along = vector / size
+            across = change - along[:, :, None] * np.einsum("kc,kcx->kx", along, change)[:, None]
+            slope = (along[:, :, None] * slope[:, None] + (short[:, None] / size)[:, :, None] * across).reshape(
+                -1, slope.shape[1]
+            )
+            short = (short[:, None] * along).ravel()
+        values.append(short)
+        slopes.append(slope)
+    fixed = np.minimum(found.fixed[0] - inside, 0.0)
+    return np.concatenate([*values, fixed]), np.concatenate([*slopes, found.fixed[1] * (fixed < 0)[:, None]])
 
 
-def _same(a: Attempt, b: Attempt) -> bool:
-    count = a.program.layout.designs
-    gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < a.program.task.solver.starts.same_design)
+def _settle_auxiliary(program: Program, x: Array) -> Array:
+    """x with the auxiliary unknowns where the rows behind them are kept, and not more."""
+    x = x.copy()
+    names = [name for name in program.layout.auxiliary if name in BOUNDED]
+    for name in names:
+        column = program.layout.column(name)
+        x[column] = program.upper[column] if KINDS[name].sign > 0 else program.lower[column]
+    found = evaluate(program, x) if names else None
+    if found is None:
+        return x
+    values, slopes = found.fixed
+    for name in names:
+        column = program.layout.column(name)
+        mine = slopes[:, column] != 0
+        room = values[mine] / np.abs(slopes[mine, column])
+        step = float(room.min()) - 1e-3 * program.scale[column]
+        x[column] -= KINDS[name].sign * step
+    return np.clip(x, program.lower, program.upper)
 
 
-def multistart(
+def improve(
     program: Program,
-    *,
-    starts: int = 1,
-    seed: int = 0,
-    workers: int = 1,
-    progress: Progress | None = None,
+    start: Array,
     report: Report | None = None,
-    method: str = "reduced",
-) -> Ranking:
-    """Solve from the task's own dimensions and from `starts` - 1 others, on so many processes; with one only, `report`
-    is told of every iteration. `seed` is of the other dimensions and of the first joint values."""
-    begin, workers = start_values(program, seed, starts), min(workers, starts)
-    one = partial(solve_from, program, report=report if workers == 1 else None, method=method)
-    with executor(workers) as pool:
-        return rank(run_all(one, begin, pool, progress))
+    iterations: int | None = None,
+    *,
+    rows: MoreRows | None = None,
+    strategy: str = "quick",
+    exact: bool = False,
+) -> Attempt:
+    """The optimum from a start that is nearly feasible; `rows` are further values and their change, to be kept >= 0,
+    `strategy` one of `solvers.smooth.STRATEGIES`.
+
+    Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
+    optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
+    """
+    iterations = program.task.solver.optimum.iterations if iterations is None else iterations
+    form = squared if exact else cubed
+    scale = program.scale
+    known = evaluate(program, start)
+    if known is None:
+        raise SolveError("no equilibrium was found at the start of a design")
+    count, size = len(known.rows(form, rows)[0]), known.size
+    seen: list[tuple[float, Array]] = []
+
+    def values(x: Array) -> Values:
+        """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
+        found = evaluate(program, x * scale)
+        if found is None:
+            return nowhere(count, len(x))
+        f, slope = found.objective
+        g, jacobian = found.rows(form, rows)
+        if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
+            seen[:] = [(f, x * scale)]
+            program.lately.note(Reached(x * scale, f, 0.0, ""))
+        return Values(f / size, slope * scale / size, g, jacobian * scale)
+
+    optimum = minimise(
+        values, start / scale, program.lower / scale, program.upper / scale, iterations=iterations,
+        strategy=strategy, report=None if report is None else lambda f: report("optimum", f * size),
+    )  # fmt: skip
+    optimum = replace(
+        optimum, x=optimum.x * scale, multipliers=optimum.multipliers * size,
+        bound_multipliers=optimum.bound_multipliers * size / scale,
+    )  # fmt: skip
+    if form is cubed:
+        optimum = folded(optimum, known.groups)
+    reached = attempt(program, optimum.x, optimum)
+    if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
+        return reached
+    # Going round in circles, it has passed something better.
+    inside = np.clip(seen[0][1], program.lower, program.upper)
+    return attempt(program, inside, replace(optimum, x=inside))

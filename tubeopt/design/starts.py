@@ -1,43 +1,19 @@
-"""Where solves begin: dimensions from a Sobol sequence, joint values from the best of many poses."""
+"""Where the joint values of free poses begin: at the best of many random ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError, SolveError, undoubted
+from ..errors import InputError, SolveError
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
-from ..solvers.sampling import sobol
 from ..typing import Array
-from .pose import Pose, solve_pose, twist_at
+from .layout import FreePose
+from .pose import Pose, solve_pose
 from .program import Program, built_in, points_of
 from .requirements import Avoid
-from .state import FreePose
-
-
-def start_values(program: Program, seed: int, count: int) -> list[Array]:
-    """`count` starts x (X,), SI: the first at the task's own dimensions, the others from a scrambled Sobol sequence."""
-    layout = program.layout
-    space = layout.space
-    if count == 1:
-        return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = sobol(layout.designs, program.task.solver.starts.designs * count, seed)
-    drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
-    # Dimensions of tubes that make a robot come first.
-    designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]
-    return [with_joints(program, design, np.random.default_rng([seed, k])) for k, design in enumerate(designs[:count])]
-
-
-@undoubted()
-def _makes_robot(program: Program, design: Array) -> bool:
-    try:
-        replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)
-    except InputError:
-        return False
-    return True
 
 
 def with_joints(program: Program, design: Array, random: np.random.Generator) -> Array:
@@ -54,7 +30,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     joints, poses = _sample(tubes, program.task.robot.joint_limits, random, program.task.solver.starts.poses)
     if not poses:
         return x
-    tips = np.array([pose.position[-1] for pose in poses])
+    tips = np.array([pose.arm.position[-1] for pose in poses])
     penalty = _outside(program, poses)
     turned = np.zeros(len(poses))
     for index, aim in _aims(program).items():
@@ -63,7 +39,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.starts.pose_turn * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
-        program.guesses[index] = twist_at(poses[best].solved)
+        program.guesses[index] = poses[best].twist
     return np.clip(x, program.lower, program.upper)
 
 
@@ -121,5 +97,5 @@ def _outside(program: Program, poses: Sequence[Pose]) -> Array:
     for one in program.task.requirements:
         for k, pose in enumerate(poses):
             if isinstance(one, Avoid):
-                out[k] += max(0.0, one.clearance - float(one.signed_distance(pose.position).min()))
+                out[k] += max(0.0, one.clearance - float(one.signed_distance(pose.arm.position).min()))
     return out

@@ -1,97 +1,47 @@
-"""A design at one vector of unknowns: tubes, poses and certificates, and how their derivatives reach the unknowns."""
+"""A design at one vector of unknowns: its tubes, its solved poses, and their quantities with the change of each.
+
+Equilibria are solved inside: changes with tubes and joint values reach the unknowns by the chain rule.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
+import casadi as ca
 import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
-from ..equilibrium.linearised import Change, Linearised
+from ..block.transcription.buffered import mapped
+from ..equilibrium.along import curvature_at, position_at
+from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.linearised import PLACES, Change, Linearised, linearise
+from ..equilibrium.result import Equilibrium
+from ..physics.strain import bend_from_own, surface_strain
 from ..robots.breakpoints import DIMENSIONS
+from ..robots.concentric import ConcentricRobot
+from ..robots.load import Load
 from ..robots.tubes import Tube
+from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
+from .anatomy import arm_clearance
 from .drawn import drawn_back
-from .parameters import DesignSpace
+from .layout import FixedPose, FreePose, Layout, Via
 from .pieces import change_of, given_of
-from .pose import Pose, Twist, solve_pose, twist_at, without_solving
+from .pose import Pose, Twist, moving, solve_pose, without_solving
 
 JOINTS = ("rotations", "translations")
 """What every pose is differentiated by first."""
 
+STRONGEST = 10.0
+"""N; a pose that bears more along its tip counts as one that bears this."""
 
-@dataclass(frozen=True)
-class FreePose:
-    """A task pose whose joint values are unknowns: rotations, then beta of every tube."""
-
-    index: int
-
-
-@dataclass(frozen=True)
-class FixedPose:
-    """A task pose with given joint values."""
-
-    rotations: tuple[float, ...]
-    translations: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Via:
-    """The pose at `fraction` of the straight joint path from task pose `first` to task pose `second`."""
-
-    first: int
-    second: int
-    fraction: float
-
-
-PoseKind = FreePose | FixedPose | Via
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """What the unknowns x (X,) are: D dimensions, 2 n joint values of each of F free poses, auxiliary numbers."""
-
-    space: DesignSpace
-    poses: tuple[PoseKind, ...]
-    """Task poses in order, then via points."""
-    certified: tuple[tuple[float, ...], ...]
-    """(T, n) translations of the certificate, m."""
-    auxiliary: tuple[str, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of tubes."""
-        return len(self.space.robot_tubes)
-
-    @property
-    def designs(self) -> int:
-        """Number of unknown dimensions D."""
-        return len(self.space.unknowns)
-
-    @property
-    def free_poses(self) -> int:
-        """Number of poses whose joint values are unknown."""
-        return sum(isinstance(pose, FreePose) for pose in self.poses)
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns X."""
-        return self.designs + 2 * self.n * self.free_poses + len(self.auxiliary)
-
-    def joints(self, pose: FreePose) -> tuple[slice, slice]:
-        """Columns of the rotations and of beta of a free pose."""
-        first = self.designs + 2 * self.n * pose.index
-        return slice(first, first + self.n), slice(first + self.n, first + 2 * self.n)
-
-    def column(self, name: str) -> int:
-        """Column of an auxiliary unknown."""
-        return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
+STEP = 1e-5
+"""Of differences of the equations by what is free of pieces, as a share of its size."""
 
 
 class State:
     """Everything at x; equilibria are solved when asked for, near `guesses`, where the next poses close by begin too.
-    `known`: quantities that were told of it, with their change.
 
     Raises, when asked: InputError where the dimensions make no tubes, SolveError where a pose has no equilibrium.
     """
@@ -100,10 +50,16 @@ class State:
         self.layout = layout
         self.x = x
         self.guesses: dict[PoseNumber, Twist] = {} if guesses is None else guesses
-        self.known: dict[Quantity, tuple[Array, Array]] = {}
+        self._known: dict[Quantity, tuple[Array, Array]] = {}
         self._poses: dict[PoseNumber, Pose] = {}
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
+
+    def quantity(self, one: Quantity) -> tuple[Array, Array]:
+        """Value and change (.., X) of a quantity; poses are numbered as in the layout."""
+        if one not in self._known:
+            self._known[one] = _value_and_change(self, one)
+        return self._known[one]
 
     @cached_property
     def tubes(self) -> tuple[Tube, ...]:
@@ -155,10 +111,11 @@ class State:
     def pose(self, index: PoseNumber) -> Pose:
         """The equilibrium of a pose."""
         if index not in self._poses:
-            solved = solve_pose(self.tubes, *self.joint_values(index), self.guesses.get(index))
-            self.guesses[index] = twist_at(solved)
-            directions, self._chains[index] = moving(np.concatenate([*self.joint_slopes(index), self._reshaped]))
-            self._poses[index] = Pose(solved, (*JOINTS, *self.resized), self.piece_changes, directions)
+            joints, slopes = self.joint_values(index), self.joint_slopes(index)
+            solved = solve_pose(self.tubes, *joints, self.guesses.get(index))
+            directions, self._chains[index] = moving(np.concatenate([*slopes, self._reshaped]))
+            pose = Pose(solved, (*JOINTS, *self.resized), self.piece_changes, directions)
+            self._poses[index], self.guesses[index] = pose, pose.twist
         return self._poses[index]
 
     @cached_property
@@ -223,8 +180,196 @@ class State:
         return value, slope @ chain
 
 
-def moving(rows: Array) -> tuple[Array, Array]:
-    """(L, Q) the directions of rows (L, X) in which anything changes, and (Q, X) the unknowns of these: derivatives
-    along them, times the second, are those by all unknowns."""
-    columns = np.flatnonzero(rows.any(0))
-    return rows[:, columns], np.eye(rows.shape[1])[columns]
+def _value_and_change(state: State, one: Quantity) -> tuple[Array, Array]:
+    """Those of `State.quantity`, computed."""
+    match one.name:
+        case "certificate":
+            return _row(state.certificate_at(one.at))
+        case "straightened_strain":
+            return _row(straightened_strain(state, *one.at))
+    if one.pose is None:
+        return np.array([getattr(tube, one.name) for tube in state.tubes]), state.slopes[one.name]
+    match one.name:
+        case "rotations" | "translations":
+            part = JOINTS.index(one.name)
+            return state.joint_values(one.pose)[part], state.joint_slopes(one.pose)[part]
+        case "strain":
+            return _row(pose_strain(state, one.pose, one.at[0]))
+        case "deflection":
+            return tip_deflection(state, one.pose, one.at)
+        case "stroke_force":
+            return _row(stroke_force(state, one.pose))
+        case "jacobian" | "turning":
+            return state.jacobian(one.pose, turning=one.name == "turning")
+        case "clearance":
+            ended = state.joint_slopes(one.pose)[1] + state.slopes["curved_length"]
+            chain, thicker = state.chain(one.pose), 0.5 * state.slopes["outer_diameter"]
+            return arm_clearance(state.pose(one.pose), one.at[0], chain, thicker, ended)
+    value, change = _of_pose(state.pose(one.pose), one)
+    return value, change @ state.chain(one.pose)
+
+
+def _row(found: tuple[float, Array]) -> tuple[Array, Array]:
+    """(1,) and (1, X) of one number."""
+    return np.array(found[:1]), found[1][None]
+
+
+def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
+    """Value and change (.., Q) along the directions in which a pose is differentiated."""
+    of = pose.derivatives
+    match one.name:
+        case "tip_position":
+            return pose.arm.position[-1], of.tip_position
+        case "tip_direction":
+            heading = pose.arm.frame[-1][:, 2]
+            return heading, np.cross(of.tip_rotation, heading[:, None], axis=0)
+        case "margin":
+            return np.array([pose.margin]), of.one_margin[None]
+        case "position":
+            return position_at(of, one.at[0])
+        case _:
+            return curvature_at(of, one.at[0])
+
+
+# --- a force on the tip -----------------------------------------------------------------------------------------------
+
+
+def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, float]) -> tuple[Array, Array]:
+    """(3,) m and (3, X) of a force, N, that keeps its direction and grows on a pose; raises SolveError where the robot
+    does not bear it there."""
+    plain, names, rows = _unloaded(state, index)
+    pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
+    directions, chain = moving(np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]]))
+    of = linearise(pushed, names, more=state.piece_changes, along=directions)
+    change = of.tip_position @ chain - state.pose(index).derivatives.tip_position @ state.chain(index)
+    return pushed.tip_position - plain.tip_position, change
+
+
+def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
+    """The stroke force of a pose, N, at most STRONGEST, and its change (X,); raises SolveError where there is no limit
+    close to where the branch is lost, or it has no derivative."""
+    plain, names, rows = _unloaded(state, index)
+    free = _free_pieces(state)
+    turn = state.pose(index).derivatives.tip_rotation @ state.chain(index)
+    varied = [Varied(step, robots, turn[:, k]) for k, step, robots in free]
+    found = stroke_slopes(plain, names, STRONGEST, varied=varied)
+    if found is None:
+        return STRONGEST, np.zeros(state.layout.size)
+    pieces = np.eye(state.layout.size)[state.free_pieces]
+    return found[0], found[1] @ np.concatenate([rows, pieces])
+
+
+def _unloaded(state: State, index: PoseNumber) -> tuple[Equilibrium, list[str], Array]:
+    """The equilibrium of a pose, the PARAMETERS that some unknown moves, and their change with the unknowns, n rows
+    each: the others need not be differentiated. What is free of pieces moves none."""
+    rows = dict(zip(JOINTS, state.joint_slopes(index), strict=True)) | state.resized
+    moved = {name: part for name, part in rows.items() if part.any()}
+    plain = to_equilibrium(state.pose(index).solved, "guess")
+    return plain, [*moved], np.concatenate([np.zeros((0, state.layout.size)), *moved.values()])
+
+
+def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, ConcentricRobot]]]:
+    """Column of every unknown of pieces, a step of it, and the robots a step further and a step back."""
+    space, designs, out = state.layout.space, state.x[: state.layout.designs], []
+    for k in state.free_pieces:
+        step = STEP * float(space.scale[k])
+        row = step * np.eye(len(designs))[k]
+        out.append(
+            (k, step, (ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))))
+        )
+    return out
+
+
+# --- strain -----------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def _strain() -> ca.Function:
+    """(theta, u (2,), precurvature, outer diameter) -> strain, and its slope (1, 5)."""
+    x = ca.SX.sym("x", 5)
+    theta, u, natural, diameter = x[0], (x[1], x[2]), x[3], x[4]
+    bend = bend_from_own((ca.cos(theta), ca.sin(theta)), u, natural)
+    strain = surface_strain(diameter / 2, bend, natural)
+    return ca.Function("strain", [x], [strain, ca.densify(ca.jacobian(strain, x))])
+
+
+@lru_cache(maxsize=1)
+def _straightened() -> ca.Function:
+    """(precurvature, outer diameter) -> strain held straight, and its slope (1, 2)."""
+    x = ca.SX.sym("x", 2)
+    strain = surface_strain(x[1] / 2, ca.fabs(x[0]), x[0])
+    return ca.Function("straightened", [x], [strain, ca.densify(ca.jacobian(strain, x))])
+
+
+@lru_cache(maxsize=1024)
+def _slot_ratio(tube: Tube, number: int) -> tuple[float, float]:
+    """How many times as much as a whole tube a piece is strained, and the change of that with the share of its bending
+    stiffness that is left."""
+    if not tube.pieces or (slots := tube.pieces[number].slots) is None:
+        return 1.0, 0.0
+    b = ca.SX.sym("b")
+    ratio = slots.strain_ratio(b)
+    told = ca.Function("ratio", [b], [ratio, ca.jacobian(ratio, b)])
+    value, slope = told(tube.pieces[number].bending_factor(float(tube.bending_stiffness)))
+    return float(value), float(slope)
+
+
+def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
+    """What slots multiply the strain of a piece by, and its change (X,)."""
+    shape, space = state.tubes[tube], state.layout.space
+    value, slope = _slot_ratio(shape, number)
+    change = np.zeros(state.layout.size)
+    for column, one in enumerate(space.unknowns):
+        if one.field == "piece_bending_factor" and (tube, number) in one.pieces:
+            left = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
+            change[column] = slope * left / state.x[column]
+    return value, change
+
+
+def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Array]:
+    """Largest strain of a piece of a tube held straight, and its change (X,); a tube of one curvature is one piece."""
+    shape, space = state.tubes[tube], state.layout.space
+    if not space.pieced:
+        natural, change = shape.curvature, state.slopes["curvature"][tube]
+    else:
+        natural = shape.pieces[number].largest_curvature
+        designs = state.x[: state.layout.designs]
+        change = np.pad(space.bend_slope(shape, (tube, number), designs), (0, state.layout.size - len(designs)))
+    value, slope = (part.full().ravel() for part in _straightened()([natural, shape.outer_diameter]))
+    change = slope[0] * change + slope[1] * state.slopes["outer_diameter"][tube]
+    ratio, raised = _ratio(state, tube, number)
+    return ratio * float(value[0]), ratio * change + float(value[0]) * raised
+
+
+def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Array]:
+    """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
+    shape, of = state.tubes[tube], state.pose(index).derivatives
+    n, mesh = of.n, of.problem.mesh
+    there = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
+    if not len(there):
+        return 0.0, np.zeros(state.layout.size)
+    across, bend = (table[there].reshape(len(there) * len(PLACES), -1) for table in of.sections)
+    theta, stiffness, moment = (across[:, k * n + tube] for k in range(3))
+    given = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
+    strains, slopes = (part.copy() for part in mapped(_strain(), len(given))(given))
+    number = _pieces_there(shape, mesh.start[there] + mesh.length[there] / 2 + of.assembly.transmission[tube])
+    ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number.tolist()])
+    worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(PLACES))))
+    piece, end = divmod(worst, len(PLACES))
+    k = int(there[piece])
+    at = of.section(k, PLACES[end], of.moved[k * (len(PLACES) - 1) + end])
+    kb, natural = stiffness[worst], given[worst, 3]
+    grown = (at.by_tubes[2 * n + tube] - natural * at.by_tubes[n + tube]) / kb
+    slope, value = slopes.reshape(-1, 5)[worst], float(strains[worst, 0])
+    change = (slope[0] * at.by_tubes[tube] + slope[1:3] @ at.by_curvature + slope[3] * grown) @ state.chain(index)
+    change = change + slope[4] * state.slopes["outer_diameter"][tube]
+    if number[piece] < 0:
+        return value, change
+    ratio, raised = _ratio(state, tube, int(number[piece]))
+    return ratio * value, ratio * change + value * raised
+
+
+def _pieces_there(shape: Tube, place: Array) -> Array:
+    """(P,) piece of a tube at places along it, m; -1 its straight part, and all of a tube of one curvature."""
+    joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
+    return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)

@@ -1,4 +1,4 @@
-"""Requirements as expressions of tubes and poses, at least 0 where they are kept, and as rows of constraints."""
+"""Requirements as expressions of tubes and poses, at least 0 where they are kept."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
-from ..typing import Array
 from .drawn import SHARES
-from .lookup import at_state
-from .order import gaps_of, order_gaps
 from .requirements import (
     Avoid,
     Coverage,
@@ -31,14 +28,6 @@ from .requirements import (
     StrokeForce,
     Wall,
 )
-from .state import FreePose, State
-from .task import DesignTask
-
-HELD = 5e-8
-"""Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
-
-ORDERED = 9e-8
-"""The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off."""
 
 Function = Callable[[Quantities], Any]
 
@@ -237,66 +226,3 @@ def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities)
     heading, wanted = q.poses[pose].tip_direction, ca.DM(direction)
     apart, together = (ca.sqrt(ca.sumsqr(heading + sign * wanted) + 1e-9**2) for sign in (-1, 1))
     return limit.value - 2 * ca.atan2(apart, together)
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one group, >= 0 where the limit is kept, in units of `limit.size`."""
-
-    requirement: int
-    """Its number in the task."""
-    part: int
-    """Tells the groups of a requirement apart."""
-    limit: Limit
-    values: Array
-    """(K,)."""
-    jacobian: Array
-    """(K, X)."""
-    vector: tuple[Array, Array] | None = None
-    """(K, 3) whose length is limited, and its change (K, 3, X), where it is such a limit: it leads least squares to 0
-    from far away faster than its length does."""
-    slack: tuple[float, int] | None = None
-    """Steps by which the limit is eased, and their column."""
-    always: bool = False
-    """Whether the rows stay where no unknown moves them for a while."""
-
-
-def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[Rows]:
-    """Groups of rows of what a requirement, the `number`-th of its task, states as expressions."""
-    look, out = at_state(state), []
-    for one in found:
-        size, vector = one.limit.size, None
-        values, jacobian = one.expression.linear(look)
-        if one.vector is not None:
-            gap, slope = (part / size for part in one.vector.linear(look))
-            vector = gap.reshape(-1, 3), slope.reshape(len(gap) // 3, 3, -1)
-        rows = np.atleast_1d(values) / size - HELD, np.atleast_2d(jacobian) / size
-        out.append(Rows(number, one.part, one.limit, *rows, vector, always=one.always))
-    return out
-
-
-def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
-    """Rows that are linear in the unknowns, >= 0 where kept, in steps of 10 mm: in every free pose the order of the
-    tubes, and the ranges of the translations that the robot's actuators have; that no tube is shorter than the next
-    outer one; the order at given translations. What no unknown moves is left out, as the task has checked it."""
-    layout, unmoved, limits = state.layout, np.zeros((state.layout.n, 1)), task.robot.joint_limits
-    straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
-    length, longer = np.array([tube.length for tube in state.tubes]), straight + curved
-    values: list[Array] = []
-    slopes: list[Array] = []
-    for k in (k for k, pose in enumerate(layout.poses) if isinstance(pose, FreePose)):
-        shift, moved = state.joint_values(k)[1], state.joint_slopes(k)[1]
-        values.append(gaps_of(state.tubes, shift, shift))
-        slopes.append(order_gaps(straight, curved, moved, moved))
-        if limits is not None:
-            low, high = np.array(limits.translations).T
-            values += [shift - low, high - shift]
-            slopes += [moved, -moved]
-    values.append(length[:-1] - length[1:])
-    slopes.append(longer[:-1] - longer[1:])
-    for place in task.places:
-        values.append(gaps_of(state.tubes, place.low, place.high))
-        slopes.append(order_gaps(straight, curved, unmoved, unmoved))
-    slope = np.concatenate(slopes)
-    moves = slope.any(axis=1)
-    return np.concatenate(values)[moves] / 1e-2 - ORDERED, slope[moves] / 1e-2

@@ -18,13 +18,13 @@ from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
+from .multistart import multistart
 from .objectives import key_of
 from .optimize import settle
 from .pieces import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .shown import shown_infeasible
-from .solve import multistart
 from .task import DesignTask
 
 CHEAP = (Length, Nesting, Wall)

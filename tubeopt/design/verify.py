@@ -19,10 +19,11 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .drawn import SHARES, draw
+from .evaluation import state_at
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order
-from .program import Program, points_of, state_at
+from .program import Program, points_of
 from .rechecks import Check, check_own, check_tubes, least_room, numbers_of
 from .requirements import (
     Avoid,
