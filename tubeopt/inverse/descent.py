@@ -140,7 +140,7 @@ def moved(
     there = here.to(goal.space.clip(here.q + x))
     if there is None:
         return Correction(None, 1, slope)
-    slope = broyden(goal, slope, there.q - here.q, goal.residual(there) - goal.residual(here))
+    slope = broyden(slope, there.q - here.q, goal.residual(there) - goal.residual(here), goal.space.scale)
     back = correct(goal, there, slope, close=close, most=most, order=order)
     return replace(back, solves=1 + back.solves)
 
@@ -172,14 +172,15 @@ def correct(
         new = goal.residual(there)
         if np.linalg.norm(new) > 0.5 * np.linalg.norm(residual) and not goal.reached(there, 1e-9, 1e-9):
             return Correction(None, solves, slope)
-        slope = broyden(goal, slope, there.q - at.q, new - residual)
+        slope = broyden(slope, there.q - at.q, new - residual, goal.space.scale)
         at, residual = there, new
     return Correction(at if goal.allowed(at, SLACK) else None, solves, slope)
 
 
-def broyden(goal: Goal, slope: Array, moved: Array, change: Array) -> Array:
-    """The slope closest to `slope` that explains a change of the residual by a motion of the joints."""
-    weighted = moved / goal.space.scale**2
+def broyden(slope: Array, moved: Array, change: Array, scale: Array | float = 1.0) -> Array:
+    """Broyden's update (r, m): the slope closest to `slope`, in units of `scale`, that explains a change (r,) of the
+    residual by a motion (m,)."""
+    weighted = moved / scale**2
     size = float(moved @ weighted)
     return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
 

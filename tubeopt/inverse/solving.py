@@ -27,6 +27,7 @@ from ..typing import Array
 from .answer import InverseSolution
 from .clock import Clock
 from .configurations import Configuration
+from .descent import broyden
 from .goal import Goal, angle, pose_question
 from .multistart import Multistart, known_home
 from .outline import Outline
@@ -235,7 +236,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
         if goal.direction is not None:
             off = np.concatenate([gap, length * (goal.direction - e.tip_rotation[:, 2])])
         if before is not None:
-            slope = slope + np.outer(before - off - slope @ step, step) / (step @ step)
+            slope = broyden(slope, step, before - off)
         before, step = off, np.linalg.solve(slope, off)
         at = replace(at, position=at.position + step[:3])
         if at.direction is not None:

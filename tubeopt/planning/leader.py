@@ -28,7 +28,7 @@ from .building import passing
 from .goals import ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
-from .reach import step_constraints
+from .reach import damped_step, step_constraints
 from .smooth import track
 from .tip_path import distance_from
 from .trajectory import Trajectory
@@ -145,21 +145,18 @@ def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float, solver: Lea
         s, line = arms.fine()
         target = np.column_stack([np.interp(s[0], last.arc_length, last.position[:, k]) for k in range(3)])
         gap = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
-        matrix = ((gap[1:] - gap[0]) / solver.difference).T
         rotation = ((arms.rotations[1:] - arms.rotations[0]) / solver.difference).T
-        rows, bounds = _constraints(task, z, arms.rotations[0], rotation, solver.longest_step)
-        weights = np.vstack([matrix, solver.damping * np.eye(m)])
-        found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(m)), rows, bounds)
-        if found is None:
+        constraints = _constraints(task, z, arms.rotations[0], rotation, solver.longest_step)
+        chosen = damped_step(gap, solver.difference, solver.damping, constraints)
+        if chosen is None:
             break
-        step = found.x * task.scale
-        share = 1.0
+        step, share = chosen * task.scale, 1.0
         while share > 0.05 and not task.holds((z + share * step)[None])[0]:
             share /= 2
         if share <= 0.05:
             break
         z = z + share * step
-        if np.abs(found.x).max() < solver.last_step:
+        if np.abs(chosen).max() < solver.last_step:
             break
     return z
 

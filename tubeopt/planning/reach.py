@@ -111,10 +111,18 @@ def tips_about(task: PlanTask, z: Array) -> Array:
 def step_towards(task: PlanTask, z: Array, tips: Array, position: Array) -> Array | None:
     """(m,) the damped step of Gauss-Newton by which tips `tips_about` a point come closer to a place; None for none."""
     gap = (tips - position) / task.chart.space.length
-    weights = np.vstack([((gap[1:] - gap[0]) / DIFFERENCE).T, 1e-3 * np.eye(len(z))])
     constraints = step_constraints(task, z, task.effort.reach.longest_step)
-    found = constrained_least_squares(weights, np.append(-gap[0], np.zeros(len(z))), *constraints)
-    return None if found is None else np.asarray(found.x * task.scale)
+    step = damped_step(gap, DIFFERENCE, 1e-3, constraints)
+    return None if step is None else np.asarray(step * task.scale)
+
+
+def damped_step(gaps: Array, difference: float, damping: float, constraints: tuple[Array, Array]) -> Array | None:
+    """(m,) the step of Gauss and Newton, in units of the scales, that makes a gap (r,) small; None where the
+    constraints leave none. `gaps` (m + 1, r): here, and a `difference` farther along each coordinate."""
+    slope, m = ((gaps[1:] - gaps[0]) / difference).T, len(gaps) - 1
+    weights = np.vstack([slope, damping * np.eye(m)])
+    found = constrained_least_squares(weights, np.append(-gaps[0], np.zeros(m)), *constraints)
+    return None if found is None else found.x
 
 
 def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, Array]:

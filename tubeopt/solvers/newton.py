@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import scipy
@@ -21,6 +21,20 @@ from .settings import NEWTON, Newton
 from .time_limit import check_time
 
 S = TypeVar("S")
+
+
+class OfEnergy(Protocol):
+    """A state with its energy (J), the gradient (U,) and the Hessian (U, U)."""
+
+    @property
+    def energy(self) -> float: ...
+    @property
+    def gradient(self) -> Array: ...
+    @property
+    def hessian(self) -> Array: ...
+
+
+E = TypeVar("E", bound=OfEnergy)
 
 LONGEST = 1e3
 """Turn (rad) of a step that leads nowhere: its matrix is all but singular."""
@@ -83,28 +97,49 @@ def newton(
 def descend(
     problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
 ) -> NewtonResult[Evaluation]:
-    """Newton on the energy with the Hessian made positive and steps shortened until the energy falls.
+    """The minimum of the energy to which `damped_newton` leads from z (U,), polished by Newton's method.
 
     For tubes off the centreline, which have no such energy, call it on the concentric problem.
     """
     check_time()
-    state = evaluate(problem, rotations, z)
+    state, iterations, ended = damped_newton(
+        evaluate(problem, rotations, z),
+        lambda state, step: evaluate(problem, rotations, state.z + step),
+        lambda step: torsional_turn(problem, step),
+        settings,
+    )
+    if not ended:
+        return NewtonResult(state, False, iterations, 0.0)
+    # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
+    last = newton(problem, rotations, state.z, iterations=4, settings=settings)
+    return NewtonResult(last.state, last.converged, iterations, 0.0)
+
+
+def damped_newton(
+    state: E, moved: Callable[[E, Array], E], turn: Callable[[Array], float], settings: Newton = NEWTON
+) -> tuple[E, int, bool]:
+    """Newton on an energy with the Hessian made positive and steps shortened until the energy falls (Armijo).
+
+    Args:
+        moved: the state after a step.   turn: largest turn of a step, rad.
+
+    Returns:
+        The last state, iterations, and whether no step downhill is longer than `last_step`.
+    """
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
-        size = torsional_turn(problem, step)
+        size = turn(step)
         if size <= settings.last_step:
-            # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
-            last = newton(problem, rotations, state.z, iterations=4, settings=settings)
-            return NewtonResult(last.state, last.converged, iteration, 0.0)
+            return state, iteration, True
         step *= min(1.0, settings.longest_step / size)
         slope = float(state.gradient @ step)
         for _ in range(40):
-            trial = evaluate(problem, rotations, state.z + step)
+            trial = moved(state, step)
             if trial.energy <= state.energy + 1e-4 * slope + 1e-13 * abs(state.energy):
                 break
             step, slope = step / 2, slope / 2
         state = trial
-    return NewtonResult(state, False, settings.descent_iterations, 0.0)
+    return state, settings.descent_iterations, False
 
 
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
@@ -119,13 +154,13 @@ def torsional_turn(problem: ReducedProblem, step: Array) -> float:
     return float(abs(problem.factor @ step).max()) if len(step) else 0.0
 
 
-def _downhill(state: Evaluation) -> Array:
+def _downhill(state: OfEnergy) -> Array:
     """Newton step where the energy is convex; else of the Hessian with a shift that makes it so.
 
     The shifts are those of the compiled kernel: of several minima the two then end in the same one.
     """
-    if not len(state.z):
-        return state.z
+    if not len(state.gradient):
+        return state.gradient
     shift = 0.0
     while shift < 1e6:
         matrix = state.hessian.copy()
@@ -134,7 +169,7 @@ def _downhill(state: Evaluation) -> Array:
         if not failed:
             return np.asarray(step)
         shift = 4 * shift if shift else 0.1
-    return np.zeros_like(state.z)
+    return np.zeros_like(state.gradient)
 
 
 def newton_step(state: Any) -> tuple[Array, bool]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
@@ -16,6 +16,7 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite_array
 from ..robots.robot import Robot, joint_values
+from ..solvers.newton import damped_newton, torsional_turn
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
@@ -124,6 +125,15 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
     return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
 
 
+class _Held(NamedTuple):
+    """Unknowns, and the energy with both tips held."""
+
+    z: Array
+    energy: float
+    gradient: Array
+    hessian: Array
+
+
 def _held_minimum(
     problem: ReducedProblem,
     rotations: Array,
@@ -131,9 +141,9 @@ def _held_minimum(
     holds: Sequence[tuple[Array, float]],
     twists: tuple[float, float],
 ) -> tuple[Array, float]:
-    """Newton on the energy with both tips held; z and the energy there."""
+    """Where the energy is least with both tips held, z (U,), and that energy."""
 
-    def total(at: Array) -> tuple[float, Array, Array]:
+    def held(at: Array) -> _Held:
         state = evaluate(problem, rotations, at)
         energy, gradient, hessian = state.energy, state.gradient, state.hessian
         for (a, d), twist in zip(holds, twists, strict=True):
@@ -141,23 +151,7 @@ def _held_minimum(
             energy += zeta**2 / 2
             gradient = gradient - a * (zeta / d)
             hessian = hessian + np.outer(a, a) / d**2
-        return energy, gradient, hessian
+        return _Held(at, energy, gradient, hessian)
 
-    energy, gradient, hessian = total(z)
-    for _ in range(60):
-        _, step, failed = scipy.linalg.lapack.dposv(hessian, -gradient)
-        if failed:  # the energy is not convex here
-            values, vectors = np.linalg.eigh(hessian)
-            step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-2))
-        turn = float(np.abs(problem.factor @ step).max())
-        if turn < 1e-7:
-            break
-        step *= min(1.0, 0.5 / turn)
-        for _ in range(30):
-            trial = total(z + step)
-            if trial[0] <= energy + 1e-4 * float(gradient @ step) + 1e-13 * abs(energy):
-                break
-            step /= 2
-        z = z + step
-        energy, gradient, hessian = trial
-    return z, energy
+    end = damped_newton(held(z), lambda here, step: held(here.z + step), lambda step: torsional_turn(problem, step))[0]
+    return end.z, end.energy
