@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.planning.test_cross_section_bounds import derivatives, parts
 from tests.planning.test_sharp_bounds import NONE, STEPPED, between
 from tubeopt.planning import branch
 from tubeopt.planning.cross_sections import Jet
@@ -129,7 +130,7 @@ def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
 
 def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None:
     """S (theta - N) = theta^2 T with N, whose second and third derivatives are known, and T that grows."""
-    steady, natural, grown = 3.0, (0.3, 0.7), (1.0, 0.4, 0.5, 0.2)
+    steady, natural, grown = 2.7, (0.3, 0.7), (1.0, 0.4, 0.5, 0.2)
     time = Jet(*(NONE + each for each in grown))
     slope = steady - 2 * grown[0]
     ball = branch._Ball(*(np.array([each]) for each in (0.0, 2 * grown[1], 0.0, slope)))
@@ -164,7 +165,7 @@ def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None
 def whirl_by_sums(bent: Array) -> tuple[Array, Array, Array]:
     """w' = U', s' = w U' + U'', j' = (s + w^2) U' + 2 w U'' + U''' along sections (K,) of `bent` (3, K), by sums: of
     each the means (K,) of w, s + w^2 and j + 3 w s + w^3."""
-    rows, now, fine = [], np.zeros(3), 400
+    rows, now, fine = [], np.zeros(3), 4800 // bent.shape[1]
     for first, second, third in bent.T:
         total = np.zeros(3)
         for _ in range(fine):
@@ -203,6 +204,22 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
     found = bounds.off(None, None)[0]
     assert (true * (1 - 2e-3) <= found).all()
     assert (found <= true * 1.01).all()
+
+
+def test_moments_of_tubes_beside_the_centreline_change_as_a_quotient() -> None:
+    """sum c e^(theta) over k, which may fall with the same derivatives: 1 / k is (1 - c (e^t - 1))^-1 here."""
+    fall, pairs, rate = 0.4, np.array([[0.0, 0.3], [0.3, 0.0]]), 0.7
+    still = Jet(*np.zeros((4, 1, 1, 2)))
+    k = Jet(*(np.full((1, 1), each) for each in (1.0, fall, fall, fall)))
+    flat = np.zeros((1, 1, 2, 2))
+    bounds = bare(
+        pull=still, pairing=Jet(flat + pairs, flat, flat, flat), offset=np.array([0.01]), zero=np.zeros((1, 1, 2))
+    )
+    bounds.bending = SimpleNamespace(along=lambda pulled: (None, k))
+    turn = Jet(flat, flat + rate, flat, flat)
+    found = bounds.cross_sections((still, turn))[0]
+    exact = derivatives(lambda t: 0.3 * np.exp(rate * t) / (1 - fall * (np.exp(t) - 1)), 0.02)
+    assert [each[0, 0, 0] for each in parts(found)] == pytest.approx(np.array(exact), rel=1e-5)
 
 
 @pytest.mark.parametrize("lost", ["margin of one", "margin of other", "turn", "order"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -170,6 +171,25 @@ def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
     assert drift.bow.d == pytest.approx(move * twist[1] / 2, rel=1e-6)
     assert drift.bow.dd == pytest.approx(move * twist[1], rel=1e-6)
     assert drift.bow.ddd == pytest.approx(move * twist[2], rel=1e-6)
+
+
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> None:
+    """Of two stretches with other moments and stiffnesses: the most of the one, the least of the other."""
+    constants, _ = varying(np.ones(2))
+    bounds, stretches = constants.bounds, [np.full(2, k) for k in order]
+    for table, change in ((bounds.pull, 3.0), (bounds.bending, 0.5), (bounds.torsional, 0.25), (bounds.ease, 2.0)):
+        table[..., 1] *= change
+    bending, drift = Bending.of(constants, *stretches), Drift.of(constants, np.ones(2), *stretches)
+    assert bending.moment == pytest.approx(3 * np.array([0.7, 0.4]))
+    assert bending.stiffness == pytest.approx(0.5 * 3.5)
+    assert drift.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
+    assert drift.ease.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
+    for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.ease):
+        rates[...] = 0.0
+    still = Drift.of(replace(constants), np.ones(2), *stretches)
+    assert still.still
+    assert still.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
 
 
 def test_moving_along_tubes_changes_a_moment_by_the_sine_of_what_turns_them_apart() -> None:

@@ -265,7 +265,8 @@ class _Bounds:
         way = b.slope * (h[..., None] * (w[0] * moved.turn[0] + own) + dh[..., None] * w[0]) + da * h[..., None] * w[0]
         differs = moved.frame * b.swing + np.cumsum(way.sum(2), axis=1) + bend
         whole, far = b.swing[:, -1], differs[:, -1]
-        by_turns = moved.moment.max(1) * whole**2 / 2 + 2 * lever[:, 0] * whole * far
+        # Both are running totals P and D: int |psi||psi'| is at most P^2 / 2, and int D dP + P dD is P D.
+        by_turns = moved.moment.max(1) * whole**2 / 2 + lever[:, 0] * whole * far
         n = b.force.v
         form = (h * (dn + n * moved.frame) + dh * n) * b.swing**2 + 2 * h * n * b.swing * differs
         return np.asarray(by_tubes + by_load + by_turns + form.sum(1))

@@ -1,0 +1,551 @@
+"""Bounds of the branch between two loaded equilibria, piece by piece: products and sums that are attained.
+
+A unit vector that turns by an angle has derivatives no larger than those of the exponential of the angle. In its place
+everything here grows, so that no term of a bound is lost to a sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.planning.test_branch_bounds import whirl_by_sums
+from tests.planning.test_cross_section_bounds import derivatives
+from tests.planning.test_cross_section_bounds import parts as parts_of
+from tests.planning.test_sharp_bounds import STEPPED
+from tubeopt import Load, forward_kinematics
+from tubeopt.planning.branch import whirled
+from tubeopt.planning.cross_sections import Constants, Jet
+from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved
+from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.sections import PARTS
+from tubeopt.typing import Array
+
+K, N = 3, 2
+
+
+def bare(**known: Any) -> Any:
+    """Bounds of an interval of which only these are known."""
+    found = _Bounds.__new__(_Bounds)
+    vars(found).update(known)
+    return found
+
+
+class Grows:
+    """What grows with time, of some shape: derivatives at time 0, and its values."""
+
+    def __init__(self, random: Any, *shape: int, orders: int = 4, value: float | None = None) -> None:
+        table = random.uniform(0.5, 1.0, (4, *shape)) * np.array([1.0, 0.4, 0.3, 0.2]).reshape(4, *[1] * len(shape))
+        table[orders:] = 0.0
+        if value is not None:
+            table[0] = value
+        self.jet, self.table = Jet(*table[:, None]), table
+
+    def __call__(self, t: float) -> Array:
+        return np.asarray(sum(self.table[k] * t**k / f for k, f in enumerate((1, 1, 2, 6))))
+
+
+def ahead(table: Array) -> Array:
+    return np.asarray(np.cumsum(table[::-1], axis=0)[::-1])
+
+
+def compare(jet: Jet, function: Callable[[float], Array], *orders: int) -> None:
+    exact = derivatives(function, 0.02)
+    for order in orders:
+        assert parts_of(jet)[order][0] == pytest.approx(exact[order], rel=1e-5, abs=1e-9)
+
+
+def grown(seed: int) -> SimpleNamespace:
+    """All that the bounds are made of: bounds, and functions of time with the same derivatives."""
+    random = np.random.default_rng(seed)
+    own = Grows(random, K, N, value=0.0), Grows(random, K, N, N, value=0.0)
+    parts = {
+        "h": Grows(random, K, orders=2),
+        "spring": Grows(random, N, orders=2),
+        "ease": Grows(random, K, N),
+        "pull": Grows(random, K, N),
+        "pairing": Grows(random, K, N, N),
+        "give": Grows(random, K),
+        "force": Grows(random, K, orders=2),
+        "tangent": Grows(random, K, value=1.0),
+        "moment": Grows(random, K),
+        "theta": own[0],
+        "pair": own[1],
+    }
+    return SimpleNamespace(**parts, random=random)
+
+
+def bounds_of(g: SimpleNamespace) -> Any:
+    drift = SimpleNamespace(ease=g.ease.jet, give=g.give.jet, still=False, bow=Jet(*np.zeros((4, 1, K, N))))
+    return bare(
+        long=g.h.jet,
+        spring=g.spring.jet,
+        force=g.force.jet,
+        pull=g.pull.jet,
+        slope=g.pull.jet.v,
+        pairing=g.pairing.jet,
+        pairs=g.pairing.jet.v,
+        drift=drift,
+        kt=1 / g.ease.jet.v,
+        stiffness=1 / g.give.jet.v,
+        u=np.full((1, K), 0.7),
+    )
+
+
+def test_torques_and_moments_of_a_load_change_as_the_products_of_what_does() -> None:
+    """M = sum h t n of what lies ahead, T_i = sum h (A_i e_i M + sum c_ij e_ij), to the third derivative."""
+    g = grown(1)
+    torque, moment = bounds_of(g)._answer(g.theta.jet, g.pair.jet, g.tangent.jet)
+
+    def lever(t: float) -> Array:
+        return ahead(g.h(t) * g.tangent(t) * g.force(t))
+
+    def twist(t: float) -> Array:
+        by_load = g.pull(t) * np.exp(g.theta(t)) * lever(t)[:, None]
+        return ahead(g.h(t)[:, None] * (by_load + (g.pairing(t) * np.exp(g.pair(t))).sum(2)))
+
+    compare(moment, lever, 0, 1, 2, 3)
+    compare(torque, twist, 1, 2, 3)
+
+
+def test_a_bend_and_a_twist_change_as_the_products_of_what_does() -> None:
+    """h (sum A_i e_i + M / K), and |beta| / kt t(0) + sum h t / kt with the natural turn, to the third derivative."""
+    g = grown(2)
+    bounds, torque, bow = bounds_of(g), Grows(g.random, K, N), Grows(g.random, K, N)
+    bounds.u = (g.pull(0.0).sum(1) + g.moment(0.0) * g.give(0.0))[None]
+    compare(
+        bounds._bends(g.theta.jet, g.moment.jet),
+        lambda t: g.h(t) * ((g.pull(t) * np.exp(g.theta(t))).sum(1) + g.moment(t) * g.give(t)),
+        *range(4),
+    )
+    bounds.drift.bow = bow.jet
+
+    def twist(t: float) -> Array:
+        along = np.cumsum(g.h(t)[:, None] * torque(t) * g.ease(t), axis=0)
+        return np.asarray(g.spring(t) * torque(t)[0] + along + bow(t))
+
+    compare(bounds._wound(torque.jet), twist, 1, 2, 3)
+
+
+def test_what_differs_between_samples_is_half_their_distance_times_the_change_of_a_slope() -> None:
+    """Slopes along the arm: h (t / kt + twist), h (sum c_ij e_ij + A_i M e_i) and h (u sum t + n), by time."""
+    g = grown(3)
+    bounds, random = bounds_of(g), g.random
+    torque, twist, moved = (
+        Grows(random, K, N, orders=2),
+        random.uniform(0.5, 1, (K, N)),
+        random.uniform(0.1, 0.2, (K, N)),
+    )
+    wound, lever = random.uniform(0.5, 1, (1, K, N)), Grows(random, K, orders=2)
+    turn = g.theta.table[1], g.pair.table[1]
+    bounds.torque, bounds.lever = torque.jet.v, lever.jet.v
+    bounds.drift = SimpleNamespace(
+        ease=g.ease.jet, give=g.give.jet, wound=Jet(wound, wound, wound), gain=lambda ones: g.pairing.jet.d.sum(3)
+    )
+    constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), most=lambda table, stretch: twist[None])
+    bounds.intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None, moved=moved[None])
+    changes = _Changes((turn[0][None], turn[1][None]), torque.jet.d, lever.jet.d, np.ones(1, dtype=bool))
+    found = bounds._between(changes)
+
+    def bend(t: float) -> Array:
+        """u of the bound, 0.7, with its change."""
+        own = (g.pull(t) * np.exp(g.theta(t))).sum(1) + lever(t) * g.give(t)
+        return np.asarray(0.7 + own - (g.pull(0.0).sum(1) + lever(0.0) * g.give(0.0)))
+
+    def frame(t: float) -> Array:
+        return np.cumsum(g.h(t) * bend(t))
+
+    def slopes(t: float) -> tuple[Array, Array, Array]:
+        h, load = g.h(t), g.force(t) * (1 + frame(t) - frame(0.0))
+        turning = h[:, None] * (torque(t) * g.ease(t) + twist + t * wound[0] * moved)
+        each = g.pull(t) * lever(t)[:, None] * np.exp(g.theta(t)) + (g.pairing(t) * np.exp(g.pair(t))).sum(2)
+        return turning, h[:, None] * each, h * (bend(t) * torque(t).sum(1) + load)
+
+    for bound, k in zip(found, range(3), strict=True):
+        change = (slopes(1e-5)[k] - slopes(-1e-5)[k]) / 2e-5
+        assert bound[0] == pytest.approx(change / (2 * PARTS), rel=1e-6)
+    bent = (bend(1e-5) - bend(-1e-5)) / 2e-5
+    assert bounds._bent(changes)[0] == pytest.approx(bent, rel=1e-6)
+
+
+def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative() -> None:
+    """Of sections at rest: what turns tubes by their weight, and frames by their swing."""
+    g, size = grown(4), 0.3
+    bounds, random = bounds_of(g), g.random
+    weight = random.uniform(1, 2, (1, K, N)), random.uniform(1, 2, (1, K, N, N))
+    bounds.weight, bounds.swing = weight, random.uniform(1, 2, (1, K))
+    bounds.lever = ahead(g.h(0.0) * g.force(0.0))[None]
+    found = bounds._response(np.array([size]))
+
+    def made(t: float) -> tuple[Array, Array]:
+        lever = ahead(g.h(0.0) * g.force(0.0) * (1 + t * size * bounds.swing[0]))
+        by_load = g.pull(0.0) * (1 + t * size * weight[0][0]) * lever[:, None]
+        each = by_load + (g.pairing(0.0) * (1 + t * size * weight[1][0])).sum(2)
+        return ahead(g.h(0.0)[:, None] * each), lever
+
+    assert found.turn[0] == pytest.approx(size * weight[0])
+    assert found.turn[1] == pytest.approx(size * weight[1])
+    for bound, k in ((found.torque, 0), (found.moment, 1)):
+        assert bound[0] == pytest.approx((made(1e-5)[k] - made(-1e-5)[k]) / 2e-5, rel=1e-8)
+
+
+def test_a_tangent_of_loaded_arms_changes_as_what_bends_them_before_it_is_summed() -> None:
+    """Of the chord to the second derivative, of a course to the third; what holds at the end of a section is taken."""
+    count = 200
+    bent = np.random.default_rng(7).uniform(0.1, 0.3, (3, count)) * 6 / count
+    jet = Jet(*np.concatenate([np.zeros((1, count)), bent])[:, None])
+    nothing = np.zeros((1, count, 1))
+    flat = Jet(nothing, nothing, nothing, nothing)
+    bounds = bare(lever=np.zeros((1, count)), swing=np.ones((1, count)))
+    bounds._wound, bounds._bends = lambda torque: flat, lambda theta, moment: jet
+    bounds._answer = lambda theta, pair, tangent: (flat, Jet(*np.zeros((4, 1, count))))
+    bounds._size, bounds._response = lambda *_: np.zeros(1), lambda size: _still(nothing)
+    changes: Any = _Changes((nothing, nothing[..., None]), nothing, np.zeros((1, count)), np.ones(1, dtype=bool))
+    tangent = bounds._chord(changes, nothing)[2]
+    true = whirl_by_sums(bent)
+    course = blank(nothing)
+    course.frame[1] = np.cumsum(bent[:1], axis=1)
+    for order in (2, 3):
+        bounds._path(course, order, np.ones(1))
+    whole = whirled(*course.frame[1:])
+    for bound, exact in zip((tangent.d, tangent.dd, whole.d, whole.dd, whole.ddd), (*true[:2], *true), strict=True):
+        assert bound is not None
+        assert (bound[0, 20:] >= exact[20:] * (1 - 2e-3)).all()
+        assert (bound[0, 20:] <= exact[20:] * 1.06).all()
+
+
+def blank(nothing: Array) -> _Course:
+    """One of which nothing is known, of sections and tubes as `nothing` (1, K, n)."""
+    arm = nothing[..., 0]
+    return _Course([nothing] * 4, [nothing[..., None]] * 4, [nothing] * 4, [arm] * 4, [arm] * 4)
+
+
+def _still(nothing: Array) -> Any:
+    return _Changes((nothing, nothing[..., None]), nothing, nothing[..., 0], np.ones(1, dtype=bool))
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_derivatives_of_a_course_are_what_lower_ones_make_and_what_calls_them_forth(order: int) -> None:
+    """As of `branch`: torques t, theta = t and moments m solve S (t - made) = 0 with as much as the margin left."""
+    one, convex = np.ones((1, 1, 1)), 0.4
+    bounds = bare(lever=one[..., 0], swing=one[..., 0] * 0.6)
+    made = Jet(one * 2, one * 3, one * 5, one * 7), Jet(*(one[..., 0] * k for k in (11, 13, 17, 19)))
+    bounds._wound = lambda torque: Jet(one, one, one * 0.5, one * 0.7)
+    bounds._bends = lambda theta, moment: Jet(*np.zeros((4, 1, 1)))
+    bounds._answer = lambda theta, pair, tangent: made
+    bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
+    bounds._response = lambda size: _Changes(
+        (size * one, 3 * size * one[..., None]), 5 * size * one, 7 * size * one[..., 0], np.ones(1, dtype=bool)
+    )
+    course = blank(0 * one)
+    bounds._path(course, order, np.array([convex]))
+    torque, moment, wound = {2: (5, 17, 0.5), 3: (7, 19, 0.7)}[order]
+    size = (torque + moment) / convex
+    found = [
+        float(table[order].item()) for table in (course.theta, course.pair, course.torque, course.moment, course.frame)
+    ]
+    assert found == pytest.approx(
+        [wound + size, 2 * wound + 3 * size, torque + 5 * size, moment + 7 * size, 0.6 * size]
+    )
+
+
+def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> None:
+    """Off it by an eighth of the second derivative, and changing by half of it, beside what is in the ball."""
+    one, convex, asked = np.ones((1, 1, 1)), 0.5, []
+    flat = one[..., 0]
+    bounds = bare(torque=one * 2, lever=flat * 3, pairs=one[..., None], u=flat)
+    bounds.changes = _Changes((one * 0.1, one[..., None] * 0.2), one * 0.3, flat * 0.4, np.ones(1, dtype=bool))
+    bounds.answer = Jet(one, one, one * 0.8), Jet(flat, flat, flat * 1.6)
+    bounds.theta, bounds.pair = Jet(one, one * 0.11, one), Jet(one[..., None], one[..., None] * 0.21, one[..., None])
+
+    def chord(changes: Any, torque: Array) -> tuple[None, None, None, tuple[Jet, Jet]]:
+        asked.append([each.item() for each in (*changes.turn, changes.torque, changes.moment, torque)])
+        return None, None, None, (Jet(one, one, one * 2.2), Jet(flat, flat, flat * 2.6))
+
+    def response(size: Array) -> Any:
+        parts = (size * one, 2 * size * one[..., None]), 3 * size * one, 4 * size * flat
+        return _Changes(*parts, np.ones(1, dtype=bool))
+
+    courses: list[Any] = []
+    bounds._chord, bounds._response = chord, response
+    bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
+    bounds._bends = lambda theta, moment: Jet(*np.zeros((4, 1, 1)))
+    bounds._path = lambda course, order, left: courses.append(course)
+    bounds.whirl(np.array([0.05]), np.array([convex]))
+    off = 3 * 0.05 + 0.8 / 8
+    assert asked == [pytest.approx([0.1 + 0.05, 0.2 + 0.1, 0.3 + off, 0.4 + 4 * 0.05 + 1.6 / 8, 2 + off])]
+    size = (1.1 + 1.3) / convex
+    course = courses[0]
+    found = [table[1].item() for table in (course.theta, course.pair, course.torque, course.moment)]
+    assert found == pytest.approx([0.11 + size, 0.21 + 2 * size, 0.3 + 1.1 + 3 * size, 0.4 + 1.3 + 4 * size])
+    assert course.torque[0].item() == pytest.approx(2 + off)
+
+
+def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
+    """h c e (y_i - y_j)^2 / 2, h A M e y^2 and h n e |psi|^2, by time, where coordinates are worth more with it."""
+    g = grown(5)
+    bounds, random = bounds_of(g), g.random
+    y, more = random.uniform(1, 2, (2, K, N))
+    bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
+    bounds.lever, bounds.swing = np.zeros((1, K)), np.zeros((1, K))
+    bounds.force = Jet(*np.zeros((3, 1, K)))
+    moved = _Moved((g.theta.table[1][None], g.pair.table[1][None]), g.tangent.table[1][None], g.moment.table[1][None])
+    dh, dn = random.uniform(0.1, 0.2, (2, 1, K))
+    bounds._stretched = lambda: (dh, more[None], np.zeros((1, K)), dn)
+    both = np.hypot(more[:, :, None], more[:, None])
+
+    def by_tubes(t: float) -> float:
+        h, c = g.h(0.0) + t * dh[0], g.pairing.table[0] + t / 2 * g.pairing.table[1]
+        form = (h[:, None, None] * c * np.exp(g.pair(t)) * (bounds.weight[1][0] + t * both) ** 2).sum() / 2
+        return float(form)
+
+    def rate(function: Callable[[float], float]) -> float:
+        return (function(1e-5) - function(-1e-5)) / 2e-5
+
+    none = _Moved((moved.turn[0], moved.turn[1]), 0 * moved.frame, 0 * moved.moment)
+    assert bounds.variation(none, stretched=True).item() == pytest.approx(rate(by_tubes), rel=1e-6)
+    # With a load, less what the tubes take, and without psi.
+    bounds.pairs = 0 * bounds.pairs
+    bounds.pairing = Jet(*np.zeros((4, 1, K, N, N)))
+    lever = g.random.uniform(1, 2, K)
+    bounds.lever = lever[None]
+
+    def by_load(t: float) -> float:
+        h, a = g.h(0.0) + t * dh[0], g.pull.table[0] + t / 2 * g.pull.table[1]
+        each = a * (lever + t * moved.moment[0])[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2
+        return float((h[:, None] * each).sum())
+
+    assert bounds.variation(moved, stretched=True).item() == pytest.approx(rate(by_load), rel=1e-6)
+
+
+def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_totals() -> None:
+    """m.(psi x psi') with |psi| <= P, and what differs of psi <= D, running totals both: int D dP + P dD is D P. And
+    n e P^2 by time. D is what frames turn, and what differs of A_i y_i and of r."""
+    g = grown(6)
+    bounds, random = bounds_of(g), g.random
+    y, more = random.uniform(1, 2, (2, K, N))
+    swing, bend = np.cumsum(random.uniform(1, 2, (2, K)), axis=1)
+    dh, dn = random.uniform(0.1, 0.2, (2, K))
+    bounds.pairs, bounds.pairing = 0 * bounds.pairs, Jet(*np.zeros((4, 1, K, N, N)))
+    bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
+    bounds.lever, bounds.swing = random.uniform(1, 2, (1, K)) * 1e6, swing[None]
+    bounds._stretched = lambda: (dh[None], more[None], bend[None], dn[None])
+    turn, frame, moment = g.theta.table[1], g.tangent.table[1], g.moment.table[1]
+    moved = _Moved((turn[None], np.zeros((1, K, N, N))), frame[None], moment[None])
+
+    def way(t: float) -> Array:
+        h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
+        return np.cumsum((h[:, None] * a * np.exp(g.theta(t)) * (y + t * more)).sum(1))
+
+    differs = frame * swing + (way(1e-5) - way(-1e-5)) / 2e-5 + bend
+    lever = bounds.lever[0]
+    found = []
+    for size in (1.0, 0.0):
+        bounds.lever = size * lever[None]
+        found.append(bounds.variation(moved, stretched=True).item())
+
+    def by_load(t: float) -> float:
+        h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
+        return float((h[:, None] * a * (lever + t * moment)[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2).sum())
+
+    def by_moment(t: float) -> float:
+        return float((g.h(0.0)[:, None] * g.pull.table[0] * (t * moment)[:, None] * y**2).sum())
+
+    load = (by_load(1e-5) - by_load(-1e-5)) / 2e-5 - by_moment(1.0)
+    assert found[0] - found[1] == pytest.approx(load + lever[0] * swing[-1] * differs[-1], rel=1e-6)
+
+    def form(t: float) -> float:
+        h, n = g.h(0.0) + t * dh, g.force.table[0] + t * dn
+        return float((h * n * (1 + t * frame) * (swing + t * differs) ** 2).sum())
+
+    exact = (form(1e-5) - form(-1e-5)) / 2e-5 + moment.max() * swing[-1] ** 2 / 2 + by_moment(1.0)
+    assert found[1] == pytest.approx(exact, rel=1e-6)
+
+
+def test_two_running_totals_take_no_more_than_their_product() -> None:
+    """int |b x a'| + |a x b'| over steps of vectors at random, and of b after all of a, which attains it."""
+    random = np.random.default_rng(11)
+    shares = []
+    for k in range(300):
+        a, b = random.normal(size=(2, 40, 3)) * random.random((2, 40, 1)) ** random.integers(0, 8)
+        if k == 0:
+            a, b = np.zeros((2, 40, 3))
+            a[:20, 0], b[20:, 1] = 1.0, 1.0
+        before = [np.cumsum(each, axis=0) - each / 2 for each in (a, b)]
+        size = (
+            np.linalg.norm(np.cross(before[1], a), axis=1).sum() + np.linalg.norm(np.cross(before[0], b), axis=1).sum()
+        )
+        shares.append(size / (np.linalg.norm(a, axis=1).sum() * np.linalg.norm(b, axis=1).sum()))
+    assert max(shares) <= 1 + 1e-12
+    assert shares[0] == pytest.approx(1.0)
+
+
+def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> None:
+    """A sixth of the second derivative of h (sum c e (y_i - y_j)^2 / 2 + A e M y^2 + 3/2 t n |psi|^2)."""
+    random = np.random.default_rng(12)
+    h, spring = Grows(random, K, orders=2), Grows(random, N, orders=2)
+    force, tangent, moment = Grows(random, K, orders=2), Grows(random, K, value=1.0), Grows(random, K)
+    theta, pair = Grows(random, K, N, value=0.0), Grows(random, K, N, N, value=0.0)
+    slope, pairs, kt = random.uniform(1, 2, (K, N)), random.uniform(1, 2, (K, N, N)), random.uniform(1, 2, (K, N))
+    stiff, y, both, swing = (random.uniform(1, 2, each) for each in (K, (K, N), (K, N, N), K))
+    begin = h.table[0] - h.table[1]
+    none = Jet(*np.zeros((4,)))
+    drift = SimpleNamespace(still=True)
+    bounds = bare(
+        long=h.jet,
+        spring=spring.jet,
+        force=force.jet,
+        drift=drift,
+        lever=np.zeros((1, K)),
+        kt=kt[None],
+        stiffness=stiff[None],
+        weight=(y[None], both[None]),
+        swing=swing[None],
+        pairing=Jet(pairs[None], none.d, none.d, none.d),
+        pull=Jet(slope[None], none.d, none.d, none.d),
+        theta=theta.jet,
+        pair=pair.jet,
+        tangent=tangent.jet,
+        answer=(None, moment.jet),
+        intervals=SimpleNamespace(length=(begin[None], h.table[0][None])),
+    )
+    over, held = h.table[1] ** 2 / begin, spring.table[1] ** 2 / (spring.table[0] - spring.table[1])
+    own = np.sqrt(np.cumsum(over[:, None] / kt, axis=0) + held)
+    apart = np.hypot(own[:, :, None], own[:, None])
+    bent = np.sqrt(np.cumsum(h.table[0] / stiff)), np.sqrt(np.cumsum(over / stiff))
+
+    def psi(t: float) -> Array:
+        by_tubes = tangent(t) * h(t) * (slope * np.exp(theta(t)) * (y + t * own)).sum(1)
+        whole = np.cumsum(by_tubes) + tangent(t) * (bent[0] + t * bent[1])
+        start = np.cumsum(h.table[0] * (slope * y).sum(1)) + bent[0]
+        return np.asarray(swing + whole - start)
+
+    def form(t: float) -> float:
+        tubes = (pairs * np.exp(pair(t)) * (both + t * apart) ** 2).sum((1, 2)) / 2
+        load = (slope * np.exp(theta(t)) * moment(t)[:, None] * (y + t * own) ** 2).sum(1)
+        return float((h(t) * (tubes + load + 1.5 * tangent(t) * force(t) * psi(t) ** 2)).sum())
+
+    assert bounds.curving().item() == pytest.approx(SIXTH * float(derivatives(form, 0.01)[2]), rel=1e-5)
+    drift.still = False
+    assert bounds.curving().item() == np.inf
+
+
+def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_time() -> None:
+    """Of 1 / kt and 1 / K that change at one rate, from where they are least; and of a transmission off its chord."""
+    kt, ease, give = 4.0, 0.01, 0.02
+    one = np.ones((1, 1, 1))
+    stiffest = SimpleNamespace(stiffest=(None, None))
+    values = iter((one * 3.0, one * kt))
+    constants = SimpleNamespace(bounds=stiffest, most=lambda table, stretch: next(values))
+    intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None)
+    drift = SimpleNamespace(still=False, ease=Jet(one, one * ease, one), give=Jet(one, one[..., 0] * give, one))
+    bounds = bare(intervals=intervals, drift=drift)
+    twisting, bending = bounds._easier()
+    for found, stiff, rate in ((twisting, kt, ease), (bending, 3.0, give)):
+        true = np.sqrt(1 / stiff + rate / 2) - np.sqrt(1 / stiff)
+        assert true <= found.item() <= true * (1 + rate * stiff / 4)
+
+
+def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_transmissions() -> None:
+    length, twisting, bending = np.array([[0.01, 0.02]]), np.full((1, 2, 1), 0.3), np.full((1, 2), 0.2)
+    later, bow = np.array([[0.012, 0.025]]), 1e-4
+    bounds = bare(
+        intervals=SimpleNamespace(length=(length, later)),
+        spring=Jet(np.array([[0.03]]), np.array([[0.01]]), np.array([[bow]])),
+        long=Jet(later, later - length, 0 * length),
+        force=Jet(length, np.array([[0.3, 0.5]]), length),
+        kt=np.full((1, 2, 1), 2.0),
+        stiffness=np.full((1, 2), 5.0),
+    )
+    bounds._easier = lambda: (twisting, bending)
+    dh, own, bend, dn = bounds._stretched()
+    root = np.sqrt((length + later) / 2) - np.sqrt(length)
+    held = np.sqrt(0.025) - np.sqrt(0.02) + np.sqrt(bow / 8)
+    one = root / np.sqrt(2) + np.sqrt(later) * 0.3
+    two = root / np.sqrt(5) + np.sqrt(later) * 0.2
+    assert dh == pytest.approx((later - length) / 2)
+    assert dn == pytest.approx(np.array([[0.15, 0.25]]))
+    assert own[0, :, 0] == pytest.approx(np.sqrt(np.cumsum(one[0] ** 2) + held**2))
+    assert bend[0] == pytest.approx(np.sqrt(np.cumsum(two[0] ** 2)))
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool) -> None:
+    """At half of the time from the nearer end, or against what is linear between both, whichever is less."""
+    one, asked = np.ones((1, 1, 1)), []
+    flat = one[..., 0]
+
+    def variation(moved: Any, *, stretched: bool) -> Array:
+        asked.append([float(each.item()) for each in (*moved.turn, moved.frame, moved.moment)])
+        return np.array([0.3 if stretched else 0.5])
+
+    bounds = bare(
+        theta=Jet(one, 0.2 * one, one),
+        pair=Jet(one[..., None], 0.6 * one[..., None], one[..., None]),
+        tangent=Jet(flat, 0.8 * flat, flat),
+        answer=(None, Jet(flat, 1.4 * flat, flat)),
+        long=Jet(2 * flat, flat, flat),
+        force=Jet(3 * flat, flat, flat),
+        weight=(7 * one, 11 * one[..., None]),
+        swing=13 * flat,
+    )
+    bounds.variation, bounds.gradient = variation, lambda: np.array([0.05])
+    bounds.curving = lambda: np.array([0.2 if linear else np.inf])
+    radius, convex, kept = bounds.ball(np.array([0.9]))
+    assert asked == [pytest.approx([0.1, 0.3, 0.4, 0.7]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
+    left = 0.7 if linear else 0.6
+    root = float(np.roots([0.25, -left, 0.05]).min())
+    assert kept.all()
+    assert radius.item() == pytest.approx(root)
+    assert convex.item() == pytest.approx(left - 0.5 * root)
+
+
+def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm() -> None:
+    """An eighth of int 2 |h_t| |t_t| + h |t_tt|, and the lever of what is in the ball."""
+    h, more, rate, bend, swing = np.random.default_rng(13).uniform(1, 2, (5, 1, K))
+    bounds = bare(long=Jet(h, more, 0 * h), tangent=Jet(0 * h, rate, bend), swing=swing)
+    found = bounds.off(np.array([0.3]))[0]
+    assert found == pytest.approx(np.cumsum((2 * more * rate + h * bend) / 8 + 0.3 * h * swing))
+
+
+def loaded(load: Load) -> tuple[LoadedIntervals, _Bounds]:
+    """Those of an arm with transmissions that stays where it is."""
+    arm = forward_kinematics(STEPPED, [0.3, 0.1], [-0.02, -0.01], load=load)
+    arms = LoadedArms.of(Constants.of(STEPPED), [arm, arm], pull=Pull.of(STEPPED, load))
+    intervals = LoadedIntervals.of(arms, np.array([0]), np.array([1]))
+    return intervals, _Bounds(intervals)
+
+
+def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
+    """(int A_i |y_i| + |r|)^2 where T = 1, by sums: int m_i^2 / kt_i + |beta| m_i(0)^2 / kt_i + int 1 / K."""
+    intervals, bounds = loaded(Load())
+    cuts, count = intervals.begin[0], 20000
+    for k, s in enumerate(cuts[1:]):
+        if not s:
+            continue
+        x = (np.arange(count) + 0.5) / count * s
+        there = [x < tube.curved_length + by for tube, by in zip(STEPPED.tubes, (-0.02, -0.01), strict=True)]
+        stiff = sum(tube.bending_stiffness * on for tube, on in zip(STEPPED.tubes, there, strict=True))
+        total = (1 / stiff).sum() * s / count
+        for tube, on, held in zip(STEPPED.tubes, there, (0.06, 0.03), strict=True):
+            m = np.cumsum((tube.bending_stiffness * tube.curvature * on / stiff)[::-1])[::-1] * s / count
+            total += ((m**2).sum() * s / count + held * m[0] ** 2) / tube.torsional_stiffness
+        assert bounds.swing[0, k] == pytest.approx(np.sqrt(total), rel=1e-3)
+
+
+def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load() -> None:
+    """By c + A_i M per length at most, over half of the distance of samples."""
+    force = 0.01
+    intervals, bounds = loaded(Load(force=(force, 0.0, 0.0)))
+    one, other = (tube.bending_stiffness for tube in STEPPED.tubes)
+    bends = [tube.bending_stiffness * tube.curvature for tube in STEPPED.tubes]
+    length = intervals.length[0][0]
+    k = int(np.argmax((intervals.stretch[0] == 1).all(1) & (length > 1e-9)))
+    lever = force * (intervals.begin[0, -1] - intervals.begin[0, k])
+    slope = bends[0] * bends[1] / (one + other) + np.array(bends) / (one + other) * lever
+    more = bounds.torque[0, k] - intervals.loads[0][0, k]
+    assert more == pytest.approx(slope * length[k] / (2 * PARTS), rel=1e-9)
