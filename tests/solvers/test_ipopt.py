@@ -26,10 +26,7 @@ FORMULATIONS = ("equations", "energy")
 
 def untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
     """Tubes without torsion."""
-    pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
-    still = np.zeros((pieces, problem.mesh.tableau.degree, n))
-    extra = still if problem.assembly.eccentric else None
-    return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
+    return arms.integrate(problem, rotations, np.zeros((len(problem.weight), problem.assembly.n_tubes)))
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

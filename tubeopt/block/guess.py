@@ -39,11 +39,8 @@ def _torsion(near: Near, start: Array, inside: Array) -> Shape:
     last = float(problem.assembly.total_length)
     start, inside = np.minimum(start, last), np.minimum(inside, last)
     theta = arms.interpolate(problem, arm, start).T
-    twist = arms.twist_at(problem, arm, start).T
-    if is_general(near.robot):
-        # What is known there is the torque.
-        twist = twist / np.array([[tube.torsional_stiffness] for tube in near.robot.tubes])
-    return theta, twist, arms.interpolate(problem, arm, inside).T
+    twist = arms.torque_at(problem, arm, start) / [tube.torsional_stiffness for tube in near.robot.tubes]
+    return theta, twist.T, arms.interpolate(problem, arm, inside).T
 
 
 def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:

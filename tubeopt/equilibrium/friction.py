@@ -90,17 +90,10 @@ class Held:
         inside = arms.interpolate(problem, self.profile, np.maximum(arc_length, 0.0))
         behind = np.minimum(arc_length, 0.0)
         if behind.any():
-            inside += self._softer(behind) * self.profile.twist[0]
+            place = np.maximum(problem.assembly.transmission + behind[:, None], 0.0)
+            softer = problem.assembly.compliant(place) - problem.here.transmission
+            inside += softer * self.profile.torque[0]
         return inside
-
-    def _softer(self, behind: Array) -> Array:
-        """(X, n) what a unit of twist, a torque with tubes of pieces, turns from the plate to places behind it, m."""
-        assembly = self.contact.problem.assembly
-        if assembly.lengthwise is None:
-            return np.asarray(np.repeat(behind[:, None], assembly.n_tubes, axis=1))
-        held = assembly.transmission
-        whole = assembly.lengthwise.compliant(held)
-        return np.array([assembly.lengthwise.compliant(np.maximum(held + s, 0.0)) - whole for s in behind])
 
 
 @lru_cache(maxsize=64)

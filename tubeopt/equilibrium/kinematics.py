@@ -175,10 +175,7 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
 
 
 def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
-    pieces, n = len(problem.mesh.length), problem.assembly.n_tubes
-    still = np.zeros((pieces, problem.mesh.tableau.degree, n))
-    extra = still if problem.assembly.eccentric else None
-    return arms.Profile(np.tile(rotations, (pieces, 1)), np.zeros((pieces, n)), still, extra)
+    return arms.integrate(problem, rotations, np.zeros((len(problem.weight), problem.assembly.n_tubes)))
 
 
 def _by_method(point: Place, by: Method) -> Place:

@@ -36,7 +36,7 @@ def arm_of(point: PlainPoint) -> Arm:
         stiffness=stiffness,
         moment=moment,
         theta=torsion.rotation,
-        twist=torsion.twist,
+        twist=torsion.torque * torsion.compliance,
         inner=inner,
         shape=shape,
     )

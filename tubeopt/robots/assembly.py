@@ -84,6 +84,19 @@ class Assembly:
             return np.zeros((len(arc_length), self.n_tubes))
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
+    def compliant(self, place: Array) -> Array:
+        """(..., n) int ds / GJ of the tubes from their held ends to arc lengths (..., n) from there, 1/(N m)."""
+        if self.lengthwise is None:
+            return np.asarray(place / self.torsional_stiffness)
+        return self.lengthwise.compliant(place)
+
+    @property
+    def held_stiffness(self) -> Array:
+        """(n,) GJ where the tubes are held, N m^2."""
+        if self.lengthwise is None:
+            return self.torsional_stiffness
+        return np.asarray(self.lengthwise.values(np.zeros((1, self.n_tubes)))[1][0])
+
     @property
     def n_tubes(self) -> int:
         """Number of tubes n."""

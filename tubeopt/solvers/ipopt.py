@@ -12,13 +12,12 @@ import casadi as ca
 import numpy as np
 
 from ..block.transcription import loaded as under_load
-from ..block.transcription.arm import Profile, torsion_at
+from ..block.transcription.arm import Profile, torques_at
 from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.model import equation, mapped, places_in_words
 from ..block.transcription.program import (
     Structure,
     add_torsion,
-    held_stiffness,
     structure_of,
     torsion_given,
     torsion_guess,
@@ -107,10 +106,9 @@ def solve_ipopt(
         program.set_value(name, numbers)
     start = torsion_guess(problem, guess)
     if formulation == "energy":
-        twist = start.pop("torsion")
-        start["torsion of the transmissions"] = twist[: len(rotations)]
-        inside = torsion_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist()))
-        start["torsion inside"] = (inside / held_stiffness(problem) if problem.assembly.general else inside).ravel()
+        start["torsion of the transmissions"] = start.pop("torsion")[: len(rotations)]
+        inside = torques_at(problem, guess, tuple(problem.mesh.tableau.nodes.tolist()))
+        start["torsion inside"] = (inside / problem.assembly.held_stiffness).ravel()
     for name, numbers in start.items():
         program.set_guess(name, numbers)
     found = program.attempt(settings or (EQUATIONS if formulation == "equations" else EQUILIBRIUM))

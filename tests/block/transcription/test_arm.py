@@ -26,7 +26,7 @@ def solved() -> tuple[ReducedProblem, arms.Profile]:
 def test_boundary_conditions_and_continuity(solved: tuple[ReducedProblem, arms.Profile]) -> None:
     problem, profile = solved
     theta = arms.rotations_at(problem, profile, (0.0, 1.0))
-    torsion = arms.torsion_at(problem, profile, (0.0, 1.0))
+    torsion = arms.torques_at(problem, profile, (0.0, 1.0)) / problem.assembly.torsional_stiffness
     assert theta[0, 0] == pytest.approx(ROTATIONS + problem.assembly.transmission * torsion[0, 0], abs=1e-13)
     assert theta[1:, 0] == pytest.approx(theta[:-1, 1], abs=1e-13)
     assert torsion[1:, 0] == pytest.approx(torsion[:-1, 1], abs=1e-11)
@@ -42,7 +42,8 @@ def test_torsion_is_the_slope_of_rotation(solved: tuple[ReducedProblem, arms.Pro
     for x in (0.1, 0.5, 0.9):
         sides = arms.rotations_at(problem, profile, (x - h, x + h))
         slope = (sides[:, 1] - sides[:, 0]) / (2 * h * problem.mesh.length[:, None])
-        assert slope == pytest.approx(arms.torsion_at(problem, profile, (x,))[:, 0], abs=1e-6)
+        torque = arms.torques_at(problem, profile, (x,))[:, 0]
+        assert slope == pytest.approx(torque / problem.assembly.torsional_stiffness, abs=1e-6)
 
 
 def test_interpolation_anywhere(solved: tuple[ReducedProblem, arms.Profile]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ...typing import Array, Index
 from .collocated import ENDS
 from .green import sections_at
 from .mesh import Mesh
-from .reduced import Evaluation, ReducedProblem
+from .reduced import Evaluation, ReducedProblem, softness
 from .tableau import Tableau
 
 
@@ -20,23 +20,22 @@ from .tableau import Tableau
 class Profile:
     """theta_i(s) of all tubes as one polynomial per piece: with x in [0, 1] along piece p of length h
 
-    theta = rotation + c (x h twist + h^2 int int moment) + h int extra.
+    theta = rotation + c (x h torque + h^2 int int moment) + h int extra.
+
+    Where tubes have a natural twist theta is the elastic rotation phi.
 
     Attributes:
-        rotation, twist: (P, n) theta and w where each piece begins.
-        moment: (P, K, n) M / kt at the collocation points, 0 on pieces without.
-        extra: (P, K, n) (g - 1) w there, or None for concentric tubes.
-        compliance: (P, n) c; None is 1.
-
-    With tubes made of pieces, where kt varies, theta is the elastic phi, `twist` the torque t = kt phi', `moment` M
-    itself, c the mean of 1 / kt on a piece, and `extra` (1 / kt - c) t.
+        rotation, torque: (P, n) theta, rad, and t = kt theta' / g, N m, where each piece begins.
+        moment: (P, K, n) M at the collocation points, N, 0 on pieces without.
+        compliance: (P, n) c, the mean of 1 / kt on a piece.
+        extra: (P, K, n) (g / kt - c) t at the points, rad/m.
     """
 
     rotation: Array
-    twist: Array
+    torque: Array
     moment: Array
-    extra: Array | None
-    compliance: Array | None = None
+    compliance: Array
+    extra: Array
 
 
 def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Profile:
@@ -45,80 +44,70 @@ def profile(problem: ReducedProblem, rotations: Array, state: Evaluation) -> Pro
 
 
 def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: Array | None = None) -> Profile:
-    """Integrate moments M (N, n) from the tip, where torsion is 0, then the twist from the base (n,)."""
-    mesh, assembly, here = problem.mesh, problem.assembly, problem.here
+    """Integrate moments M (N, n), N, from the tip, where torsion is 0, then the rotation from the base (n,); of tubes
+    off the centreline with (g - 1) w (N, n) at the points."""
+    mesh, here = problem.mesh, problem.here
     t, h = mesh.tableau, mesh.length[:, None]
     inner = np.zeros((len(h), t.degree, len(base)))
-    own = moment if assembly.general else moment / assembly.torsional_stiffness
-    inner[mesh.collocated] = own.reshape(-1, *inner.shape[1:])
+    inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
-    twist = -np.cumsum(gain[::-1], axis=0)[::-1]
-    turn = h * twist + h**2 * ((t.weights * (1 - t.nodes)) @ inner)
-    held, extra, mean = assembly.transmission, None, None
-    if assembly.general:
-        held, mean = here.transmission, np.einsum("k,pki->pi", t.weights, here.rate)
-        extra = (twist[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
-        turn *= mean
-    elif extra_twist is not None:
-        extra = np.zeros_like(inner)
-        extra[mesh.collocated] = extra_twist.reshape(-1, *inner.shape[1:])
-    if extra is not None:
-        turn += h * (t.weights @ extra)
-    start = base + held * (twist[0] if len(twist) else 0.0)
-    return Profile(start + np.cumsum(turn, axis=0) - turn, twist, inner, extra, mean)
+    torque = -np.cumsum(gain[::-1], axis=0)[::-1]
+    mean = np.asarray(t.weights @ here.rate)
+    extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
+    if extra_twist is not None:
+        extra[mesh.collocated] += extra_twist.reshape(-1, *inner.shape[1:])
+    turn = mean * (h * torque + h**2 * ((t.weights * (1 - t.nodes)) @ inner)) + h * (t.weights @ extra)
+    start = base + here.transmission * (torque[0] if len(torque) else 0.0)
+    return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, mean, extra)
+
+
+def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torque: Array) -> Profile:
+    """The torsion with torques (R,), N m, on tubes (R,) besides: each turns its tube up to where piece `end` (R,)
+    begins."""
+    soft = softness(problem)[1]
+    rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
+    for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
+        rotation[:, i] += push * np.minimum(soft[:-1, i], soft[e, i])
+        twisted[:e, i] += push
+        extra[:e, :, i] += push * (problem.here.rate[:e, :, i] - arm.compliance[:e, None, i])
+    return replace(arm, rotation=rotation, torque=twisted, extra=extra)
 
 
 def rotations_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """theta (P, len(x), n), phi with tubes made of pieces, at fractions x of every piece."""
+    """theta (P, len(x), n) at fractions x of every piece."""
     return turned_along(problem.mesh.tableau, problem.mesh.length, arm, x)
 
 
-def torsion_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
-    """theta' (P, len(x), n) at fractions x of every piece, rad/m; torque with tubes made of pieces."""
-    return twisted_along(problem.mesh.tableau, problem.mesh.length, arm, x)
+def torques_at(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Array:
+    """t (P, len(x), n) at fractions x of every piece, N m."""
+    mesh = problem.mesh
+    return np.asarray(arm.torque[:, None] + mesh.length[:, None, None] * (mesh.tableau.basis(x, 1) @ arm.moment))
 
 
 def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
     """`rotations_at` of pieces of lengths (P,), m."""
     h = length[:, None, None]
-    even: Array = np.array(x)[:, None] * h * arm.twist[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
-    if arm.compliance is not None:
-        even *= arm.compliance[:, None]
-    if arm.extra is not None:
-        even += h * (t.basis(x, 1) @ arm.extra)
-    return even + arm.rotation[:, None]
-
-
-def twisted_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) -> Array:
-    """`torsion_at` of pieces of lengths (P,), m."""
-    slope: Array = arm.twist[:, None] + length[:, None, None] * (t.basis(x, 1) @ arm.moment)
-    if arm.extra is not None and arm.compliance is None:
-        slope += t.basis(x, 0) @ arm.extra
-    return slope
+    even: Array = np.array(x)[:, None] * h * arm.torque[:, None] + h**2 * (t.basis(x, 2) @ arm.moment)
+    return arm.rotation[:, None] + arm.compliance[:, None] * even + h * (t.basis(x, 1) @ arm.extra)
 
 
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
-    """theta (len(arc_length), n), phi with tubes made of pieces, at any arc length; constant beyond the ends."""
+    """theta (len(arc_length), n) at any arc length; constant beyond the ends."""
     mesh = problem.mesh
     piece, x = _places(mesh, arc_length)
     h = mesh.length[piece][:, None]
-    theta = x[:, None] * h * arm.twist[piece] + h**2 * _inside(mesh, arm.moment, (piece, x), 2)
-    if arm.compliance is not None:
-        theta *= arm.compliance[piece]
-    if arm.extra is not None:
-        theta += h * _inside(mesh, arm.extra, (piece, x), 1)
-    return np.asarray(theta + arm.rotation[piece])
+    even = x[:, None] * h * arm.torque[piece] + h**2 * _inside(mesh, arm.moment, (piece, x), 2)
+    return np.asarray(arm.rotation[piece] + arm.compliance[piece] * even + h * _inside(mesh, arm.extra, (piece, x), 1))
 
 
-def twist_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
-    """w (len(arc_length), n) at any arc length: theta' for concentric tubes, theta' / g in general; torque with tubes
-    made of pieces."""
+def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
+    """t (len(arc_length), n) at any arc length, N m."""
     mesh = problem.mesh
     if not len(mesh.length):
-        return np.zeros((len(arc_length), arm.twist.shape[1]))
+        return np.zeros((len(arc_length), arm.torque.shape[1]))
     piece, x = _places(mesh, arc_length)
-    twist = arm.twist[piece] + mesh.length[piece][:, None] * _inside(mesh, arm.moment, (piece, x), 1)
-    return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], twist, 0.0)
+    torque = arm.torque[piece] + mesh.length[piece][:, None] * _inside(mesh, arm.moment, (piece, x), 1)
+    return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], torque, 0.0)
 
 
 def _places(mesh: Mesh, arc_length: Array) -> tuple[Index, Array]:
@@ -136,10 +125,8 @@ def _inside(mesh: Mesh, values: Array, places: tuple[Index, Array], integrals: i
 def tubes_along(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
     """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
     ends, n, here = tuple(ENDS.tolist()), torsion.assembly.n_tubes, sections_at(torsion.assembly, torsion.mesh, ENDS)
-    theta, slope = (along(torsion, profile, ends) for along in (rotations_at, torsion_at))
-    slope = slope.reshape(-1, n)
-    if torsion.assembly.general:
-        slope = slope / here.torsional_stiffness
+    theta, torque = (along(torsion, profile, ends) for along in (rotations_at, torques_at))
+    slope = torque.reshape(-1, n) / here.torsional_stiffness
     pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
     return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
 

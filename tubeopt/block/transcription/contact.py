@@ -26,7 +26,7 @@ from ...robots.friction import PAIRWISE, Friction
 from ...robots.load import Load
 from ...typing import Array, Index, Mask
 from . import loaded
-from .arm import Profile, integrate
+from .arm import Profile, integrate, pushed
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
 from .mesh import loaded_mesh, make_mesh, piece_counts
 from .reduced import Evaluation, ReducedProblem, evaluate, reduce, softness, to_unknowns
@@ -239,20 +239,12 @@ def rubbing_profile(contact: Contact, rotations: Array, state: Rubbing, torque: 
     per_length = per_length / problem.weight[point]
     np.add.at(moment, (point, pair + 1), per_length)
     np.add.at(moment, (point, pair), -per_length)
-    found = integrate(problem, rotations, moment)
     spots = np.flatnonzero(contact.point < 0)
-    if not len(spots):
-        return found
-    turn, twist = found.rotation.copy(), found.twist.copy()
-    soft = softness(problem)[1]
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
-    rate = 1.0 if problem.assembly.general else 1 / problem.assembly.torsional_stiffness
-    for r in spots:
-        k = int(np.argmin(np.abs(ends - contact.arc_length[r])))
-        for j, push in ((int(contact.pair[r]) + 1, torque[r]), (int(contact.pair[r]), -torque[r])):
-            turn[:, j] -= push * np.minimum(soft[:-1, j], soft[k, j])
-            twist[:k, j] -= push * np.broadcast_to(rate, (problem.assembly.n_tubes,))[j]
-    return replace(found, rotation=turn, twist=twist)
+    end = np.argmin(np.abs(ends - contact.arc_length[spots, None]), axis=1)
+    inner, push = contact.pair[spots], torque[spots]
+    both = np.concatenate([inner + 1, inner]), np.concatenate([-push, push])
+    return pushed(problem, integrate(problem, rotations, moment), np.tile(end, 2), *both)
 
 
 def unknowns_of(contact: Contact, rotations: Array, points: Array, between: Array, bent: Array | None = None) -> Array:

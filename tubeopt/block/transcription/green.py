@@ -35,8 +35,7 @@ def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
     """The tubes of an assembly on a mesh."""
     sections = sections_at(assembly, mesh, mesh.tableau.nodes)
     rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
-    held, table = assembly.transmission, assembly.lengthwise
-    return Compliant(sections, rate, held / assembly.torsional_stiffness if table is None else table.compliant(held))
+    return Compliant(sections, rate, assembly.compliant(assembly.transmission))
 
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...errors import SolveError
 from ...robots.assembly import Assembly
 from ...typing import Array, Of
-from .arm import ArmShape, Profile, turned_along, twisted_along
+from .arm import ArmShape, Profile, turned_along
 from .buffered import section_function
 from .collocated import ENDS
 from .tableau import Tableau, tableau
@@ -234,10 +234,14 @@ def respond(arm: Arm, chain: Chain, base: Array, data: Array, jumps: Array) -> R
     return Response(state, end, inner.reshape(pieces, arm.tableau.degree, n, size))
 
 
+_ONE = np.ones((1, 1))
+"""Compliance where a profile has w and M / kt in place of the torque and M."""
+
+
 def _profile(arm: Arm, at: Slopes) -> Profile:
-    """theta along the arm, told by its torsion at the points."""
+    """theta along the arm by w and M / kt at the points."""
     inside = arm.twist[:, None] + arm.length[:, None, None] * (arm.tableau.adjoint @ at.rate)
-    return Profile(arm.theta, arm.twist, at.rate, (at.stretch - 1) * inside)
+    return Profile(arm.theta, arm.twist, at.rate, _ONE, (at.stretch - 1) * inside)
 
 
 def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
@@ -247,7 +251,9 @@ def rotations_at(arm: Arm, at: Slopes, x: Array) -> Array:
 
 def rotation_rates_at(arm: Arm, at: Slopes, x: Array) -> Array:
     """theta' (P, len(x), n) at fractions x of every piece, rad/m."""
-    return twisted_along(arm.tableau, arm.length, _profile(arm, at), tuple(x.tolist()))
+    t, of = arm.tableau, _profile(arm, at)
+    even = of.torque[:, None] + arm.length[:, None, None] * (t.basis(tuple(x.tolist()), 1) @ of.moment)
+    return np.asarray(even + t.basis(tuple(x.tolist()), 0) @ of.extra)
 
 
 @lru_cache(maxsize=16)
@@ -304,7 +310,7 @@ def rotation_change(arm: Arm, at: Slopes, response: Response, data: Array, x: Ar
     inside = arm.twist[:, None] + h[..., 0] * (t.adjoint @ at.rate)
     turned = twist[:, None] + h * along(t.adjoint, rate)
     extra = flat((at.stretch - 1)[..., None] * turned + inside[..., None] * (at.stretch_slope @ columns))
-    change = turned_along(t, arm.length, Profile(flat(start), flat(twist), flat(rate), extra), tuple(x.tolist()))
+    change = turned_along(t, arm.length, Profile(flat(start), flat(twist), flat(rate), _ONE, extra), tuple(x.tolist()))
     return change.reshape(*change.shape[:2], *start.shape[1:])
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from ...physics.shape import quaternion_rates, rotation_matrix_function, world_turns
 from ...typing import Array
-from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, tubes_along
+from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, pushed, tubes_along
 from .buffered import mapped, section_function
 from .collocated import ENDS
 from .loaded import LoadedProblem, LoadedState
 from .orientation import IDENTITY, tangent_slopes, tangents
-from .reduced import softness, whitened
+from .reduced import whitened
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
@@ -20,15 +20,8 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
     profile = integrate(torsion, rotations, state.torque)
     if couples is None:
         return profile
-    ends, general = softness(torsion)[1], torsion.assembly.general
-    for e, j, torque in zip(couples.joint, couples.tube, state.joint_torques, strict=False):
-        profile.rotation[:, j] += torque * np.minimum(ends[:-1, j], ends[e, j])
-        profile.twist[:e, j] += torque if general else torque / torsion.assembly.torsional_stiffness[j]
-        if general:
-            assert profile.extra is not None
-            assert profile.compliance is not None
-            profile.extra[:e, :, j] += torque * (torsion.here.rate[:e, :, j] - profile.compliance[:e, None, j])
-    return profile
+    joint = couples.joint
+    return pushed(torsion, profile, joint, couples.tube[: len(joint)], state.joint_torques)
 
 
 def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
@@ -37,13 +30,10 @@ def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState)
         return state.energy
     torsion, mesh = problem.torsion, problem.mesh
     t, rate = mesh.tableau, torsion.here.rate
-    torque = profile.twist[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
-    held = profile.twist[0]
-    if not torsion.assembly.general:
-        torque, held = torque / rate, held * torsion.assembly.torsional_stiffness
+    torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
     inside = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
     z = state.x[: torsion.size]
-    return state.energy + float(inside + torsion.here.transmission @ held**2 - z @ z) / 2
+    return state.energy + float(inside + torsion.here.transmission @ profile.torque[0] ** 2 - z @ z) / 2
 
 
 def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:

@@ -87,7 +87,7 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
     """What is given of the arm of a problem, each by columns."""
     assembly, mesh = problem.assembly, problem.mesh
     if assembly.general:
-        kt = held_stiffness(problem)
+        kt = assembly.held_stiffness
         return {
             "transmission": problem.here.transmission * kt,
             "lengths": mesh.length,
@@ -136,18 +136,12 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
 def torsion_guess(problem: ReducedProblem, profile: Profile) -> dict[str, Array]:
     """The unknowns of an arm, by name and by columns, at a torsion profile on the same mesh."""
     theta = rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes.tolist()))
-    twist = profile.twist / held_stiffness(problem) if problem.assembly.general else profile.twist
+    twist = profile.torque / problem.assembly.held_stiffness
     return {"rotation": profile.rotation.ravel(), "torsion": twist.ravel(), "rotation inside": theta.ravel()}
-
-
-def held_stiffness(problem: ReducedProblem) -> Array:
-    """(n,) GJ of tubes made of pieces where they are held: that of the tube, to which their ease refers."""
-    assert problem.assembly.lengthwise is not None
-    return np.asarray(problem.assembly.lengthwise.values(np.zeros((1, problem.assembly.n_tubes)))[1][0])
 
 
 def ease_at_plate(problem: ReducedProblem) -> Array:
     """(n,) how much softer in torsion tubes made of pieces are at the plate than where they are held."""
     assert problem.assembly.lengthwise is not None
     here = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
-    return np.asarray(held_stiffness(problem) / here)
+    return np.asarray(problem.assembly.held_stiffness / here)

@@ -55,10 +55,10 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
         return _general_arm(problem, state, torsion)
     eccentric, t = problem.assembly.eccentric, mesh.tableau
     chain = chained(piece_function(n, eccentric, t.family, t.degree), pieces)
-    given = [_HOME, torsion.rotation, torsion.twist, torsion.moment.reshape(-1, n)]
-    given += [*problem.on_pieces, problem.assembly.torsional_stiffness, mesh.length[:, None]]
+    kt = problem.assembly.torsional_stiffness
+    given = [_HOME, torsion.rotation, torsion.torque / kt, (torsion.moment / kt).reshape(-1, n)]
+    given += [*problem.on_pieces, kt, mesh.length[:, None]]
     if eccentric:
-        assert torsion.extra is not None
         given += [torsion.extra.reshape(-1, n), problem.assembly.offset, problem.assembly.offset_angle]
     end, theta, slope, u, poses, defects, bending = chain(*given)
     return Arm(
@@ -85,12 +85,11 @@ def _energy(problem: ReducedProblem, torsion: Profile, state: Evaluation, bendin
 
 
 def _eccentric_torsion(problem: ReducedProblem, torsion: Profile) -> float:
-    """int kt g w^2 / 2 with g w^2 = w (w + (g - 1) w), and the transmissions."""
-    mesh, kt = problem.mesh, problem.assembly.torsional_stiffness
-    w = torsion.twist[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
-    slope = w if torsion.extra is None else w + torsion.extra
-    inside = np.einsum("p,k,i,pki,pki->", mesh.length, mesh.tableau.weights, kt, w, slope)
-    return 0.5 * float(inside + kt @ (problem.assembly.transmission * torsion.twist[0] ** 2))
+    """int g t^2 / (2 kt) with g t / kt = t / kt + (g - 1) w, and the transmissions."""
+    mesh, rate = problem.mesh, problem.here.rate
+    torque = torsion.torque[:, None, :] + mesh.length[:, None, None] * (mesh.tableau.matrix @ torsion.moment)
+    inside = np.einsum("p,k,pki,pki->", mesh.length, mesh.tableau.weights, torque, rate * torque + torsion.extra)
+    return 0.5 * float(inside + problem.here.transmission @ torsion.torque[0] ** 2)
 
 
 def _defect(problem: ReducedProblem, defects: Array) -> float:
@@ -223,7 +222,7 @@ def _check(problem: ReducedProblem, torsion: Profile) -> tuple[float, Array]:
     moment, _, bending, *_ = section_function("balance", len(given[0]), n, False)(*given)
     shape, h = phi.shape, mesh.length[:, None, None]
     gain = h * moment.reshape(shape)
-    torque = torsion.twist[:, None] + finer.matrix @ gain
+    torque = torsion.torque[:, None] + finer.matrix @ gain
     turned = h * (finer.matrix @ (torque / at.torsional_stiffness.reshape(shape)))
     inner = np.abs(torsion.rotation[:, None] + turned - phi).max(1)
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
