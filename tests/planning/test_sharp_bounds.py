@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,11 +11,12 @@ import pytest
 
 from tests.examples import THESIS, nested
 from tubeopt import Load, forward_kinematics
+from tubeopt.bodies.frames import base_frame
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import apart, branch, loaded_branch, passage
-from tubeopt.planning.clearing import Wanted
+from tubeopt.planning.clearing import Cells, Sizes, Wanted, cleared
 from tubeopt.planning.cross_sections import Constants, Jet, linear
 from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
@@ -112,14 +114,15 @@ def test_the_gradient_along_the_chord_of_two_tubes_is_that_of_the_sine_of_their_
 
 
 class Rod:
-    """A track of a straight arm of one section that moves along one axis, all that `apart` takes of a track."""
+    """A track of an arm of one section that is bilinear between its corners (2 along, 2 in time, 3), all that `apart`
+    takes of a track."""
 
-    def __init__(self, begin: Array, end: Array, move: Array, off: float = 0.0, radius: float = 0.0) -> None:
-        self.begin, self.end, self.move = begin, end, move
+    def __init__(self, corners: Array, off: float = 0.0, radius: float = 0.0, bend: float = 0.0) -> None:
+        self.corners = corners
         nothing = np.zeros((1, 1))
-        long = np.array([[np.linalg.norm(end - begin)]])
+        long = np.array([[np.linalg.norm(corners[1] - corners[0], axis=1).max()]])
         self.intervals: Any = SimpleNamespace(
-            length=(long, long), radius=nothing + radius, sagitta=lambda link, section, x: np.zeros(len(link))
+            length=(long, long), radius=nothing + radius, sagitta=lambda link, section, x: np.full(len(link), bend)
         )
         self.off, self.times = nothing + off, np.array([0.0, 1.0])
         self.follower: Any = SimpleNamespace(effort=SimpleNamespace(arms_rounds=1), over=True)
@@ -129,8 +132,19 @@ class Rod:
         return np.zeros(t.shape, dtype=np.intp)
 
     def places(self, link: Array, section: Array, x: Array, t: Array) -> Array:
-        here = self.begin + x[:, None] * (self.end - self.begin)
-        return np.asarray(here[:, None] + (t[..., None] - 0.5) * self.move)
+        there = self.corners[0] + x[:, None, None] * (self.corners[1] - self.corners[0])
+        return np.asarray(there[:, :1] + t[..., None] * (there[:, 1:] - there[:, :1]))
+
+
+def moved(begin: Array, end: Array, move: Array) -> Array:
+    """Corners of a segment that moves, and is from `begin` to `end` half-way."""
+    return np.stack([np.stack([each - move / 2, each + move / 2]) for each in (begin, end)])
+
+
+def clearance(one: Rod, other: Rod) -> float:
+    """Bound of the distance of two, by a single cell."""
+    tracks: Any = (one, other)
+    return apart.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0)).least_clearance
 
 
 @pytest.mark.parametrize(("a", "b", "c", "height"), [(2, 3, 0, 1), (2, 3, 0, 0), (2, 3, 4, 0), (3, 0, 2, 0.5)])
@@ -141,17 +155,123 @@ def test_perpendicular_segments_that_cross_in_their_middle_are_as_far_apart_as_t
     x, y, z = np.eye(3)
     along, across = (y, z) if b else (z, y)
     up = height * (z if b else np.eye(3)[2])
-    one, other = Rod(-a / 2 * x, a / 2 * x, 0 * x), Rod(up - b / 2 * along, up + b / 2 * along, c * across)
-    tracks: Any = (one, other)
-    found = apart.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0))
-    assert found.least_clearance == pytest.approx(height, abs=1e-12)
+    one, other = moved(-a / 2 * x, a / 2 * x, 0 * x), moved(up - b / 2 * along, up + b / 2 * along, c * across)
+    assert clearance(Rod(one), Rod(other)) == pytest.approx(height, abs=1e-12)
 
 
-def test_what_arms_are_thick_and_off_their_line_is_taken_off_their_distance() -> None:
+def test_what_arms_are_thick_and_bent_and_off_their_line_is_taken_off_their_distance() -> None:
     x, y, z = np.eye(3)
-    tracks: Any = (Rod(-x, x, 0 * x, 0.01, 0.2), Rod(3 * z - y, 3 * z + y, 0 * x, 0.03, 0.5))
-    found = apart.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0))
-    assert found.least_clearance == pytest.approx(3 - 0.04 - 0.7, abs=1e-12)
+    one, other = Rod(moved(-x, x, 0 * x), 0.01, 0.2, 0.03), Rod(moved(3 * z - y, 3 * z + y, 0 * x), 0.03, 0.5, 0.02)
+    assert clearance(one, other) == pytest.approx(3 - 0.04 - 0.7 - 0.05, abs=1e-12)
+
+
+FAN = np.array([[[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]])
+"""A segment that grows out of a point; with axes swapped, one end of which rests while the other passes by."""
+
+
+@pytest.mark.parametrize("corners", [FAN, FAN.swapaxes(0, 1)], ids=["in time", "along"])
+def test_cells_are_as_large_as_their_longer_side(corners: Array) -> None:
+    """The middle of that side is next to a point, which all corners are farther from."""
+    point = np.array([0.0, 0.0, 0.4])
+    assert clearance(Rod(corners), Rod(moved(point, point, 0 * point))) <= 0.4
+    assert clearance(Rod(moved(point, point, 0 * point)), Rod(corners)) <= 0.4
+    distance = np.linalg.norm(corners - point, axis=-1)
+    assert distance.min() > 0.5
+    cells = Cells(*np.zeros((2, 1), dtype=int), *np.zeros((2, 1, 2)), corners[None], distance[None])
+    nothing = np.zeros((1, 1))
+    intervals: Any = SimpleNamespace(
+        arms=SimpleNamespace(shape_error=np.array([0.01, 0.03])),
+        one=np.array([0]),
+        other=np.array([1]),
+        sagitta=lambda which, section, x: np.zeros(1),
+        radius=nothing,
+    )
+    for order in ([0.01, 0.03], [0.03, 0.01]):
+        intervals.arms.shape_error = np.array(order)
+        sizes = Sizes.of(cells, intervals, nothing + 0.02)
+        assert sizes.bound(distance.min()[None])[0] <= 0.4
+        assert (sizes.along.item(), sizes.time.item()) == pytest.approx((4.0, 2.0) if corners is FAN else (2.0, 4.0))
+        assert sizes.off.item() == pytest.approx(0.05)
+
+
+def test_the_clearance_of_a_rod_by_its_first_cells_is_that_of_pythagoras() -> None:
+    """Cells of a quarter of its length each: a sphere beside the middle of one, beside an end, and behind the plate."""
+    length = 0.04
+    robot = nested((0.0, length, 0.0))
+    here = between(robot, ([0.0], [0.0]), ([0.0], [0.0]))
+    radius, off = robot.tubes[0].outer_diameter / 2, np.full(here.length[0].shape, 1e-4)
+    for z, beside, tall in ((0.375 * length, 0.02, True), (length, 0.02, False), (-0.01, 0.0, False)):
+        scene = scene_of([Sphere((0.0, beside, z), 1e-3)])
+        bound, closest = cleared(here, off, scene, Wanted(0.0, 1e-9, 0), np.inf)
+        corner = np.hypot(beside, length / 8 if tall else abs(z) if z < 0 else 0.0) - 1e-3
+        true = np.sqrt(corner**2 - (length / 8) ** 2) - radius - 1e-4
+        assert bound.item() == pytest.approx(min(true, corner - radius if z < 0 else np.inf), abs=1e-7)
+        assert closest == pytest.approx(corner - radius, abs=1e-7)
+    flush = between(robot, ([0.0], [-length]), ([0.0], [-length]))
+    scene = scene_of([Sphere((0.0, 0.0, 0.02), 1e-3)])
+    bound, _ = cleared(flush, 0 * off, scene, Wanted(0.0, 1e-9, 0), np.inf)
+    assert bound.item() == pytest.approx(0.02 - 1e-3 - radius)
+
+
+def test_a_track_is_off_its_line_by_both_ends_of_a_link_and_whole_where_all_is_shown() -> None:
+    follower: Any = SimpleNamespace(
+        intervals=lambda equilibria, one, other: SimpleNamespace(
+            arms=SimpleNamespace(shape_error=np.array([0.1, 0.3, 0.2]))
+        )
+    )
+    arm = forward_kinematics(STEPPED, [0.3, 0.1])
+    steps = [passage.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
+    links = [passage.Link(a, b, off=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
+    track = apart.Track(follower, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
+    assert track.off == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
+    assert track.times == pytest.approx(np.array([0.0, 1.0, 2.0]))
+
+
+@pytest.mark.parametrize("missing", ["nothing", "a branch", "a link", "a snap", "time"])
+def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
+    missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = forward_kinematics(STEPPED, [0.3, 0.1])
+    ends = (0.0, 0.9) if missing == "time" else (0.0, 1.0)
+    steps = tuple(passage.Step(at, arm, np.zeros(4)) for at in ends)
+    followed = SimpleNamespace(
+        steps=steps, snap=0.7 if missing == "a snap" else None, lost=((0.1, 0.2),) if missing == "a branch" else ()
+    )
+    lost = [(0.1, 0.2)] if missing == "a link" else []
+    monkeypatch.setattr(apart, "follow", lambda *_: followed)
+    monkeypatch.setattr(apart, "joined", lambda follower, links: (links, lost))
+    none: Any = None
+    track = apart.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
+    assert track.whole == (missing == "nothing")
+    # Arms of which a part is not shown have no clearance.
+    rods = Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3))))
+    rods[0].whole = track.whole
+    assert np.isfinite(clearance(*rods)) == track.whole
+
+
+def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = forward_kinematics(STEPPED, [0.3, 0.1])
+    steps = [passage.Step(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
+    none: Any = None
+    track = apart.Track(none, (passage.Link(steps[0], steps[1]),), none, 0.0, 1.0)
+
+    def ends(follower: Any, link: Any) -> list[Any]:
+        raise passage.BranchEndsError(0.5)
+
+    monkeypatch.setattr(apart, "halves", lambda follower, link: [link])
+    for lost in ([], [(0.0, 0.5)]):
+        monkeypatch.setattr(apart, "joined", lambda follower, links, lost=lost: (links, lost))
+        assert track.finer(np.array([0])).whole == (not lost)
+    monkeypatch.setattr(apart, "halves", ends)
+    assert not track.finer(np.array([0])).whole
+
+
+def test_a_clearance_from_one_time_to_another_is_the_least_in_between() -> None:
+    proof = apart.PairProof((0, 1), 0.1, 0.1, 0.0, np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.3, 0.1, 0.2]))
+    begin, end = np.array([[0.2, 0.5], [0.5, 1.5], [2.1, 9.0], [-1.0, 0.5], [1.0, 1.0], [0.0, 3.0]]).T
+    assert proof.at_least(begin, end).tolist() == [0.3, 0.1, 0.2, 0.3, 0.1, 0.1]
+    rods: Any = (Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3)))))
+    assert apart.apart((0, 1), rods, Wanted(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
 
 
 @pytest.mark.parametrize(("share", "more"), [(0.6e-9, 0), (2.2e-9, 3), (0.1, 63)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +27,7 @@ from tubeopt.planning.clearing import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
 from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
 from tubeopt.planning.passage import Follower
-from tubeopt.planning.speed import HERMITE, fastest_on_cubic
+from tubeopt.planning.speed import HERMITE, _Row, fastest_on_cubic
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -208,3 +210,79 @@ def test_two_tubes_need_no_more_equilibria_for_the_speed_of_the_tip() -> None:
         true = max(true, float(np.linalg.norm(jacobian[:, 0])) * last[0] / 3)
     assert proof.equilibria <= 28
     assert true <= proof.largest_tip_rate <= 1.03 * true
+
+
+def row(h: list[float], speed: list[float], pace: list[float] | None = None, error: float = 0.0) -> Any:
+    """Links that follow each other, of which only this is known."""
+    found: Any = _Row.__new__(_Row)
+    count = len(h)
+    chord = np.array(speed)[:, None] * [1.0, 0.0, 0.0]
+    steps = [SimpleNamespace(equilibrium=SimpleNamespace(tip_error=error * (k == 0))) for k in range(count + 1)]
+    vars(found).update(
+        links=[SimpleNamespace(fastest=math.inf)] * count,
+        passed=np.array(h),
+        speed=np.array(speed),
+        pace=np.array(pace or [1.0] * count),
+        chord=chord,
+        alike=np.ones(count - 1, dtype=bool),
+        steps=steps,
+    )
+    return found
+
+
+def test_a_velocity_that_grows_linearly_is_ahead_of_its_mean_by_half_of_its_growth() -> None:
+    """v = mean + a t from -h / 2 to h / 2; the mean of measured places is off by both of them."""
+    found = row([0.4], [0.3], error=1e-3).fastest(np.array([[0.5], [np.inf]]), 0.0)[0]
+    assert found == pytest.approx([0.3 + 0.5 * 0.2 + 2 * 1e-3 / 0.4])
+
+
+def test_a_velocity_that_bends_is_bounded_by_the_middles_of_neighbouring_links() -> None:
+    """v = c - T s^2 / 2 of the way s = 0 between two links, which the second one takes at twice the pace."""
+    top, bend, error = 0.7, 0.3, 1e-3
+    mean = top - bend / 6
+    links = row([1.0, 0.5], [mean, 2 * mean], [1.0, 2.0], error)
+    vars(links)["velocity"] = lambda step, link: np.array([1e-9, 0.0, 0.0])
+    rates = np.array([[np.inf, np.inf], [bend, 8 * bend]])
+    found = links.fastest(rates, 0.0)[0]
+    assert found[0] == pytest.approx(top + 2 * error)
+    # Of places that are exact the second is twice as fast.
+    exact = row([1.0, 0.5], [mean, 2 * mean], [1.0, 2.0])
+    vars(exact)["velocity"] = links.velocity
+    assert exact.fastest(rates, 0.0)[0] == pytest.approx([top, 2 * top], rel=1e-6)
+    vars(exact)["alike"] = np.array([False])
+    vars(exact)["velocity"] = lambda step, link: None
+    assert np.isinf(exact.fastest(rates, 0.0)[0]).all()
+
+
+def test_the_bound_of_a_link_by_its_end_is_that_of_half_the_link() -> None:
+    """A neighbour of no length whose middle is as fast as that of the link, which bends by T in all of it."""
+    bend, h, mean = 0.3, 2.0, 0.5
+    links = row([h, 1e-9], [mean, mean])
+    middle = mean + bend * h**2 / 24
+    for fast in (middle + 0.2, middle - 0.2):
+        vars(links)["velocity"] = lambda step, link, fast=fast: np.array([fast, 0.0, 0.0]) if step == 0 else None
+        found, _ = links.fastest(np.array([[np.inf] * 2, [bend, 0.0]]), 0.0)
+        near = max(middle, fast) + bend * (h / 2) ** 2 / 8
+        far = middle + bend * (h / 2) ** 2 / 8
+        assert found[0] == pytest.approx(max(near, far), rel=1e-6)
+
+
+def test_a_link_is_as_fast_as_the_cubic_through_both_velocities_and_what_it_leaves() -> None:
+    """From 1 to 1 with the mean 0.9 the cubic is slower between; what the mean is off counts 3/2 there."""
+    bend, h, error = 0.4, 0.1, 1e-4
+    ends, mean = np.array([1.0, 0.0, 0.0]), 0.9
+    links = row([h], [mean], error=error)
+    vars(links)["velocity"] = lambda step, link: ends
+    found, reached = links.fastest(np.array([[np.inf], [bend]]), 0.0)
+    cubic = fastest_on_cubic(mean * ends, ends, ends)
+    sides = 1.0 + bend * h**2 / 32
+    assert reached == 1.0
+    assert found[0] == pytest.approx(min(sides, cubic + 1.5 * 2 * error / h + HERMITE * bend * h**2))
+    # Where the middle is the fastest the cubic is the sharper one.
+    links = row([h], [mean], error=error)
+    vars(links)["velocity"] = lambda step, link: 0.85 * ends
+    middle = mean + 200 * h**2 / 24 + 2 * error / h
+    cubic = fastest_on_cubic(mean * ends, 0.85 * ends, 0.85 * ends) + 1.5 * 2 * error / h + HERMITE * 200 * h**2
+    found, _ = links.fastest(np.array([[np.inf], [200.0]]), 0.0)
+    assert cubic < middle + 200 * h**2 / 32
+    assert found[0] == pytest.approx(cubic)
