@@ -156,29 +156,30 @@ def test_nothing_bounds_interpolation_across_too_many_stretches(monkeypatch: pyt
         assert all(np.isinf(each).all() for each in found)
 
 
-FORCE, ALONG, LEVER = 0.8, 0.33, 0.7
-"""On the cross-section where it is the most, and per length; the moment of the load, at most."""
+FORCE, ALONG, LEVER, COUPLE = 0.8, 0.33, 0.7, 0.21
+"""On the cross-section where it is the most, and per length; the moment of the load, at most, and per length."""
 
 
 def loaded_stub(h: float, *, wide: bool = False) -> Any:
     found = stub(0.0, False, h, wide=wide)
-    pulls = {0.0: [0.3, 0.4, 0.0], h: [0.0, 0.0, FORCE]}
-    found.pull = SimpleNamespace(per_length=ALONG, on=lambda s, ends: np.array([pulls[float(s[0])]]))
+    found.pull = SimpleNamespace(per_length=(ALONG, COUPLE))
+    found._felt = np.array([[0.3, 0.4, 0.0, 0, 0, 0]] * 2), np.array([[0.0, 0.0, FORCE, 0, 0, 0]] * 2)
     found.ends, found._lever = np.array([[1.0, 1.0]]), np.array([LEVER])
     found.torque = np.array([[0.2, 0.45], [0.45, 0.1]])
+    found.borne = (found.torque, found.torque), None
     return found
 
 
 def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_moments(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """t_i' = u a_i e_i, M' = n + u sum t, n' = f + n u, u = M / K + sum A_i e_i and theta_i' = t_i / kt + u*_z."""
+    """t_i' = u a_i e_i + m, M' = n + u sum t + m, n' = f + n u, u = M / K + sum A_i e_i, theta_i' = t_i / kt + u*_z."""
     h = 0.01
     monkeypatch.setattr(Bending, "of", lambda *_: BEND)
     monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
     shape, turned, twisted, lifted = found_by(LoadedArms, "_wrong", loaded_stub(h))
     u = U + LEVER / 2.0
-    torque = 0.45 + h * u * 0.9
+    torque = 0.45 + h * (u * 0.9 + COUPLE)
     pull, slope, give, ease = (series(*each) for each in ((0.9, 0.5, 0.4), (0.45, 0.25, 0.2), (0.5, 0.15, 0.11), EASE))
     twist = series(0.31, *WOUND)
     tables = [[torque], [LEVER], [0.0], [FORCE], [u]]
@@ -186,7 +187,14 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
     def rates(s: float) -> list[float]:
         t, _, theta, n, bent = (series(*table)(s) for table in tables)
         along = series(ALONG, ALONG * u)(s)  # it turns in the frame of the cross-section
-        return [bent * pull(s) * np.exp(theta), n + bent * 2 * t, t * ease(s) + twist(s), along + n * bent]
+        # So does a moment: its second derivative is asked for when u' is known.
+        acts = series(COUPLE, COUPLE * u, COUPLE * (u**2 + sum(tables[4][1:2])))(s)
+        return [
+            bent * pull(s) * np.exp(theta) + acts,
+            n + bent * 2 * t + acts,
+            t * ease(s) + twist(s),
+            along + n * bent,
+        ]
 
     def bend(s: float) -> float:
         _, m, theta, *_ = (series(*table)(s) for table in tables)

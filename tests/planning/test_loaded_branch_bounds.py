@@ -75,8 +75,18 @@ def grown(seed: int) -> SimpleNamespace:
         "moment": Grows(random, K),
         "theta": own[0],
         "pair": own[1],
+        "couple": falling(random),
     }
-    return SimpleNamespace(**parts, random=random)
+    kick, along = random.uniform(0.5, 1.0, (2, K, N))
+    return SimpleNamespace(**parts, kick=kick, along=along, random=random)
+
+
+def falling(random: Any) -> Grows:
+    """What falls towards the tip, as moments ahead, and so does its change."""
+    found = Grows(random, K, orders=2)
+    found.table[:2] = -np.sort(-found.table[:2])
+    found.jet = Jet(*found.table[:, None])
+    return found
 
 
 def bounds_of(g: SimpleNamespace) -> Any:
@@ -93,20 +103,25 @@ def bounds_of(g: SimpleNamespace) -> Any:
         kt=1 / g.ease.jet.v,
         stiffness=1 / g.give.jet.v,
         u=np.full((1, K), 0.7),
+        couple=g.couple.jet,
+        kick=g.kick[None],
+        along=g.along[None],
     )
 
 
 def test_torques_and_moments_of_a_load_change_as_the_products_of_what_does() -> None:
-    """M = sum h t n of what lies ahead, T_i = sum h (A_i e_i M + sum c_ij e_ij), to the third derivative."""
+    """M = sum h t n of what lies ahead + t m_c, T_i = sum h (A_i e_i M + sum c_ij e_ij + t m_i) + t m_k, to the third
+    derivative."""
     g = grown(1)
     torque, moment = bounds_of(g)._answer(g.theta.jet, g.pair.jet, g.tangent.jet)
 
     def lever(t: float) -> Array:
-        return ahead(g.h(t) * g.tangent(t) * g.force(t))
+        return ahead(g.h(t) * g.tangent(t) * g.force(t)) + g.tangent(t) * g.couple(t)
 
     def twist(t: float) -> Array:
-        by_load = g.pull(t) * np.exp(g.theta(t)) * lever(t)[:, None]
-        return ahead(g.h(t)[:, None] * (by_load + (g.pairing(t) * np.exp(g.pair(t))).sum(2)))
+        by_load = g.pull(t) * np.exp(g.theta(t)) * lever(t)[:, None] + g.along * g.tangent(t)[:, None]
+        each = g.h(t)[:, None] * (by_load + (g.pairing(t) * np.exp(g.pair(t))).sum(2))
+        return ahead(each + g.kick * g.tangent(t)[:, None])
 
     compare(moment, lever, 0, 1, 2, 3)
     compare(torque, twist, 1, 2, 3)
@@ -132,7 +147,7 @@ def test_a_bend_and_a_twist_change_as_the_products_of_what_does() -> None:
 
 
 def test_what_differs_between_samples_is_half_their_distance_times_the_change_of_a_slope() -> None:
-    """Slopes along the arm: h (t / kt + twist), h (sum c_ij e_ij + A_i M e_i) and h (u sum t + n), by time."""
+    """Slopes along the arm by time: h (t / kt + twist), h (sum c_ij e_ij + A_i M e_i + m_i) and h (u sum t + n + m)."""
     g = grown(3)
     bounds, random = bounds_of(g), g.random
     torque, twist, moved = (
@@ -160,9 +175,11 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
         return np.cumsum(g.h(t) * bend(t))
 
     def slopes(t: float) -> tuple[Array, Array, Array]:
-        h, load = g.h(t), g.force(t) * (1 + frame(t) - frame(0.0))
+        turned = 1 + frame(t) - frame(0.0)
+        h, load = g.h(t), (g.force(t) + g.along.sum(1)) * turned
         turning = h[:, None] * (torque(t) * g.ease(t) + twist + t * wound[0] * moved)
         each = g.pull(t) * lever(t)[:, None] * np.exp(g.theta(t)) + (g.pairing(t) * np.exp(g.pair(t))).sum(2)
+        each += g.along * turned[:, None]
         return turning, h[:, None] * each, h * (bend(t) * torque(t).sum(1) + load)
 
     for bound, k in zip(found, range(3), strict=True):
@@ -178,14 +195,15 @@ def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative()
     bounds, random = bounds_of(g), g.random
     weight = random.uniform(1, 2, (1, K, N)), random.uniform(1, 2, (1, K, N, N))
     bounds.weight, bounds.swing = weight, random.uniform(1, 2, (1, K))
-    bounds.lever = ahead(g.h(0.0) * g.force(0.0))[None]
+    bounds.lever = (ahead(g.h(0.0) * g.force(0.0)) + g.couple(0.0))[None]
     found = bounds._response(np.array([size]))
 
     def made(t: float) -> tuple[Array, Array]:
-        lever = ahead(g.h(0.0) * g.force(0.0) * (1 + t * size * bounds.swing[0]))
+        frame = 1 + t * size * bounds.swing[0]
+        lever = ahead(g.h(0.0) * g.force(0.0) * frame) + g.couple(0.0) * frame
         by_load = g.pull(0.0) * (1 + t * size * weight[0][0]) * lever[:, None]
-        each = by_load + (g.pairing(0.0) * (1 + t * size * weight[1][0])).sum(2)
-        return ahead(g.h(0.0)[:, None] * each), lever
+        each = by_load + (g.pairing(0.0) * (1 + t * size * weight[1][0])).sum(2) + g.along * frame[:, None]
+        return ahead(g.h(0.0)[:, None] * each + g.kick * frame[:, None]), lever
 
     assert found.turn[0] == pytest.approx(size * weight[0])
     assert found.turn[1] == pytest.approx(size * weight[1])
@@ -289,6 +307,7 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
     """h c e (y_i - y_j)^2 / 2, h A M e y^2 and h n e |psi|^2, by time, where coordinates are worth more with it."""
     g = grown(5)
     bounds, random = bounds_of(g), g.random
+    bounds.kick = bounds.along = np.zeros((1, K, N))
     y, more = random.uniform(1, 2, (2, K, N))
     bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
     bounds.lever, bounds.swing = np.zeros((1, K)), np.zeros((1, K))
@@ -316,7 +335,8 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
 
     def by_load(t: float) -> float:
         h, a = g.h(0.0) + t * dh[0], g.pull.table[0] + t / 2 * g.pull.table[1]
-        each = a * (lever + t * moved.moment[0])[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2
+        bent = lever + t * (moved.moment[0] + g.couple(0.0) * moved.frame[0])
+        each = a * bent[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2
         return float((h[:, None] * each).sum())
 
     assert bounds.variation(moved, stretched=True).item() == pytest.approx(rate(by_load), rel=1e-6)
@@ -324,7 +344,8 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
 
 def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_totals() -> None:
     """m.(psi x psi') with |psi| <= P, and what differs of psi <= D, running totals both: int D dP + P dD is D P. And
-    n e P^2 by time. D is what frames turn, and what differs of A_i y_i and of r."""
+    n e P^2 by time, and (h m_i + m_k) e P y of the torques. D is what frames turn, and what differs of A_i y_i and of
+    r."""
     g = grown(6)
     bounds, random = bounds_of(g), g.random
     y, more = random.uniform(1, 2, (2, K, N))
@@ -341,6 +362,7 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
         h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
         return np.cumsum((h[:, None] * a * np.exp(g.theta(t)) * (y + t * more)).sum(1))
 
+    bent = moment + g.couple(0.0) * frame
     differs = frame * swing + (way(1e-5) - way(-1e-5)) / 2e-5 + bend
     lever = bounds.lever[0]
     found = []
@@ -350,17 +372,19 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
 
     def by_load(t: float) -> float:
         h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
-        return float((h[:, None] * a * (lever + t * moment)[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2).sum())
+        return float((h[:, None] * a * (lever + t * bent)[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2).sum())
 
     def by_moment(t: float) -> float:
-        return float((g.h(0.0)[:, None] * g.pull.table[0] * (t * moment)[:, None] * y**2).sum())
+        return float((g.h(0.0)[:, None] * g.pull.table[0] * (t * bent)[:, None] * y**2).sum())
 
     load = (by_load(1e-5) - by_load(-1e-5)) / 2e-5 - by_moment(1.0)
     assert found[0] - found[1] == pytest.approx(load + lever[0] * swing[-1] * differs[-1], rel=1e-6)
 
     def form(t: float) -> float:
         h, n = g.h(0.0) + t * dh, g.force.table[0] + t * dn
-        return float((h * n * (1 + t * frame) * (swing + t * differs) ** 2).sum())
+        acts = (h[:, None] * g.along + g.kick) * (y + t * more)
+        turned = (1 + t * frame) * (swing + t * differs)
+        return float((h * n * turned * (swing + t * differs)).sum() + (acts * turned[:, None]).sum())
 
     exact = (form(1e-5) - form(-1e-5)) / 2e-5 + moment.max() * swing[-1] ** 2 / 2 + by_moment(1.0)
     assert found[1] == pytest.approx(exact, rel=1e-6)
@@ -385,14 +409,15 @@ def test_two_running_totals_take_no_more_than_their_product() -> None:
 
 
 def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> None:
-    """A sixth of the second derivative of h (sum c e (y_i - y_j)^2 / 2 + A e M y^2 + 3/2 t n |psi|^2)."""
+    """A sixth of the second derivative of h (sum c e (y_i - y_j)^2 / 2 + A e M y^2 + 3/2 t n |psi|^2), of half of what
+    m_c falls by times |psi|^2, and of (h m_i + m_k) t psi y."""
     random = np.random.default_rng(12)
     h, spring = Grows(random, K, orders=2), Grows(random, N, orders=2)
     force, tangent, moment = Grows(random, K, orders=2), Grows(random, K, value=1.0), Grows(random, K)
     theta, pair = Grows(random, K, N, value=0.0), Grows(random, K, N, N, value=0.0)
     slope, pairs, kt = random.uniform(1, 2, (K, N)), random.uniform(1, 2, (K, N, N)), random.uniform(1, 2, (K, N))
     stiff, y, both, swing = (random.uniform(1, 2, each) for each in (K, (K, N), (K, N, N), K))
-    begin = h.table[0] - h.table[1]
+    begin, couple, (kick, along) = h.table[0] - h.table[1], falling(random), random.uniform(0.5, 1.0, (2, K, N))
     none = Jet(*np.zeros((4,)))
     drift = SimpleNamespace(still=True)
     bounds = bare(
@@ -412,6 +437,9 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         tangent=tangent.jet,
         answer=(None, moment.jet),
         intervals=SimpleNamespace(length=(begin[None], h.table[0][None])),
+        couple=couple.jet,
+        kick=kick[None],
+        along=along[None],
     )
     over, held = h.table[1] ** 2 / begin, spring.table[1] ** 2 / (spring.table[0] - spring.table[1])
     own = np.sqrt(np.cumsum(over[:, None] / kt, axis=0) + held)
@@ -427,7 +455,10 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
     def form(t: float) -> float:
         tubes = (pairs * np.exp(pair(t)) * (both + t * apart) ** 2).sum((1, 2)) / 2
         load = (slope * np.exp(theta(t)) * moment(t)[:, None] * (y + t * own) ** 2).sum(1)
-        return float((h(t) * (tubes + load + 1.5 * tangent(t) * force(t) * psi(t) ** 2)).sum())
+        falls = couple(t) - np.append(couple(t)[1:], 0.0)
+        acts = (h(t)[:, None] * along + kick) * (tangent(t) * psi(t))[:, None] * (y + t * own)
+        turns = h(t) * (tubes + load + 1.5 * tangent(t) * force(t) * psi(t) ** 2) + falls * psi(t) ** 2 / 2
+        return float(turns.sum() + acts.sum())
 
     assert bounds.curving().item() == pytest.approx(SIXTH * float(derivatives(form, 0.01)[2]), rel=1e-5)
     drift.still = False
@@ -490,13 +521,16 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
         answer=(None, Jet(flat, 1.4 * flat, flat)),
         long=Jet(2 * flat, flat, flat),
         force=Jet(3 * flat, flat, flat),
+        couple=Jet(flat, 0.4 * flat, 0 * flat),
         weight=(7 * one, 11 * one[..., None]),
         swing=13 * flat,
     )
     bounds.variation, bounds.gradient = variation, lambda: np.array([0.05])
     bounds.curving = lambda: np.array([0.2 if linear else np.inf])
     radius, convex, kept = bounds.ball(np.array([0.9]))
-    assert asked == [pytest.approx([0.1, 0.3, 0.4, 0.7]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
+    # Of the moment in world axes by time: h_t t n + h t_t n + h t n_t, and that of what acts ahead.
+    moment = (1 * 1 * 3 + 2 * 0.8 * 3 + 2 * 1 * 1 + 0.4) / 2
+    assert asked == [pytest.approx([0.1, 0.3, 0.4, moment]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
     left = 0.7 if linear else 0.6
     root = float(np.roots([0.25, -left, 0.05]).min())
     assert kept.all()

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..block.transcription import arm as arms
 from ..block.transcription.arm import CollocationPoints, Found
 from ..block.transcription.collocated import ENDS, STEPS
-from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, tip_position, tip_slopes
+from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, monotonicity, tip_position, tip_slopes
 from ..block.transcription.loaded_arm import elastic_energy, loaded_arm
 from ..block.transcription.reduced import ReducedProblem, pull_rate
 from ..block.transcription.whole_arm import evaluate_arm
@@ -232,6 +232,15 @@ def linearised(equilibrium: Equilibrium) -> Array:
     refuse_load(equilibrium)
     member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
     return np.asarray(member.at(x).hessian)
+
+
+def sure_margin(equilibrium: Equilibrium) -> float:
+    """What the linearised equations have of the elastic form in all directions: the margin, or under a load without an
+    energy the least eigenvalue of their symmetric part. Above 0 there is no other equilibrium close by."""
+    if equilibrium.load is None or equilibrium.load.has_energy:
+        return min(equilibrium.margin, 1.0)
+    member, x = unsolved(equilibrium)
+    return monotonicity(member.problem, member.at(x))
 
 
 def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:

@@ -1,10 +1,15 @@
 """Between two equilibria under a load: that one unbroken branch of stable ones joins them, and where the arm is.
 
 As in `branch`, joint values are linear in time t, 0 to 1, and so are the lengths h of the sections. In torques t_i and
-moment m, as the coordinates kt^-1/2 t_i and K^-1/2 m whose square is the elastic form T of docs/loads.md, the potential
-energy of a dead load has the gradient
+moment m, as the coordinates kt^-1/2 t_i and K^-1/2 m whose square is the elastic form T of docs/loads.md, the equations
+under a dead load are g = 0,
 
-    g = (t_i - T_i, m - M),    T_i = - int_s^(own end) V_i' - M.a_i' / K,    M = (R' m_w)_xy,    m_w = int_s^L t x n.
+    g = (t_i - T_i, m - M),    M = (R' m_w)_xy,    m_w = m_c + int_s^L t x n,
+    T_i = sum m_k.t(s_k) - int_s^(own end) V_i' - M.a_i' / K,
+
+m_c the sum of all moments ahead, and m_k those that act ahead on tube i. Without moments g is the gradient of the
+potential energy, and g_y its second variation; with them g_y is not symmetric, and `second variation` means its
+symmetric part.
 
 Along what goes linearly from the torques and moments of the one equilibrium to those of the other, at fixed fractions
 of the sections, it vanishes at both ends, so that |g| <= max |g_tt| / 8 in between. With mu the lesser margin of both,
@@ -13,10 +18,11 @@ around the chord,
 
     (mu - q0)^2 > 2 q1 |g|
 
-makes the energy strictly convex in a ball around the chord at all times, with exactly one equilibrium in it, a stable
-one (Newton and Kantorovich). Along the chord it is compared with that at the end nearer in time, or with what is linear
-between both ends, whichever shows more. All bounds are in closed form, of what is known of both equilibria. Where tubes
-vary, places at fixed fractions of sections move along them, which changes |a_i|, K and kt: by `Drift`, as in `branch`.
+makes the energy strictly convex in a ball around the chord at all times, or g strongly monotone, with exactly one
+equilibrium in it, a stable one (Newton and Kantorovich; Browder and Minty). Along the chord it is compared with that at
+the end nearer in time, or with what is linear between both ends, whichever shows more. All bounds are in closed form,
+of what is known of both equilibria. Where tubes vary, places at fixed fractions of sections move along them, which
+changes |a_i|, K and kt: by `Drift`, as in `branch`.
 """
 
 from __future__ import annotations
@@ -40,7 +46,7 @@ FACTORS = 1.0, 1.0, 1.0, 2.0
 
 
 def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
-    """What is known between equilibria of margins (E,)."""
+    """What is known between equilibria of margins (E,), `sure_margin` where there are moments."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bounds = _Bounds(intervals)
         least = np.minimum(margins[intervals.one], margins[intervals.other])
@@ -85,6 +91,8 @@ class _Bounds:
         """The same where places move along tubes that vary."""
         self.long, self.spring = linear(*intervals.length), intervals.transmission
         self.lever, self.u = intervals.lever, b.most
+        self.couple, (self.kick, self.along) = intervals.couple, intervals.twisting
+        """|m_c| (B, K); and moments that twist a tube, at the ends of sections and per length (B, K, n)."""
         give = self.long.v[..., None] / self.kt
         own = np.sqrt(np.cumsum(give, axis=1) + self.spring.v[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
@@ -92,7 +100,7 @@ class _Bounds:
         self.swing = self._swing(give)
         """(B, K) int |psi'| up to the end of every section is at most this where T = 1."""
         size, torque, moment = intervals.loads
-        bound = self.pairs.sum(3) + self.slope * self.lever[..., None]
+        bound = self.pairs.sum(3) + self.slope * self.lever[..., None] + self.along
         self.torque = size + self.long.v[..., None] * bound / (2 * PARTS)
         self.changes = self._changes(torque, moment)
         self.theta, self.pair, self.tangent, self.answer = self._chord(self.changes, self.torque)
@@ -133,14 +141,15 @@ class _Bounds:
         twist = known.most(known.bounds.twist[0], self.intervals.stretch)
         theta = dh * (self.torque / self.kt + twist) + h * c.torque / self.kt
         theta = theta + h * (self.torque * self.drift.ease.d + self.drift.wound.v * self.intervals.moved)
-        twisting = self.pairs.sum(3) + self.slope * lever[..., None]
+        twisting = self.pairs.sum(3) + self.slope * lever[..., None] + self.along
         turned = (self.pairs * c.turn[1]).sum(3)
         turned += self.slope * (c.moment[..., None] + lever[..., None] * c.turn[0])
         turned += self.drift.gain(np.ones_like(self.pairs)) + self.pull.d * lever[..., None]
-        torsion, changed = self.torque.sum(2), c.torque.sum(2)
+        torsion, changed, along = self.torque.sum(2), c.torque.sum(2), self.along.sum(2)
         frame = np.cumsum(self.long.d * self.u + self.long.v * du, axis=1)
-        moment = self.long.d * (self.u * torsion + self.force.v)
-        moment += self.long.v * (du * torsion + self.u * changed + self.force.d + self.force.v * frame)
+        turned += self.along * frame[..., None]
+        moment = self.long.d * (self.u * torsion + self.force.v + along)
+        moment += self.long.v * (du * torsion + self.u * changed + self.force.d + (self.force.v + along) * frame)
         share = 1 / (2 * PARTS)
         return share * theta, share * (dh * twisting + h * turned), share * moment
 
@@ -163,11 +172,12 @@ class _Bounds:
     def _answer(self, theta: Jet, pair: Jet, tangent: Jet) -> tuple[Jet, Jet]:
         """T_i (B, K, n); and M, as m_w (B, K)."""
         # M(s) = int_s^L (R't) x (R'n), R of s. How far t turns against R, and R against n, makes how far t turns.
-        moment = (self.long * tangent * self.force).map(_ahead)
+        moment = (self.long * tangent * self.force).map(_ahead) + tangent * self.couple
         by_load = turned(theta) * moment.map(lambda bound: bound[..., None])
         by_tubes = (self.pairing * turned(pair)).map(lambda bound: bound.sum(3))
-        each = self.long.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes)
-        return each.map(_ahead), moment
+        leaning = tangent.map(lambda bound: bound[..., None] * self.along)
+        each = self.long.map(lambda bound: bound[..., None]) * (self.pull * by_load + by_tubes + leaning)
+        return (each + tangent.map(lambda bound: bound[..., None] * self.kick)).map(_ahead), moment
 
     def _size(self, torque: Array, moment: Array) -> Array:
         """(B,) root of T of torques (B, K, n) and moments (B, K)."""
@@ -195,9 +205,10 @@ class _Bounds:
         """What torques and moments of a root of T of `size` (B,) turn, and how much T_i and M differ by that."""
         own, pair, h = self.weight[0] * size[:, None, None], self.weight[1] * size[:, None, None, None], self.long.v
         frame = self.swing * size[:, None]
-        moment = _ahead(h * frame * self.force.v)
+        moment = _ahead(h * frame * self.force.v) + frame * self.couple.v
         by_load = self.slope * (own * self.lever[..., None] + moment[..., None])
-        torque = _ahead(h[..., None] * ((self.pairs * pair).sum(3) + by_load))
+        leaning = (h[..., None] * self.along + self.kick) * frame[..., None]
+        torque = _ahead(h[..., None] * ((self.pairs * pair).sum(3) + by_load) + leaning)
         return _Changes((own, pair), torque, moment, np.ones(len(size), dtype=bool))
 
     def whirl(self, radius: Array, convex: Array) -> Jet:
@@ -258,7 +269,9 @@ class _Bounds:
         pair = np.hypot(own[..., :, None], own[..., None, :])
         each = h[..., None, None] * (b.pairs * moved.turn[1] + dc) + dh[..., None, None] * b.pairs
         by_tubes = (each * w[1] ** 2 + 2 * h[..., None, None] * b.pairs * w[1] * pair).sum((1, 2, 3)) / 2
-        size = h[..., None] * (moved.moment[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
+        # In the frame of a cross-section the moments that act ahead turn too.
+        bending = moved.moment + self.couple.v * moved.frame
+        size = h[..., None] * (bending[..., None] + lever[..., None] * moved.turn[0]) + (dh * lever)[..., None]
         size = b.slope * size + da * (h * lever)[..., None]
         by_load = (size * w[0] ** 2 + 2 * b.slope * (h * lever)[..., None] * w[0] * own).sum((1, 2))
         # By how much psi differs, and all of its way: frames, the directions of a_i, and lengths.
@@ -269,7 +282,11 @@ class _Bounds:
         by_turns = moved.moment.max(1) * whole**2 / 2 + lever[:, 0] * whole * far
         n = b.force.v
         form = (h * (dn + n * moved.frame) + dh * n) * b.swing**2 + 2 * h * n * b.swing * differs
-        return np.asarray(by_tubes + by_load + by_turns + form.sum(1))
+        # Of the torques of moments, m.(psi x t) y.
+        acts = h[..., None] * b.along + b.kick
+        twist = acts * (w[0] * (moved.frame * b.swing + differs)[..., None] + b.swing[..., None] * own)
+        twist += (dh * b.swing)[..., None] * b.along * w[0]
+        return np.asarray(by_tubes + by_load + by_turns + form.sum(1) + twist.sum((1, 2)))
 
     def curving(self) -> Array:
         """(B,) bound of how far the second variation relative to T is, along the chord, below what is linear in time
@@ -294,7 +311,14 @@ class _Bounds:
         swing = replace(swing + tangent * Jet(np.sqrt(bent[0]), np.sqrt(bent[1]), none), v=self.swing)
         # By parts m_w.(psi x psi') is half of what n makes of |psi|^2, beside n.(psi x (psi x e)).
         by_turns = (tangent * self.force * swing * swing).map(lambda bound: 1.5 * bound)
-        return np.asarray(SIXTH * (h * (by_tubes + by_load + by_turns)).dd.sum(1))
+        by_forces = (h * (by_tubes + by_load + by_turns)).dd.sum(1)
+        # Of the moments that act ahead the same half is of what falls away from section to section.
+        falls = self.couple.map(lambda bound: (bound - np.append(bound[:, 1:], np.zeros((len(bound), 1)), axis=1)) / 2)
+        acts = h.map(lambda bound: bound[..., None] * self.along)
+        acts = replace(acts, v=acts.v + self.kick)
+        twist = acts * (tangent * swing).map(lambda bound: bound[..., None]) * y
+        by_couples = (falls * swing * swing).dd.sum(1) + twist.dd.sum((1, 2))
+        return np.asarray(SIXTH * (by_forces + by_couples))
 
     def _stretched(self) -> tuple[Array, Array, Array, Array]:
         """Between the chord and its nearer end: h (B, K), y_i (B, K, n) and int h r (B, K) at equal coordinates, n."""
@@ -319,7 +343,8 @@ class _Bounds:
         """(B,) radius of the ball in which the equilibria are, the least of the second variation over T in it, and
         whether that is more than 0."""
         # How far the chord is from its nearer end; and what is in a ball from its centre, per its radius.
-        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, self.answer[1].d / 2)
+        forces = (self.long * self.tangent * self.force).map(_ahead)
+        by_time = _Moved((self.theta.d / 2, self.pair.d / 2), self.tangent.d / 2, (forces.d + self.couple.d) / 2)
         each = self.long.v * self.force.v * self.swing
         by_ball = _Moved(self.weight, self.swing, np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
         q = np.fmin(self.variation(by_time, stretched=True), self.curving())

@@ -4,54 +4,89 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 
-from ..robots.load import Load, masses
+from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
+from ..robots.order import twisted_tube
 from ..robots.robot import Robot
-from ..typing import Array, Index
+from ..typing import Array, Index, Mask
 from .cross_sections import Bending, Drift, Jet, turned
 from .sections import JUMP, SHAPE_ERROR, Arms, Intervals
 
 
 def uncovered(load: Load) -> str:
     """What of a load `Pull` has no words for; empty where it has."""
-    if not load.has_energy:
-        return "a moment, or a force that turns with the tip"
-    if load.points:
-        return "forces at points along the arm"
-    return "" if load.distributed is None or _even(load) else "a load per length that changes along the arm"
-
-
-def _even(load: Load) -> bool:
-    along = load.distributed
-    return isinstance(along, tuple) and all(isinstance(x, float) for x in along)
+    if load.frame == "tip" and (any(load.force) or any(load.moment)):
+        return "a force or a moment that turns with the tip"
+    return "a load per length that is a function of the arc length" if callable(load.distributed) else ""
 
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """A dead load on n tubes: force (3,) on the tip, N, on the whole arm (3,), and on each tube (n, 3), N/m."""
+    """A dead load on n tubes, forces and moments in world axes: (6,) on the tip, N and N m; Q at places `at` (Q,), m;
+    R (R, 6) per length, N/m and N, on stretches (R, 2), m; and the `weight` (n, 3) of each tube, N/m."""
 
     tip: Array
+    at: Array
+    points: Array
+    stretches: Array
     along: Array
     weight: Array
 
     @property
-    def per_length(self) -> float:
-        """Bound of the force per length, N/m."""
-        return float(np.linalg.norm(self.along) + np.linalg.norm(self.weight, axis=1).sum())
+    def per_length(self) -> tuple[float, float]:
+        """Bounds of the force, N/m, and of the moment, N, per length."""
+        force = np.linalg.norm(self.along[:, FORCE], axis=1).sum() + np.linalg.norm(self.weight, axis=1).sum()
+        return float(force), float(np.linalg.norm(self.along[:, MOMENT], axis=1).sum())
 
     @staticmethod
     def of(robot: Robot, load: Load) -> Pull:
         """Of a load all of which is covered."""
-        along = np.array(load.distributed if _even(load) else np.zeros(3), dtype=float)
+        given: Any = load.distributed or ()
+        parts = given if given and isinstance(given[0], Stretch) else [Stretch(0.0, np.inf, given)] * bool(given)
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
-        return Pull(np.array(load.force), along, masses(robot.tubes, load)[:, None] * gravity)
+        return Pull(
+            tip=np.array([*load.force, *load.moment]),
+            at=np.array([part.at for part in load.points]),
+            points=np.array([(*part.force, *part.moment) for part in load.points]).reshape(-1, 6),
+            stretches=np.array([(part.start, part.end) for part in parts]).reshape(-1, 2),
+            along=np.array([(*part.force, *part.moment) for part in parts]).reshape(-1, 6),
+            weight=masses(robot.tubes, load)[:, None] * gravity,
+        )
 
-    def on(self, s: Array, ends: Array) -> Array:
-        """(..., 3) force on the cross-section at arc lengths (...) of arms whose tubes end at (..., n)."""
-        left = np.maximum(ends - s[..., None], 0.0)
-        return np.asarray(self.tip + left.max(-1)[..., None] * self.along + left @ self.weight)
+    @cached_property
+    def places(self) -> Array:
+        """(F,) arc lengths where it jumps or breaks."""
+        return np.unique(np.concatenate([self.at, self.stretches.ravel()]))
+
+    @property
+    def couples(self) -> tuple[Array, Array]:
+        """(Q + 1, 3) moments at places, and these (Q + 1,); the last is that at the tip."""
+        return np.concatenate([self.points, self.tip[None]])[:, MOMENT], np.append(self.at, np.inf)
+
+    def twisted(self, ends: Array) -> Index:
+        """(E, Q + 1) tubes that those moments twist, where tubes end at (E, n)."""
+        return np.array([[twisted_tube(end, at) for at in self.couples[1]] for end in ends], dtype=np.intp)
+
+    def on(self, s: Array, ends: Array, inside: Array) -> Array:
+        """(..., 6) force and moment of what is ahead of arc lengths s (...), on arms whose tubes end at (..., n); where
+        that jumps, as it is at arc lengths `inside` (...)."""
+        out = self.tip + (self.at > inside[..., None]) @ self.points
+        out[..., FORCE] += np.maximum(ends - s[..., None], 0.0) @ self.weight
+        far = np.minimum(self.stretches[:, 1], ends.max(-1)[..., None]) - np.maximum(self.stretches[:, 0], s[..., None])
+        return np.asarray(out + np.maximum(far, 0.0) @ self.along)
+
+    def per_length_at(self, s: Array) -> Array:
+        """(..., 3) moment per length at arc lengths (...), N."""
+        inside = (self.stretches[:, 0] < s[..., None]) & (s[..., None] < self.stretches[:, 1])
+        return np.asarray(inside @ self.along[:, MOMENT])
+
+
+def outermost(there: Mask) -> Mask:
+    """(..., n) the outermost of the tubes that are `there` (..., n)."""
+    return np.asarray(there & (np.cumsum(there[..., ::-1], axis=-1)[..., ::-1] == 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +100,43 @@ class LoadedArms(Arms):
         """(E, n) arc lengths of the ends of the tubes, m."""
         return np.array([e.tube_end for e in self.equilibria])
 
+    @property
+    def places(self) -> Array:
+        """Those of the load."""
+        return self.pull.places
+
+    @cached_property
+    def _inside(self) -> tuple[Array, Array]:
+        """(P,) arc lengths beside the points, towards the tip and towards the plate."""
+        s = self.arc_length
+        return s + JUMP, np.where(s > JUMP, s - JUMP, s + JUMP)
+
     @cached_property
     def _sides(self) -> tuple[Index, Index]:
         """Stretches (P, n) in which points lie, as seen from the tip and from the plate."""
-        s, cuts = self.arc_length, self.breakpoints[self.owner]
-        before = np.where(s > JUMP, s - JUMP, s + JUMP)
-        return self.constants.stretch(s + JUMP, cuts), self.constants.stretch(before, cuts)
+        cuts = self.breakpoints[self.owner]
+        ahead, before = (self.constants.stretch(s, cuts) for s in self._inside)
+        return ahead, before
+
+    @cached_property
+    def _felt(self) -> tuple[Array, Array]:
+        """(P, 6) force and moment of what is ahead, as seen from the tip and from the plate."""
+        ahead, before = (self.pull.on(self.arc_length, self.ends[self.owner], s) for s in self._inside)
+        return ahead, before
+
+    @cached_property
+    def _frames(self) -> Array:
+        """(P, 3, 3)."""
+        return np.concatenate([e.frame for e in self.equilibria])
+
+    @cached_property
+    def kicks(self) -> Array:
+        """(P, n) what the moments at points take of the torque there, N m."""
+        out, tubes = np.zeros(self.rotation.shape), self.pull.twisted(self.ends)
+        for q, (moment, at) in enumerate(zip(*self.pull.couples, strict=True)):
+            rows = np.flatnonzero(np.abs(self.arc_length - at) <= JUMP)
+            np.add.at(out, (rows, tubes[self.owner[rows], q]), self.tangent[rows] @ moment)
+        return out
 
     @cached_property
     def _values(self) -> tuple[Array, Array]:
@@ -103,18 +169,27 @@ class LoadedArms(Arms):
         return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
 
     @cached_property
+    def borne(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Torques (P, n) and moments (P, 2), each as seen from the tip and from the plate: they jump where moments act
+        at points."""
+        jump = np.einsum("pij,pi->pj", self._frames, (self._felt[1] - self._felt[0])[:, MOMENT])[:, :2]
+        return (self.torque - self.kicks, self.torque), (self.moment - jump, self.moment)
+
+    @cached_property
     def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """d torque / ds (P, n) and d moment / ds (P, 2), towards the tip and from the plate."""
-        frame = np.concatenate([e.frame for e in self.equilibria])
-        force = np.einsum("pij,pi->pj", frame, self.pull.on(self.arc_length, self.ends[self.owner]))
         sides = []
-        for values in self._values:
+        for k, values in enumerate(self._values):
             pulls, stiffness = self._pulls(values)
             straight = np.where(stiffness > 0, stiffness, 1.0)[:, None]
-            x, y = ((self.moment + pulls.sum(1)) / straight).T
-            torsion = self.torque.sum(1)
+            torque, moment = (each[k] for each in self.borne)
+            x, y = ((moment + pulls.sum(1)) / straight).T
+            force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
+            along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
             twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
-            bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1)
+            twisting -= along[:, 2:] * outermost(self._sides[k] < self.constants.ended)
+            torsion = torque.sum(1)
+            bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1) - along[:, :2]
             sides.append((twisting, bending))
         (one, other), (three, four) = sides
         return (one, three), (other, four)
@@ -122,8 +197,7 @@ class LoadedArms(Arms):
     def sampled(self, which: Index, s: Array) -> tuple[Array, Array]:
         """(..., n) torques and (..., 2) moments of equilibria (...) at arc lengths (...)."""
         torque, moment = (
-            self.hermite(which, s, values, slopes)
-            for values, slopes in zip((self.torque, self.moment), self.slopes, strict=True)
+            self.hermite(which, s, values, slopes) for values, slopes in zip(self.borne, self.slopes, strict=True)
         )
         return torque, moment
 
@@ -152,30 +226,32 @@ class LoadedArms(Arms):
         if not len(inner):
             return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
-        bend, ends = Bending.of(c, *self.crossed), self.ends[owner]
+        bend = Bending.of(c, *self.crossed)
         drift, pull = Drift.of(c, np.array(1.0), *self.crossed), [c.most(each, *self.crossed) for each in c.bounds.pull]
-        pulls = (self.pull.on(self.arc_length[k], ends) for k in (inner, inner + 1))
-        force = np.maximum(*(np.linalg.norm(each, axis=1) for each in pulls))
-        # No moment is larger than the forces ahead make on a straight arm; torque grows by |u| |a| per length.
-        moment, along = self._lever[owner], self.pull.per_length
+        pulls = self._felt[0][inner], self._felt[1][inner + 1]
+        force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in pulls))
+        # No moment is larger than what is ahead makes on a straight arm. Torque grows by |u| |a| per length, and by
+        # what acts on its tube.
+        moment, (along, couple) = self._lever[owner], self.pull.per_length
         u = bend.most + moment / bend.stiffness
-        grows = u[:, None] * bend.moment
-        torque = np.maximum(np.abs(self.torque[inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
+        grows = u[:, None] * bend.moment + couple
+        torque = np.maximum(np.abs(self.borne[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
         ease, wound = drift.ease, drift.wound
         turn = torque * ease.v + c.most(c.bounds.twist[0], *self.crossed)
         turning = grows * ease.v + torque * ease.d + wound.v
         swing = turned(Jet(turn, turn, turning))
         whole, growing = torque.sum(1), grows.sum(1)
-        bending = force + u * whole
+        bending = force + u * whole + couple
         by_tubes = replace(drift.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
         du = bending / bend.stiffness + moment * drift.give.d + by_tubes.d.sum(1)
         a = Jet(*pull[:3]) * swing
-        grown = du[:, None] * a.v + u[:, None] * a.d
+        grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
         turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + wound.d
-        bent = force * u + along + du * whole + u * growing
+        bent = force * u + along + du * whole + u * growing + couple * u
         ddu = bent / bend.stiffness + 2 * bending * drift.give.d + moment * drift.give.dd + by_tubes.dd.sum(1)
-        twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd
-        lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1)
+        turning_along = couple * (du + u**2)
+        twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd + turning_along[:, None]
+        lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1) + turning_along
         share = SHAPE_ERROR[0] * h**3
         thirds = share * (u**2 + du) + out[owner], turned_on, twisted, share * lifted
         for error, third in zip(errors, thirds, strict=True):
@@ -186,9 +262,14 @@ class LoadedArms(Arms):
 
     @cached_property
     def _lever(self) -> Array:
-        """(E,) bound of the bending moment of the load, N m."""
+        """(E,) bound of the moment of the load on the bundle, N m."""
         length, p = self.ends.max(1), self.pull
-        return np.asarray(length * np.linalg.norm(p.tip) + length**2 / 2 * p.per_length)
+        force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
+        begin, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
+        per_length, couple = (np.linalg.norm(p.along[:, k], axis=1) for k in (FORCE, MOMENT))
+        out = length * np.linalg.norm(p.tip[FORCE]) + length**2 / 2 * np.linalg.norm(p.weight, axis=1).sum()
+        out += np.linalg.norm(p.tip[MOMENT]) + (p.at * force + moment).sum()
+        return np.asarray(out + (end**2 - begin**2) @ per_length / 2 + (end - begin) @ couple)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,23 +278,59 @@ class LoadedIntervals(Intervals):
 
     arms: LoadedArms
 
+    @classmethod
+    def of(cls, arms: Arms, one: Index, other: Index) -> Self:
+        """As those without a load; nowhere does a moment change its tube in between."""
+        found = super().of(arms, one, other)
+        assert isinstance(arms, LoadedArms)
+        acts = arms.pull.couples[0].any(1)
+        tubes = arms.pull.twisted(arms.ends)[:, acts]
+        return replace(found, ordered=found.ordered & (tubes[one] == tubes[other]).all(1))
+
     @cached_property
+    def _loads(self) -> tuple[Jet, Jet]:
+        """(B, K) of the force, N, and of the moment, N m, of what is ahead. In every section both are linear along it
+        and in time."""
+        tables = []
+        for e, cuts in ((self.one, self.begin), (self.other, self.end)):
+            ends, inside = self.arms.ends[e][:, None], (cuts[:, :-1] + cuts[:, 1:]) / 2
+            tables.append([self.arms.pull.on(s, ends, inside) for s in (cuts[:, :-1], cuts[:, 1:])])
+        table, jets = np.array(tables), []
+        for part in (FORCE, MOMENT):
+            size = np.linalg.norm(table[..., part], axis=-1).max((0, 1))
+            change = np.linalg.norm((table[1] - table[0])[..., part], axis=-1).max(0)
+            jets.append(Jet(size, change, np.zeros_like(size), np.zeros_like(size)))
+        return jets[0], jets[1]
+
+    @property
     def force(self) -> Jet:
-        """(B, K) of the force on the cross-sections, N, in every section: it is linear in it, and in time."""
-        ends = self.arms.ends
-        tables = [
-            self.arms.pull.on(np.stack([cuts[:, :-1], cuts[:, 1:]]), ends[e][:, None])
-            for e, cuts in ((self.one, self.begin), (self.other, self.end))
-        ]
-        size = np.linalg.norm(tables, axis=-1).max((0, 1))
-        change = np.linalg.norm(tables[1] - tables[0], axis=-1).max(0)
-        return Jet(size, change, np.zeros_like(size), np.zeros_like(size))
+        """(B, K) of the force on the cross-sections, N."""
+        return self._loads[0]
+
+    @cached_property
+    def couple(self) -> Jet:
+        """(B, K) of the moments that act ahead, N m, nowhere larger towards the tip."""
+        return self._loads[1].map(lambda bound: np.maximum.accumulate(bound[:, ::-1], axis=1)[:, ::-1])
+
+    @cached_property
+    def twisting(self) -> tuple[Array, Array]:
+        """(B, K, n) sizes of the moments that act on a tube, at the ends of the sections, N m, and per length, N."""
+        pull, present = self.arms.pull, self.stretch < self.arms.constants.ended
+        cuts = (self.begin + self.end) / 2
+        middle, tubes = (cuts[:, :-1] + cuts[:, 1:]) / 2, pull.twisted(self.arms.ends[self.one])
+        at_ends, b = np.zeros(self.stretch.shape), np.arange(len(middle))
+        for q, (moment, at) in enumerate(zip(*pull.couples, strict=True)):
+            section = (middle < np.minimum(at, cuts[:, -1:])).sum(1) - 1
+            # What acts at the plate twists nothing.
+            np.add.at(at_ends, (b, section, tubes[:, q]), np.where(section < 0, 0.0, np.linalg.norm(moment)))
+        size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
+        return at_ends, size[..., None] * outermost(present)
 
     @cached_property
     def lever(self) -> Array:
-        """(B, K) bound of |m_w|, N m, and so of the moment: of the forces ahead on an arm however it is bent."""
+        """(B, K) bound of |m_w|, N m, and so of the moment: of what is ahead on an arm however it is bent."""
         each = np.maximum(*self.length) * self.force.v
-        return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1])
+        return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1] + self.couple.v)
 
     @cached_property
     def bending(self) -> Bending:

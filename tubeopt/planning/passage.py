@@ -7,7 +7,7 @@ stable branch joins two neighbours, or where the bound of the clearance is not s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..bodies.scene import Scene
-from ..equilibrium.answer import linearised
+from ..equilibrium.answer import linearised, sure_margin
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
@@ -107,7 +107,7 @@ class Follower:
     load: Load | None = None
     count: int = 0
     _known: dict[int, tuple[Equilibrium, float]] = field(default_factory=dict, repr=False)
-    """Equilibria by their `id`, with the least singular values of their linearised equations."""
+    """Equilibria by their `id`, with the least singular values of their linearised equations, or `sure_margin`."""
 
     @cached_property
     def length(self) -> float:
@@ -118,6 +118,13 @@ class Follower:
     def constants(self) -> Constants:
         """What no joint changes of the robot."""
         return Constants.of(self.robot)
+
+    def cuts(self, translations: Array) -> Array:
+        """(..., 1 + C n + F) the plate, breakpoints of tubes at translations (..., n), and places of the load, m."""
+        moving = self.constants.breakpoints(translations)
+        places = np.zeros(0) if self.load is None else np.unique(self.load.cuts())
+        fixed = np.broadcast_to(places, (*moving.shape[:-1], len(places)))
+        return np.concatenate([np.zeros((*moving.shape[:-1], 1)), moving, fixed], axis=-1)
 
     @cached_property
     def says(self) -> str:
@@ -181,7 +188,10 @@ class Follower:
     def joined(self, intervals: Intervals) -> Branch:
         """What is known between neighbours: nothing of a load that the bounds do not cover."""
         if isinstance(intervals, LoadedIntervals):
-            return loaded_branch(intervals, np.array([min(e.margin, 1.0) for e in intervals.arms.equilibria]))
+            sure = np.array([self.sure(e) for e in intervals.arms.equilibria])
+            found, poor = loaded_branch(intervals, sure), sure <= 0
+            # Shorter intervals bound no more there.
+            return replace(found, turned=found.turned & ~poor[intervals.one] & ~poor[intervals.other])
         if self.says:
             none = np.zeros(len(intervals.one), dtype=bool)
             return Branch(none, np.full(intervals.length[0].shape, np.inf), none, np.full((2, len(none)), np.inf))
@@ -191,10 +201,16 @@ class Follower:
         """(E,) least singular values of the linearised equations: the margins, unless tubes run off the centreline."""
         if not arms.constants.offset.any():
             return np.array([min(e.margin, 1.0) for e in arms.equilibria])
-        for e in arms.equilibria:
-            if id(e) not in self._known:
-                self._known[id(e)] = e, float(np.linalg.svd(linearised(e), compute_uv=False).min(initial=1.0))
-        return np.array([self._known[id(e)][1] for e in arms.equilibria])
+        return np.array([self._once(e, _least_singular) for e in arms.equilibria])
+
+    def sure(self, equilibrium: Equilibrium) -> float:
+        """`sure_margin` of an equilibrium under the load."""
+        return self._once(equilibrium, sure_margin)
+
+    def _once(self, e: Equilibrium, value: Callable[[Equilibrium], float]) -> float:
+        if id(e) not in self._known:
+            self._known[id(e)] = e, value(e)
+        return self._known[id(e)][1]
 
     def ends(self, here: Step, at: float, joints: Array) -> float | None:
         """Fraction of the time at which the branch that leads from here to joint values (2n,) ends by a snap."""
@@ -206,6 +222,10 @@ class Follower:
         except SolveError:
             return None
         return None if snap is None else here.at + snap.fraction * (at - here.at)
+
+
+def _least_singular(e: Equilibrium) -> float:
+    return float(np.linalg.svd(linearised(e), compute_uv=False).min(initial=1.0))
 
 
 def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
@@ -236,7 +256,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
     size = np.array([follower.effort.turn] * n + [follower.effort.shift * follower.length] * n)
-    meetings = _meetings(follower.constants, joints[:, n:])
+    meetings = _meetings(follower.cuts(joints[:, n:]))
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
@@ -254,11 +274,9 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     return steps, None
 
 
-def _meetings(constants: Constants, translations: Array) -> dict[int, Array]:
-    """Fractions of the way between waypoints at which breakpoints meet each other or the plate: sections change there,
-    and with them how the arm moves."""
-    points = constants.breakpoints(translations)
-    points = np.concatenate([np.zeros((len(points), 1)), points], axis=1)
+def _meetings(points: Array) -> dict[int, Array]:
+    """Fractions of the way between waypoints at which some of P points (T, P) meet: sections change there, and with
+    them how the arm moves."""
     gap = points[:, :, None] - points[:, None, :]
     before, after = gap[:-1], gap[1:]
     found: dict[int, Array] = {}

@@ -182,8 +182,8 @@ def verify_trajectory(  # noqa: PLR0913
             as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`), beside the
             load where there is one.
         load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
-            the loaded robot: for a force on the tip, weight and a constant load per length, all in fixed axes. Of other
-            dead loads the equilibria are found, and what lies between them is named as not proved.
+            the loaded robot: for forces and moments on the tip, at points and on stretches, and weight, in fixed axes.
+            Of other loads the equilibria are found, and what lies between them is named as not proved.
         effort: how closely equilibria are set at first, and how many at most.
 
     Raises:
@@ -317,6 +317,9 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         unproved.append(f"not proved: {follower.says}")
     elif passage.lost:
         a, b = passage.lost[0]
+        for step in passage.steps:
+            if a <= step.at <= b and (sure := follower.sure(step.equilibrium)) <= 0:
+                return faults, [*unproved, _not_sure(step, sure)]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the time"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
     if passage.measured < wanted:
@@ -326,6 +329,15 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         shown = passage.clearance * 1e3
         unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
+
+
+def _not_sure(step: Step, sure: float) -> str:
+    """Why nothing is proved next to a step whose linearised equations have no positive symmetric part."""
+    return (
+        f"not proved: at {100 * step.at:.4g} % of the time the margin is {step.equilibrium.margin:.3g}, but the least "
+        f"eigenvalue of the symmetric part of the linearised equations is {sure:.3g}; a proof under moments needs it "
+        "above 0"
+    )
 
 
 def _again(equilibria: Sequence[Equilibrium]) -> float:

@@ -22,6 +22,9 @@ JUMP = 1e-9
 PARTS = 4
 """Stretches into which every section is cut to begin with."""
 
+EDGE = 1e-6
+"""Share of a section by which samples at its ends lie inside: there torques may jump. Less than half of a stretch."""
+
 SHAPE_ERROR = 1 / 96, 1 / 384
 """Error of cubic Hermite interpolation over a step h is at most these times h^3 |p'''| and h^4 |p''''| (Peano)."""
 
@@ -66,6 +69,16 @@ class Arms:
         """(E, C n) m."""
         return self.constants.breakpoints(self.translations)
 
+    @property
+    def places(self) -> Array:
+        """(F,) arc lengths at which sections end besides, m; beyond an arm it ends there."""
+        return np.zeros(0)
+
+    @property
+    def kicks(self) -> Array:
+        """(P, n) by how much the torque falls at the points, N m."""
+        return np.zeros(self.rotation.shape)
+
     @cached_property
     def _key(self) -> tuple[Array, float]:
         stride = 2.0 * float(self.arc_length.max(initial=0.0)) + 1e-3
@@ -88,31 +101,33 @@ class Arms:
         c, cuts = self.constants, self.breakpoints[self.owner]
         before, after = (c.stretch(self.arc_length + side * JUMP, cuts) for side in (-1, 1))
         jumps = (before != after) & (self.arc_length > JUMP)[:, None]
+        jumps |= self.kicks != 0
         rows, out = np.flatnonzero(jumps.any(1)), self.torsion.copy()
         (_, kt, *_, twist, _), (_, other, *_, ahead, _) = self.along(-1, rows), self.along(1, rows)
         there, later = (stretch[rows] < c.ended for stretch in (before, after))
-        onwards = (out[rows] - twist * there) * kt / other + ahead * later
+        onwards = ((out[rows] - twist * there) * kt - self.kicks[rows]) / other + ahead * later
         out[rows] = np.where(jumps[rows], onwards, out[rows])
         return out
 
-    def hermite(self, which: Index, s: Array, value: Array, slopes: tuple[Array, Array]) -> Array:
-        """(..., c) at arc lengths (...) of equilibria (...), from values and slopes at all points (P, c)."""
+    def hermite(self, which: Index, s: Array, values: tuple[Array, Array], slopes: tuple[Array, Array]) -> Array:
+        """(..., c) at arc lengths (...) of equilibria (...), from values and slopes at all points (P, c), each as seen
+        from the tip and from the plate."""
         key, stride = self._key
         low, high = self.first[which], np.maximum(self.first[which + 1] - 2, self.first[which])
         k = np.clip(np.searchsorted(key, s + which * stride, side="right") - 1, low, high)
         after = np.minimum(k + 1, self.first[which + 1] - 1)
         h = self.arc_length[after] - self.arc_length[k]
         x = np.clip(np.where(h > 0, (s - self.arc_length[k]) / np.where(h > 0, h, 1.0), 0.0), 0.0, 1.0)[..., None]
-        ends = value[k] * (1 + 2 * x) * (1 - x) ** 2 + value[after] * x**2 * (3 - 2 * x)
+        ends = values[0][k] * (1 + 2 * x) * (1 - x) ** 2 + values[1][after] * x**2 * (3 - 2 * x)
         return np.asarray(ends + h[..., None] * (slopes[0][k] * x * (1 - x) ** 2 - slopes[1][after] * x**2 * (1 - x)))
 
     def points(self, which: Index, s: Array) -> Array:
         """(..., 3) centreline of equilibria (...) at arc lengths (...), cubic between the points of the solution."""
-        return self.hermite(which, s, self.position, (self.tangent, self.tangent))
+        return self.hermite(which, s, (self.position, self.position), (self.tangent, self.tangent))
 
     def rotations(self, which: Index, s: Array) -> Array:
         """(..., n) theta of equilibria (...) at arc lengths (...)."""
-        return self.hermite(which, s, self.rotation, (self._onwards, self.torsion))
+        return self.hermite(which, s, (self.rotation, self.rotation), (self._onwards, self.torsion))
 
     @cached_property
     def inner(self) -> Index:
@@ -191,8 +206,8 @@ class Arms:
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """Neighbouring equilibria `one` and `other` (B,) of `arms`: K = C n sections, some without length, of which `begin`
-    and `end` (B, K + 1) are the breakpoints at either; in which stretch each tube is there (B, K, n).
+    """Neighbouring equilibria `one` and `other` (B,) of `arms`: K = C n + F sections, some without length, of which
+    `begin` and `end` (B, K + 1) are the breakpoints at either; in which stretch each tube is there (B, K, n).
 
     A place of an interval is a section with a fraction x of it: its arc length changes linearly with time.
     """
@@ -208,7 +223,12 @@ class Intervals:
     @classmethod
     def of(cls, arms: Arms, one: Index, other: Index) -> Self:
         """Those between equilibria (B,) and (B,); `ordered` (B,) tells where no breakpoints meet in between."""
-        a, b = arms.breakpoints[one], arms.breakpoints[other]
+        begin, end = (arms.breakpoints[e] for e in (one, other))
+        tips = np.stack([begin, end]).max(2, keepdims=True)
+        a, b = (
+            np.concatenate([cuts, np.minimum(arms.places, tip)], axis=1)
+            for cuts, tip in zip((begin, end), tips, strict=True)
+        )
         middle = (a + b) / 2
         order = np.argsort(middle, axis=1, kind="stable")
         zero = np.zeros((len(one), 1))
@@ -219,7 +239,11 @@ class Intervals:
             sides.append(np.maximum.accumulate(sorted_points, axis=1))
         # One that is behind the plate at one end and in front of it at the other meets the plate in between.
         ordered &= ~((a < -SWAPPED) & (b > SWAPPED) | (a > SWAPPED) & (b < -SWAPPED)).any(1)
-        stretch = arms.constants.stretch((sides[2][:, :-1] + sides[2][:, 1:]) / 2, middle[:, None])
+        # Nor may the tip meet a place of the load.
+        beyond = arms.places - tips
+        ordered &= ~((beyond.min(0) < -SWAPPED) & (beyond.max(0) > SWAPPED)).any(1)
+        tubes = (begin + end)[:, None] / 2
+        stretch = arms.constants.stretch((sides[2][:, :-1] + sides[2][:, 1:]) / 2, tubes)
         return cls(arms, one, other, sides[0], sides[1], stretch, ordered)
 
     @cached_property
@@ -283,7 +307,7 @@ class Intervals:
     @property
     def parts(self) -> tuple[tuple[Index, Array], tuple[Index, Array]]:
         """At either end equilibria and arc lengths (B, K, PARTS + 1), of the ends of PARTS stretches of a section."""
-        x = np.linspace(0.0, 1.0, PARTS + 1)
+        x = np.linspace(0.0, 1.0, PARTS + 1).clip(EDGE, 1 - EDGE)
         before, after = (cuts[:, :-1, None] + x * np.diff(cuts, axis=1)[:, :, None] for cuts in (self.begin, self.end))
         one, other = (np.broadcast_to(e[:, None, None], before.shape) for e in (self.one, self.other))
         return (one, before), (other, after)

@@ -137,9 +137,8 @@ class _Row:
         return np.asarray(same & ~((gap[:-2] > SWAPPED) & (gap[2:] < -SWAPPED)).any((1, 2)))
 
     def _gaps(self, translations: Array) -> Array:
-        """(S, P, P) between breakpoints, and the plate, at translations (S, n)."""
-        points = self.follower.constants.breakpoints(translations)
-        points = np.concatenate([np.zeros((len(points), 1)), points], axis=1)
+        """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n)."""
+        points = self.follower.cuts(translations)
         return np.asarray(points[:, :, None] - points[:, None, :])
 
     def velocity(self, step: int, link: int) -> Array | None:
@@ -147,8 +146,9 @@ class _Row:
         move apart."""
         here, rate, n = self.steps[step], self.rate[link], self.follower.robot.n_tubes
         if rate[n:].any():
-            moving = np.concatenate([[0.0], np.tile(rate[n:], self.follower.constants.ended)])
             meet = np.abs(self._gaps(here.joints[None, n:])[0]) <= 2 * SWAPPED
+            moving = np.zeros(len(meet))
+            moving[1 : 1 + n * self.follower.constants.ended] = np.tile(rate[n:], self.follower.constants.ended)
             if (meet & (moving[:, None] != moving)).any():
                 return None
         if here.equilibrium not in self.slopes:

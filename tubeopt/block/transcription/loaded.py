@@ -362,6 +362,26 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     return np.asarray(out)
 
 
+def monotonicity(problem: LoadedProblem, state: LoadedState) -> float:
+    """Least eigenvalue of the symmetric part of the linearised equations, at most 1, where the load has no energy: no
+    smaller change of the equations leaves more than one equilibrium close by.
+
+    A moment at a joint twists its tube as no z does, too: these are unknowns of their own here.
+    """
+    couples = problem.couples
+    assert couples is not None
+    joints = len(couples.joint)
+    ends, row, tube = softness(problem.torsion)[1], couples.row[:joints], couples.tube[:joints]
+    lever = ends[couples.joint, tube]
+    alike = np.where(tube[:, None] == tube, np.minimum(lever[:, None], lever), 0.0)
+    size, vectors = np.linalg.eigh(alike - row @ row.T)
+    twisting = couples.torque_slopes(state.orientation, _push(problem, state.orientation).moment, state.turned)
+    across = state.factor / 2 * (vectors * np.sqrt(np.maximum(size, 0.0))).T @ twisting[:joints]
+    both = (state.hessian + state.hessian.T) / 2
+    whole = np.block([[both, -across.T], [-across, np.eye(joints)]])
+    return min(1.0, float(np.linalg.eigvalsh(whole)[0]))
+
+
 def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
     """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate.
 
