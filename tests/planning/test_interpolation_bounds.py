@@ -19,7 +19,7 @@ from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet
 from tubeopt.planning.loaded_sections import LoadedArms
 from tubeopt.planning.sections import SHAPE_ERROR, Arms, Intervals
 
-TIP = 1e-4
+TIP = 1e-11
 """Error of the tip as it was solved for, m."""
 
 
