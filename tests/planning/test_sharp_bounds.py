@@ -15,7 +15,7 @@ from tubeopt.bodies.frames import base_frame
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import apart, branch, loaded_branch, passage
+from tubeopt.planning import apart, branch, loaded_branch, pair_reach, passage
 from tubeopt.planning.clearing import Cells, Sizes, Wanted, cleared
 from tubeopt.planning.cross_sections import Constants, Jet, linear
 from tubeopt.planning.effort import ProofSearch
@@ -461,3 +461,27 @@ def test_what_changes_between_samples_is_off_its_chord_by_an_eighth_of_its_secon
     x = np.linspace(0, length / PARTS, 101)
     parabola = coupling * turn / kt * (x * (x[-1] - x))[:, None] / 2
     assert found == pytest.approx(parabola.max(0), rel=1e-6)
+
+
+def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_their_middles() -> None:
+    """Of length 0.4 and 0.6, thick at one end and off their pieces."""
+    x, y, z = np.eye(3)
+    one, other = np.array([-0.2 * x, 0.2 * x]), np.array([z - 0.3 * y, z + 0.3 * y])
+    thick = np.array([0.05, 0.05]), np.array([0.03, 0.03])
+    found = pair_reach._apart((one, thick[0], 0.4**2, 0.001), (other, thick[1], 0.6**2, 0.002))
+    assert found == pytest.approx(1 - 0.08 - 0.003)
+
+
+def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pieces_by_their_sagitta() -> None:
+    """An arc that a tube leaves half-way: 11 points, of pieces of a tenth."""
+    robot, curvature, length, count = nested((0.0, 0.08, 5.0), (0.0, 0.043, 5.0)), 5.0, 0.08, 11
+    arm = forward_kinematics(robot, [0.0, 0.0])
+    found: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
+    line, thick, square, bow = pair_reach._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]), count)[0]
+    assert len(line) == count
+    assert square == pytest.approx((length / 10) ** 2)
+    sagitta = (1 - np.cos(curvature * length / 20)) / curvature
+    assert sagitta <= bow <= 1.25 * sagitta
+    # The outer tube ends at 43 mm, between points 5 and 6, both of which are as thick as it is.
+    radii = [tube.outer_diameter / 2 for tube in robot.tubes]
+    assert thick == pytest.approx(np.array([radii[1]] * 7 + [radii[0]] * 4))
