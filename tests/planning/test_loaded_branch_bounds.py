@@ -7,12 +7,14 @@ everything here grows, so that no term of a bound is lost to a sign.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.examples import nested
 from tests.planning.test_branch_bounds import whirl_by_sums
 from tests.planning.test_cross_section_bounds import derivatives
 from tests.planning.test_cross_section_bounds import parts as parts_of
@@ -20,7 +22,7 @@ from tests.planning.test_sharp_bounds import STEPPED
 from tubeopt import Load, forward_kinematics
 from tubeopt.planning.branch import whirled
 from tubeopt.planning.cross_sections import Constants, Jet
-from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved
+from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS
 from tubeopt.typing import Array
@@ -566,9 +568,10 @@ def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
         stiff = sum(tube.bending_stiffness * on for tube, on in zip(STEPPED.tubes, there, strict=True))
         total = (1 / stiff).sum() * s / count
         for tube, on, held in zip(STEPPED.tubes, there, (0.06, 0.03), strict=True):
-            m = np.cumsum((tube.bending_stiffness * tube.curvature * on / stiff)[::-1])[::-1] * s / count
-            total += ((m**2).sum() * s / count + held * m[0] ** 2) / tube.torsional_stiffness
-        assert bounds.swing[0, k] == pytest.approx(np.sqrt(total), rel=1e-3)
+            slope = tube.bending_stiffness * tube.curvature * on / stiff * s / count
+            m = np.cumsum(slope[::-1])[::-1] - slope / 2
+            total += ((m**2).sum() * s / count + held * slope.sum() ** 2) / tube.torsional_stiffness
+        assert bounds.swing[0, k] == pytest.approx(np.sqrt(total), rel=3e-5)
 
 
 def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load() -> None:
@@ -583,3 +586,94 @@ def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load() 
     slope = bends[0] * bends[1] / (one + other) + np.array(bends) / (one + other) * lever
     more = bounds.torque[0, k] - intervals.loads[0][0, k]
     assert more == pytest.approx(slope * length[k] / (2 * PARTS), rel=1e-9)
+
+
+def test_no_rotation_of_loaded_arms_of_unit_elastic_form_is_larger_than_its_weight() -> None:
+    """(|beta| + s) / kt is the square of what a tube may turn, and their sum that of two against each other."""
+    intervals, bounds = loaded(Load(force=(0.01, 0.0, 0.0)))
+    kt = np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
+    square = (np.array([0.06, 0.03]) + intervals.begin[0, 1:, None]) / kt
+    assert bounds.weight[0][0] == pytest.approx(np.sqrt(square), rel=1e-9)
+    assert bounds.weight[1][0] == pytest.approx(np.sqrt(square[:, :, None] + square[:, None]), rel=1e-9)
+
+
+def test_what_differs_between_loaded_arms_is_as_wrong_as_both_ends() -> None:
+    """Rotations that are interpolated, off by 0.01 and 0.02; more in between for each, and for torques and moments."""
+    ends: Any = SimpleNamespace(
+        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)),
+        arms=SimpleNamespace(turn_error=np.array([[0.01], [0.02]])),
+        one=[0],
+        other=[1],
+    )
+    still: Any = SimpleNamespace(
+        intervals=ends, _between=lambda c: (np.full((1, 1, 1), 0.1), np.full((1, 1, 1), 0.3), np.full((1, 1), 0.5))
+    )
+    found = _Bounds._changes(still, np.full((1, 1, 1), 2.0), np.full((1, 1), 3.0))
+    # The last of the terms is doubled.
+    assert found.turn[0].item() == pytest.approx(0.7 + 0.03 + 0.2)
+    assert found.turn[1].item() == pytest.approx(0.9 + 2 * 0.03 + 2 * 0.2)
+    assert (found.torque.item(), found.moment.item()) == pytest.approx((2.6, 4.0))
+    assert found.sure.all()
+
+
+def test_loads_are_sampled_with_the_errors_of_both_ends() -> None:
+    """Torques 2 and -3 between 2.5 and -2.9, moments that differ by 5."""
+    samples = iter(
+        [
+            (np.array([[[[2.0], [-3.0]]]]), np.array([[[[0.0, 0.0], [3.0, 4.0]]]])),
+            (np.array([[[[2.5], [-2.9]]]]), np.zeros((1, 1, 2, 2))),
+        ]
+    )
+    arms = SimpleNamespace(
+        sampled=lambda *_: next(samples), load_error=(np.array([[0.01], [0.02]]), np.array([0.03, 0.04]))
+    )
+    stub: Any = SimpleNamespace(arms=arms, parts=((), ()), one=np.array([0]), other=np.array([1]))
+    size, change, moment = vars(LoadedIntervals)["loads"].func(stub)
+    assert (size.item(), change.item(), moment.item()) == pytest.approx((3.03, 0.53, 5.07))
+
+
+def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_time() -> None:
+    """By gravity and along the arm, across it; the load ahead of the base of a straight arm is its lever."""
+    load = Load(force=(0.01, 0.0, 0.0), distributed=(0.2, 0.0, 0.0))
+    robot = nested((0.0, 0.05, 0.0), (0.0, 0.03, 0.0))
+    arms = [forward_kinematics(robot, [0.0, 0.0], shift, load=load) for shift in ([-0.01, -0.01], [-0.008, -0.009])]
+    table = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
+    intervals = LoadedIntervals.of(table, np.array([0]), np.array([1]))
+    for k in range(intervals.length[0].shape[1]):
+        sizes = [
+            0.01 + 0.2 * max(end - cuts[0, at], 0.0)
+            for cuts, end in ((intervals.begin, 0.04), (intervals.end, 0.042))
+            for at in (k, k + 1)
+        ]
+        assert intervals.force.v[0, k] == pytest.approx(max(sizes), rel=1e-9)
+        assert intervals.force.d[0, k] == pytest.approx(
+            max(abs(sizes[2] - sizes[0]), abs(sizes[3] - sizes[1])), abs=1e-12
+        )
+    longest = np.maximum(*intervals.length)
+    ahead_of = np.cumsum((longest * intervals.force.v)[0, ::-1])[::-1]
+    assert intervals.lever[0] == pytest.approx(ahead_of)
+    straight = intervals.lever / intervals.bending.stiffness
+    assert intervals.bending.most == pytest.approx(straight)
+    hanging = Pull(np.zeros(3), np.array([0.0, 3.0, 4.0]), np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 1.5]]))
+    assert hanging.per_length == pytest.approx(5.0 + 2.0 + 1.5)
+
+
+@pytest.mark.parametrize("lost", ["margin of one", "margin of other", "samples", "order"])
+def test_no_branch_of_loaded_arms_is_shown_where_a_part_of_the_proof_is_missing(
+    lost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = Load(force=(1e-3, 0.0, 0.0))
+    arms = [forward_kinematics(STEPPED, [angle, 0.1], [-0.02, -0.01], load=load) for angle in (0.3, 0.301)]
+    table = LoadedArms.of(Constants.of(STEPPED), arms, pull=Pull.of(STEPPED, load))
+    intervals, margins = LoadedIntervals.of(table, np.array([0]), np.array([1])), np.ones(2)
+    assert loaded_branch(intervals, margins).unbroken.all()
+    if lost.startswith("margin"):
+        margins[int(lost.endswith("other"))] = 1e-12
+    elif lost == "order":
+        intervals = replace(intervals, ordered=np.array([False]))
+    else:
+        changes = _Bounds._changes
+        monkeypatch.setattr(_Bounds, "_changes", lambda *a: replace(changes(*a), sure=np.array([False])))
+    found = loaded_branch(intervals, margins)
+    assert not found.unbroken.any()
+    assert np.isinf(found.off).all()
