@@ -105,9 +105,10 @@ def _all_tips(problem: ReducedProblem, rotations: Array, search: EquilibriaSearc
         for tips, extra in branches:
             key = extra.tobytes()
             if key not in known:
+                held = bundle.transmission.copy()
                 # Straight tubes that only keep a place have no torsion to transmit.
-                own = np.pad(extra[group.tubes], (0, bundle.n_tubes - len(group.tubes)))
-                known[key] = preimage(bundle, bundle.transmission + own, rotations[group.tubes], search)
+                held[: len(group.tubes)] += (extra / problem.assembly.held_stiffness)[group.tubes]
+                known[key] = preimage(bundle, held, rotations[group.tubes], search)
             found = known[key]
             if not found.settled:
                 raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))

@@ -1,10 +1,10 @@
 """Tubes that act on one another, apart from the others: what makes a search over all tip angles a search over few.
 
 Two tubes act on each other where both are curved. A tube that is straight in a section only shares the stiffness of
-the section, and its torsion w is constant there: on the centreline it does not notice the others at all. Off the
-centreline they change its length, theta' = g w, and so the transmission to its own curved part,
+the section, and its torque t is constant there: on the centreline it does not notice the others at all. Off the
+centreline they change its length, theta' = g t / kt, and so the transmission to its own curved part,
 
-    alpha_i = theta_i - w_i (|beta_i| + int g_i ds),
+    alpha_i = theta_i - t_i (|beta_i| + int g_i ds) / kt_i,
 
 with the integral over everything between the plate and where its group begins. A tube is curved to its end, so that
 a group lies beyond all those that it passes through: the equations are block triangular, from the base to the tip.
@@ -71,13 +71,12 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
     stiffness[..., len(tubes) :] = moment[..., len(tubes) :] = 0.0
     for i in np.setdiff1d(np.arange(assembly.n_tubes), tubes):
         stiffness[..., seat[i]] += every[1][..., i]
-    held = assembly.transmission + assembly.start[sections[0]]
     bundle = Bundle(
         length=mesh.length[pieces],
         bent=mesh.collocated[pieces],
         gain=gain_of(problem)[np.ix_(pieces, members)],
         sections=(torsion, stiffness, moment, *phase),
-        transmission=(reach(mesh, problem.here)[pieces[0]] if assembly.general else held)[members],
+        transmission=reach(mesh, problem.here)[pieces[0], members],
         place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
     )
     return Group(tubes, bundle, seat)

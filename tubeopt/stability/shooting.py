@@ -1,6 +1,6 @@
 """From the tip to the base: the initial-value problem whose solution at the plate are the joint rotations.
 
-At the tip all torsion is 0, so the rotations of the tube tips fix everything: alpha = theta(0) - |beta| w(0) is a
+At the tip all torsion is 0, so the rotations of the tube tips fix everything: alpha = theta(0) - |beta| t(0) / kt is a
 function of the tip angles. Every equilibrium is a preimage of the joint rotations, which makes the search for all of
 them finite: turning one tip by a whole turn turns its joint by one, and on the centreline turning all tips turns all
 joints. The derivatives of the joints by the tips are integrated along, from those of the cross-section.
@@ -27,8 +27,8 @@ STEPS = 8
 """Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
 State = tuple[Array, ...]
-"""theta and w (B, n), the length of every tube so far (B, n); where they are wanted, the derivatives (B, n, n) of theta
-and w by the tip angles."""
+"""theta and torque (B, n), the length of every tube so far (B, n); where they are wanted, the derivatives (B, n, n) of
+theta and of the torque by the tip angles."""
 
 Grid = tuple[Array, Array]
 """theta and theta' (B, K, n) at places from the tip side of a piece to its base side."""
@@ -39,12 +39,11 @@ GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
 
 @lru_cache(maxsize=16)
 def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
-    """kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces 1 / kt, kb, m and phase
+    """1 / kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces with the phase, and
     (P, X, n) at GRID."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
     if not problem.assembly.general:
-        kt = np.tile(problem.assembly.torsional_stiffness, (len(mesh.length), 1))
-        return kt, *problem.on_pieces
+        return problem.here.rate[:, 0], *problem.on_pieces
     at = sections_at(problem.assembly, mesh, GRID)
     table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase
     return tuple(part.reshape(len(mesh.length), len(GRID), n) for part in table)
@@ -54,12 +53,11 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
 class Bundle:
     """Tubes that are integrated together, on P pieces, base to tip.
 
-    length: (P,) m.  bent: (P,) whether torsion is not linear there.  gain: (P, n) what w turns there where it is.
-    sections: see `sections_of`; kb_i of the tubes present, m_i of those curved.  transmission: (n,) m between where a
-    tube is held and the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
+    length: (P,) m.  bent: (P,) whether torsion is not linear there.  gain: (P, n) int ds / kt there.
+    sections: see `sections_of`; kb_i of the tubes present, m_i of those curved.  transmission: (n,) int ds / kt from
+    where a tube is held to the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
 
-    With tubes made of pieces theta is the elastic phi, w the torque, `gain` and `transmission` the compliance
-    int ds / kt.
+    Where tubes have a natural twist theta is the elastic rotation phi.
     """
 
     length: Array
@@ -82,11 +80,11 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Where tip angles lead: joint rotations and w there (B, n), the derivatives (B, n, n) of the rotations by the tip
-    angles (B, 0, 0 where these were not asked for), and the length of every tube along the pieces (B, n), m."""
+    """Where tip angles lead: joint rotations and torques there (B, n), the derivatives (B, n, n) of the rotations by
+    the tip angles (B, 0, 0 where these were not asked for), and the length of every tube along the pieces (B, n), m."""
 
     rotations: Array
-    twist: Array
+    torque: Array
     by_tip: Array
     travel: Array
 
@@ -99,16 +97,14 @@ def whole(problem: ReducedProblem) -> Bundle:
         bent=mesh.collocated,
         gain=gain_of(problem),
         sections=sections_of(problem),
-        transmission=problem.here.transmission if assembly.general else assembly.transmission,
+        transmission=problem.here.transmission,
         place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
     )
 
 
 def gain_of(problem: ReducedProblem) -> Array:
-    """(P, n) length of the pieces, m, or of tubes made of pieces int ds / kt."""
-    if problem.assembly.general:
-        return np.diff(reach(problem.mesh, problem.here), axis=0)
-    return np.tile(problem.mesh.length[:, None], (1, problem.assembly.n_tubes))
+    """(P, n) int ds / kt of the tubes along the pieces."""
+    return np.diff(reach(problem.mesh, problem.here), axis=0)
 
 
 def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
@@ -117,9 +113,9 @@ def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = Fal
     k = tips.shape[1]
     padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
     shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(padded)]
-    rotations, twist, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
+    rotations, torque, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
     slope = by_tip[0][:, :k, :k] if slopes else np.empty((len(tips), 0, 0))
-    return Shot(rotations[:, :k], twist[:, :k], slope, travel)
+    return Shot(rotations[:, :k], torque[:, :k], slope, travel)
 
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
@@ -154,7 +150,7 @@ def _chunks(tips: Array) -> list[Array]:
 
 
 def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
-    """Rotations, w, travel and, if `slopes`, the derivatives of the rotations."""
+    """Rotations, torque, travel and, if `slopes`, the derivatives of the rotations."""
     check_time()
     state = _at_tip(tips, slopes)
     for piece in reversed(range(len(bundle.length))):
@@ -201,12 +197,13 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
 
 def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
     """The same of a piece where torsion is linear."""
-    theta, twist, travel, *slopes = state
-    gain = bundle.gain[piece]
-    moved = [theta - gain * twist, twist, travel + bundle.length[piece]]
+    theta, torque, travel, *slopes = state
+    gain, length = bundle.gain[piece], bundle.length[piece]
+    moved = [theta - gain * torque, torque, travel + length]
     if slopes:
         moved += [slopes[0] - gain[:, None] * slopes[1], slopes[1]]
-    return tuple(moved), (np.stack([theta, moved[0]], axis=1), np.stack([twist, twist], axis=1))
+    rate = np.repeat((gain / length * torque)[:, None], 2, axis=1)
+    return tuple(moved), (np.stack([theta, moved[0]], axis=1), rate)
 
 
 def _hermite(grid: Grid, nodes: Array, h: float) -> Array:

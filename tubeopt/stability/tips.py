@@ -6,7 +6,7 @@ det(d alpha / d theta_tip), is 1, as it must be: alpha - theta_tip is bounded, s
 identity. For more than three tubes there is no table, and the starts are a Sobol sequence.
 
 There is one table for all joint rotations and transmissions. What the torsion adds on the way from the tips to the
-base, theta(0) - theta_tip and w(0), is a periodic, analytic function of the tip angles: its Fourier series converges
+base, theta(0) - theta_tip and t(0), is a periodic, analytic function of the tip angles: its Fourier series converges
 geometrically, so that a grid fine enough for the series to end stands for every finer one. On the centreline it is a
 function of the angles relative to the last tube's; off it the common angle is one more, in which the function is
 smooth, so that few points are enough.
@@ -47,12 +47,12 @@ TABLE_STEPS = 2
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """theta(0) - theta_tip and w(0) of k tubes, each (*size, k), over a turn of each angle of a grid: k - 1 angles
-    relative to the last tube's, and off the centreline the last tube's."""
+    """theta(0) - theta_tip and torque at 0 of k tubes, each (*size, k), over a turn of each angle of a grid: k - 1
+    angles relative to the last tube's, and off the centreline the last tube's."""
 
     size: tuple[int, ...]
     turned: Array
-    twist: Array
+    torque: Array
 
 
 @lru_cache(maxsize=16)
@@ -61,7 +61,7 @@ def table_of(bundle: Bundle, k: int) -> Table:
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.place else ())
     while True:
         table = _tabulate(bundle, k, size)
-        tails = _tails(table.turned - bundle.transmission[:k] * table.twist)
+        tails = _tails(table.turned - bundle.transmission[:k] * table.torque)
         finer = tuple(2 * n if tail > TAIL else n for n, tail in zip(size, tails, strict=True))
         if finer == size or np.prod(finer) > MOST_POINTS:
             return table
@@ -71,8 +71,8 @@ def table_of(bundle: Bundle, k: int) -> Table:
 def _tabulate(bundle: Bundle, k: int, size: tuple[int, ...]) -> Table:
     tips = _tips(np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in size], indexing="ij"), axis=-1), k)
     shot = shoot(bundle, tips.reshape(-1, k), steps=TABLE_STEPS)
-    turned = shot.rotations + bundle.transmission[:k] * shot.twist - tips.reshape(-1, k)
-    return Table(size, turned.reshape(*size, k), shot.twist.reshape(*size, k))
+    turned = shot.rotations + bundle.transmission[:k] * shot.torque - tips.reshape(-1, k)
+    return Table(size, turned.reshape(*size, k), shot.torque.reshape(*size, k))
 
 
 def _tips(angles: Array, k: int) -> Array:
@@ -101,7 +101,7 @@ def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array
     It has at least `size` points per turn of the relative angles.
     """
     k, dimension = len(wanted), len(table.size)
-    values = table.turned - transmission * table.twist
+    values = table.turned - transmission * table.torque
     sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
         values = _resampled(values, n, axis)
@@ -167,7 +167,7 @@ def preimage(
     bundle: Bundle, transmission: Array, rotations: Array, search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH
 ) -> Preimage:
     """Tip angles that lead to joint rotations (k,) of the first k tubes of a bundle, the others being straight, if its
-    transmissions were (n,) `transmission`, m."""
+    transmissions were (n,) `transmission`, 1/(N m)."""
     part = replace(bundle, transmission=transmission)
     found = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))), search)
     if len(rotations) == 1:

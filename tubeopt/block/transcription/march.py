@@ -20,14 +20,13 @@ Columns = list[Any]
 def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: bool = False) -> ca.Function:
     """Steps of the classical method on a piece of the mesh.
 
-    From (theta, w, travel (n,)[, derivatives (n, n) of theta and of w by the tip angles], h (steps,) m, kt, kb, m (n,)
-    [, offset, angle (n,)]) at its far end to the same state at its near end, and theta and theta' (n, steps + 1) where
-    the steps begin and end. `travel` is the length of every tube so far, m; h is counted towards the base. The last two
-    inputs are those of eccentric tubes.
+    From (theta, torque, travel (n,)[, derivatives (n, n) of theta and of the torque by the tip angles], h (steps,) m,
+    1 / kt, kb, m (n,)[, offset, angle (n,)]) at its far end to the same state at its near end, and theta and theta'
+    (n, steps + 1) where the steps begin and end. `travel` is the length of every tube so far, m; h is counted towards
+    the base. The last two inputs are those of eccentric tubes.
 
-    Where cross-sections are `varying` along the piece, as of tubes made of pieces, theta is the elastic rotation and w
-    the torque, and 1 / kt, kb, m and phase (n (2 steps + 1),), from the near end on where the steps end, are half-way
-    and begin, stand for kt, kb and m.
+    Where cross-sections are `varying` along the piece, theta is the elastic rotation, and 1 / kt, kb, m and phase
+    (n (2 steps + 1),), from the near end on where the steps end, are half-way and begin, stand for 1 / kt, kb and m.
     """
     step = _step_function(n, eccentric, slopes, varying)
     state, places = _state(ca.MX, n, slopes), 2 * steps + 1 if varying else 1
@@ -42,7 +41,7 @@ def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: b
         passed.append(here[0])
         rates.append(rate)
     stretch = section_functions(n, True)["moment"](here[0], *constants[1:])[1] if eccentric else 1
-    rates.append((tables[0][:, 0] if varying else stretch) * here[1])
+    rates.append(stretch * tables[0][:, 0] * here[1])
     return ca.Function("march", [*state, h, *constants], [*here, ca.horzcat(*passed), ca.horzcat(*rates)])
 
 
@@ -66,21 +65,20 @@ def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.F
 
     def rates(at: Columns, half: int) -> Columns:
         """By arc length; the travel grows towards the base."""
-        theta, twist = at[:2]
-        first, *section = sections[half if varying else 0]
+        theta, torque = at[:2]
+        rate, *section = sections[half if varying else 0]
         if varying:
             theta = theta + section.pop()
         out = section_function.call([theta, *section])
         stretch = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
-        turning, bending = (first, ca.SX.ones(n)) if varying else (stretch, 1 / first)
-        own = [turning * twist, out[0] * bending, -stretch]
+        own = [stretch * rate * torque, out[0], -stretch]
         if not slopes:
             return own
-        theta_by_tip, twist_by_tip = at[3:]
-        turned = ca.diag(turning) @ twist_by_tip
+        theta_by_tip, torque_by_tip = at[3:]
+        turned = ca.diag(stretch * rate) @ torque_by_tip
         if eccentric:
-            turned += ca.diag(twist) @ (out[4] @ theta_by_tip)
-        return [*own, turned, ca.diag(bending) @ (out[1] @ theta_by_tip)]
+            turned += ca.diag(rate * torque) @ (out[4] @ theta_by_tip)
+        return [*own, turned, out[1] @ theta_by_tip]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
     given = [part for section in sections for part in section]
