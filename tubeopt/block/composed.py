@@ -23,7 +23,7 @@ from .program import as_program
 from .transcription import burdened, functions
 from .transcription.collocated import Grid
 from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout
-from .transcription.model import Model, numbers_of, placed, unknowns_of
+from .transcription.model import Model, numbers_of, unknowns_of
 
 POINT = 1e-12
 """A piece shorter than this (m) is a point."""
@@ -92,7 +92,7 @@ class ComposedBlock(Generic[N]):
             loaded=push is not None,
         )
         # What `model_of` needs beside joint values and dimensions.
-        self.fittings: dict[str, Any] = {"place": placed(self._bundle), "chain": self.chain, "push": push}
+        self.fittings: dict[str, Any] = {"place": self._bundle.place, "chain": self.chain, "push": push}
         self._moving = self._given.free(*LENGTHS)
         self._fixed = not self._given.free("translations", *self.dimensions)
 

@@ -84,6 +84,12 @@ class Assembly:
             return np.zeros((len(arc_length), self.n_tubes))
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
+    def steady(self, low: Array, high: Array) -> Mask:
+        """(P,) whether no tube varies from arc lengths `low` to `high` (P,), m, inside sections."""
+        if self.lengthwise is None:
+            return np.ones(len(low), dtype=bool)
+        return self.lengthwise.steady(*(s[:, None] + self.transmission for s in (low, high)))
+
     def compliant(self, place: Array) -> Array:
         """(..., n) int ds / GJ of the tubes from their held ends to arc lengths (..., n) from there, 1/(N m)."""
         if self.lengthwise is None:
@@ -128,6 +134,11 @@ class Assembly:
     def eccentric(self) -> bool:
         """Whether any tube runs off the centreline."""
         return bool(self.offset.any())
+
+    @property
+    def place(self) -> tuple[Array, ...]:
+        """Offset and angle (n,), or nothing where all tubes are concentric: as functions of a cross-section take it."""
+        return (self.offset, self.offset_angle) if self.eccentric else ()
 
     @property
     def across(self) -> Array:

@@ -77,7 +77,7 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
         gain=gain_of(problem)[np.ix_(pieces, members)],
         sections=(torsion, stiffness, moment, *phase),
         transmission=reach(mesh, problem.here)[pieces[0], members],
-        place=(assembly.offset[members], assembly.offset_angle[members]) if assembly.eccentric else (),
+        place=tuple(part[members] for part in assembly.place),
     )
     return Group(tubes, bundle, seat)
 

@@ -98,7 +98,7 @@ def whole(problem: ReducedProblem) -> Bundle:
         gain=gain_of(problem),
         sections=sections_of(problem),
         transmission=problem.here.transmission,
-        place=(assembly.offset, assembly.offset_angle) if assembly.eccentric else (),
+        place=assembly.place,
     )
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from ...robots.assembly import Assembly
+from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
+from . import green
+from .buffered import section_function
 from .collocated import ENDS
-from .green import sections_at
 from .mesh import Mesh
 from .reduced import Evaluation, ReducedProblem, softness
 from .tableau import Tableau
@@ -122,13 +125,52 @@ def _inside(mesh: Mesh, values: Array, places: tuple[Index, Array], integrals: i
     return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=integrals), values[piece]))
 
 
-def tubes_along(torsion: ReducedProblem, profile: Profile) -> tuple[Array, Array, tuple[Array, Array, Array]]:
-    """theta and theta' (P, 5, n) at the shape points, and what the functions of a cross-section take there."""
-    ends, n, here = tuple(ENDS.tolist()), torsion.assembly.n_tubes, sections_at(torsion.assembly, torsion.mesh, ENDS)
-    theta, torque = (along(torsion, profile, ends) for along in (rotations_at, torques_at))
-    slope = torque.reshape(-1, n) / here.torsional_stiffness
-    pull = (theta.reshape(-1, n) + here.phase, here.stiffness, here.moment)
-    return theta + here.wound.reshape(theta.shape), (slope + here.twist).reshape(theta.shape), pull
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Cross-sections of an arm at X fractions of every piece.
+
+    Attributes:
+        elastic, rotation: (P, X, n) theta without and with the natural turn, rad.
+        torsion: (P, X, n) slope of the latter, rad/m.
+        rate: (P, X, n) g / kt.   moment: (P, X, n) M, N.   curvature: (P, X, 2) without a load, 1/m.
+        bending: (P, X) bending energy per length, N.
+    """
+
+    elastic: Array
+    rotation: Array
+    torsion: Array
+    rate: Array
+    moment: Array
+    curvature: Array
+    bending: Array
+
+    def part(self, first: int, last: int) -> Sections:
+        """At some of the fractions."""
+        return Sections(*(table[:, first:last] for table in vars(self).values()))
+
+
+def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) -> Sections:
+    """The cross-sections at fractions x of every piece."""
+    assembly, theta, here = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
+    function = section_function("section", len(here.phase), assembly.n_tubes, assembly.eccentric)
+    given = theta.reshape(here.phase.shape) + here.phase, here.stiffness, here.moment, *assembly.place
+    moment, stretch, curvature, bending = (part.copy() for part in function(*given))
+    rate = (stretch / here.torsional_stiffness).reshape(theta.shape)
+    return Sections(
+        elastic=theta,
+        rotation=theta + here.wound.reshape(theta.shape),
+        torsion=rate * torques_at(problem, arm, x) + here.twist.reshape(theta.shape),
+        rate=rate,
+        moment=moment.reshape(theta.shape),
+        curvature=curvature.reshape(*theta.shape[:2], 2),
+        bending=bending.reshape(theta.shape[:2]),
+    )
+
+
+@lru_cache(maxsize=64)
+def sections_at(problem: ReducedProblem, x: tuple[float, ...]) -> CrossSections:
+    """(P X, n) cross-sections at fractions x of every piece, which do not depend on what turns the tubes."""
+    return green.sections_at(problem.assembly, problem.mesh, np.array(x))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...physics.shape import quaternion_rates, rotation_matrix_function, world_turns
 from ...typing import Array
-from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, pushed, tubes_along
-from .buffered import mapped, section_function
+from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, pushed, sections_along
+from .buffered import mapped
 from .collocated import ENDS
 from .loaded import LoadedProblem, LoadedState
 from .orientation import IDENTITY, tangent_slopes, tangents
@@ -40,10 +40,9 @@ def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> 
     """Everything along the arm, from the torsion along it."""
     torsion, mesh = problem.torsion, problem.mesh
     t, pieces = mesh.tableau, len(mesh.length)
-    theta, slope, pull = tubes_along(torsion, profile)
+    here = sections_along(torsion, profile, tuple(ENDS.tolist()))
     bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
-    natural = section_function("curvature", len(pull[0]), pull[0].shape[1], False)(*pull)[0]
-    curvature = natural.reshape(pieces, len(ENDS), 2) + t.lagrange(ENDS) @ bent
+    curvature = here.curvature + t.lagrange(ENDS) @ bent
     along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
     turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
     quaternion = along.begin[:-1, None] + up_to @ turning
@@ -54,8 +53,8 @@ def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> 
     frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
     return ArmShape(
         arc_length=arc_lengths(mesh),
-        rotation=along_pieces(theta, pieces).T.copy(),
-        torsion=along_pieces(slope, pieces).T.copy(),
+        rotation=along_pieces(here.rotation, pieces).T.copy(),
+        torsion=along_pieces(here.torsion, pieces).T.copy(),
         curvature=along_pieces(curvature, pieces),
         position=along_pieces(begun[:, None] + moved, pieces),
         frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),

@@ -15,9 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...robots.assembly import Assembly
 from ...robots.breakpoints import places
-from ...typing import Array
 from . import functions
 from .chain import columns, joints, panels, transmissions
 from .collocated import Grid
@@ -269,8 +267,3 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], gi
         place=given.get("place", ()),
         along=along,
     )
-
-
-def placed(assembly: Assembly) -> tuple[Array, ...]:
-    """Offset and angle (n,) of tubes beside the centreline, nothing for concentric ones."""
-    return (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()

@@ -271,9 +271,10 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
         nothing = theta.copy()
         return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), nothing, nothing if assembly.eccentric else None)
     theta.ravel()[problem.flat] += problem.factor @ z
-    place = (assembly.offset, assembly.offset_angle) if assembly.eccentric else ()
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
-    moment, stiffness, bending, *stretch = balance(theta + problem.phase, problem.stiffness, problem.moment, *place)
+    moment, stiffness, bending, *stretch = balance(
+        theta + problem.phase, problem.stiffness, problem.moment, *assembly.place
+    )
     moment = moment.copy()
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
     hessian = torsional_hessian(problem, stiffness)
