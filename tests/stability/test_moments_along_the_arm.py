@@ -17,12 +17,14 @@ from tubeopt import (
     Equilibrium,
     Load,
     SolveError,
+    find_equilibria,
     find_load_limit,
     find_snap,
     follow,
     forward_kinematics,
     load_robot,
 )
+from tubeopt.block.transcription.orientation import tangents
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
@@ -226,3 +228,44 @@ def test_unstable_equilibrium_under_a_moment_is_left_by_the_flow(thesis: Concent
     )
     assert np.abs(lost.member.at(flow.y[:, -1]).gradient).max() < 1e-6
     assert np.abs(flow.y[:, -1] - landed.state.x).max() < 1e-5
+
+
+def test_all_equilibria_under_a_moment_are_counted(thesis: ConcentricRobot) -> None:
+    """Two of three vanish at the fold that shooting finds at 187.578 deg."""
+    load = Load(moment=MOMENT)
+    before, after = (find_equilibria(thesis, np.radians([turn, 0, 0]), load=load) for turn in (187.5, 187.65))
+    assert [e.index for e in before] == [0, 0, 1]
+    assert [e.index for e in after] == [0]
+    assert before[0].margin > before[1].margin > 0 > before[2].margin
+    assert np.isnan(before[0].potential)
+    on = follow(thesis, [HOME, np.radians([187.5, 0, 0])], load=load).equilibria[-1]
+    assert before[1].tip_position == pytest.approx(on.tip_position, abs=1e-9)
+    snap = find_snap(thesis, (HOME, HOME), (np.radians([187.65, 0, 0]), HOME), load=load)
+    assert snap is not None
+    assert after[0].tip_position == pytest.approx(snap.after.tip_position, abs=1e-3)
+
+
+@pytest.mark.parametrize("frame", ["world", "tip"])
+def test_no_other_starts_find_further_equilibria_without_an_energy(frame: str, thesis: ConcentricRobot) -> None:
+    load = Load((0.01, 0, -0.02), (0.002, -0.003, 0.004), frame=frame)
+    angles = np.radians([200.0, -30.0, 40.0])
+    found = find_equilibria(thesis, angles, load=load)
+    point, random = point_of(found[0]), np.random.default_rng(3)
+    problem, tips = point.member.problem, np.array([e.tip_position for e in found])
+    assert sum((-1) ** e.index for e in found) == 1
+    reached = 0
+    for _ in range(60):
+        twist = random.uniform(-4, 4, 3) * (problem.torsion.arc_length / 0.2)[:, None]
+        x = point.member.unknowns(angles + twist)
+        x[problem.torsion.size :] = 0.1 * random.normal() * random.normal(size=2 * len(problem.softness))
+        result = point.member.solve(x, iterations=40)
+        if result.converged:
+            reached += 1
+            tip = problem.torsion.weight @ tangents(result.state.orientation.stage)
+            assert np.linalg.norm(tips - tip, axis=1).min() < 1e-8
+    assert reached > 10
+
+
+def test_a_rod_under_a_moment_along_it_has_one_equilibrium() -> None:
+    found = find_equilibria(ROD, [0.0], load=Load(moment=(0.0, 0.0, 5 * BENDING / LENGTH)))
+    assert [e.index for e in found] == [0]

@@ -43,8 +43,8 @@ STATE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("margin", "stability margin"),
     Quantity("index", "number of ways in which it is unstable"),
     Quantity("energy_mJ", "elastic energy"),
-    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load",
-             lambda e: None if e.load is None else e.potential, optional=True),
+    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load, null where it has no "
+             "energy", lambda e: None if e.load is None else e.potential, optional=True),
     *within(FRICTION, lambda e: e.friction),
     Quantity("tip_position_mm", "tip in the frame of the plate"),
     Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
@@ -56,7 +56,7 @@ EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     *readings(lambda a: a.equilibria[0]),
-    Quantity("equilibria", "all equilibria there, the lowest energy first",
+    Quantity("equilibria", "all equilibria there, the lowest energy first; without an energy the largest margin first",
              of=(*STATE, Quantity("residual_rad", "violation of the equations"),
                  Quantity("tip_error_mm", "estimated error of the tip"))),
 )  # fmt: skip
@@ -163,7 +163,7 @@ class EquilibriaReport(Report[Equilibria]):
                 row(e.tip_position * TO_MM, ".2f"),
                 row(np.degrees(e.tip_rotations), ".2f"),
                 f"{e.margin:.4f}",
-                f"{e.potential * TO_MILLI:.4f}",
+                "none" if np.isnan(e.potential) else f"{e.potential * TO_MILLI:.4f}",
                 str(e.index),
                 in_a_word(e.margin),
             )

@@ -48,14 +48,15 @@ def find_equilibria(
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
-        load: forces that keep their direction; the equilibria are then ordered by potential energy, and found from many
-            starting points, with the degree as the check (see `stability.loaded_equilibria`).
+        load: the equilibria are then found from many starting points, with the degree as the only check (see
+            `stability.loaded_equilibria`). They are ordered by potential energy; under a load without one the largest
+            margin comes first.
         search: how they are searched for.
         time_limit: s, on the clock.
 
     Raises:
-        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load with a
-            moment or one that turns with the tip, or on an eccentric robot.
+        InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load on an
+            eccentric robot.
         SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
             a fold.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.

@@ -1,8 +1,9 @@
 """All equilibria of a robot under a load: a search whose result is counted.
 
-Rotations and bending are points of a vector space on which the potential energy of dead loads is coercive: elastic
-energy grows with the square of the distance, the work int n.t of a load is at most int |n|. So the gradient has degree
-1, and the sum of (-1)^index over all equilibria is 1, as it is without load.
+The equations are x - f(x) = 0 in whitened rotations and bending. What tubes and load make of them, f, is bounded: by
+moments of precurvature, forces times the length of the arm, and moments, whether there is an energy or not. So no
+equilibrium of x - s f(x), 0 <= s <= 1, is farther away than the bound, and the degree is that of x, 1: the signs of the
+determinants add up to 1 over all equilibria. Where there is an energy, they are (-1)^index.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ def loaded_equilibria(
     plain: list[Equilibrium],
     search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
 ) -> list[Equilibrium]:
-    """All equilibria under a dead load, lowest potential energy first; `plain` are those without it.
+    """All equilibria under a load, lowest potential energy first, without an energy largest margin first; `plain` are
+    those without load.
 
     Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice
-    as many in every round, and energy falls from every unstable equilibrium that was found, until a round finds nothing
-    new, the degree is 1 and one of them is stable.
+    as many in every round. From every unstable equilibrium that was found the robot falls. The search ends where a
+    round finds nothing new and the degree is 1; where there is an energy, one of them is stable, too.
     """
     check_load(robot, load, translations)
-    load.require_energy("equilibria cannot be counted")
     member = Loaded.of(robot, rotations, translations, load)
     bounded, force = load.tip_force_only, float(np.linalg.norm(load.force))
     if bounded and snap_free_certificate(robot, translations, max_force=force) > search.certain:
@@ -58,9 +59,9 @@ def loaded_equilibria(
         starts = _starts(member, sequence.random(count), search.largest_twist)
         new = sum(add(found, member, x, search.same) for x in starts)
         new += _descend(found, member, explored, search.same)
-        # There is a least energy, so a set without a stable equilibrium is not all.
-        if not new and degree(found) == 1 and any(point.margin > 0 for point in found):
-            points = sorted(found, key=lambda point: point.state.potential)
+        # Where there is a least energy, a set without a stable equilibrium is not all.
+        if not new and degree(found) == 1 and (not member.descends or any(point.margin > 0 for point in found)):
+            points = sorted(found, key=lambda point: point.state.potential if member.descends else -point.margin)
             return [to_equilibrium(point, "search from many starts") for point in points]
         count *= 2
     raise SolveError(
@@ -71,13 +72,16 @@ def loaded_equilibria(
 
 def _starts(member: Loaded, samples: Array, twist: float) -> list[Array]:
     """Unknowns of arms whose tubes are twisted and which are bent linearly in arc length."""
-    problem, n = member.problem, len(member.rotations)
+    problem, n, load = member.problem, len(member.rotations), member.problem.load
     torsion = problem.torsion
     length = torsion.assembly.total_length
     s = torsion.arc_length[:, None] / length
     stiffness = torsion.stiffness.sum(1)
-    push = np.linalg.norm(problem.force, axis=1)
+    push = np.linalg.norm(problem.force, axis=1) + np.linalg.norm(load.force) * (load.frame == "tip")
+    couple = 0.0 if problem.couples is None else np.linalg.norm(problem.couples.moment, axis=1).sum()
     most = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
+    most += (couple / stiffness)[:, None]
+    twist += couple * problem.tip_lever
     starts = []
     for sample in 2 * samples - 1:
         x = member.unknowns(member.rotations + twist * sample[:n] * s)
@@ -99,14 +103,15 @@ def add(found: list[Any], member: Member[Any], x: Array, same: float) -> bool:
 
 
 def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int], same: float) -> int:
-    """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds."""
+    """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds. Where one
+    goes that flutters is not known."""
     new = 0
     for k, point in enumerate(list(found)):
         if k in explored or point.margin >= 0:
             continue
         explored.add(k)
-        values, vectors = np.linalg.eigh(point.state.hessian)
-        for direction in vectors.T[values < 0]:
+        values, vectors = (np.linalg.eigh if member.descends else np.linalg.eig)(point.state.hessian)
+        for direction in vectors.real.T[(values.real < 0) & (values.imag == 0)]:
             push = CONTINUATION.nudge / member.turn(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
