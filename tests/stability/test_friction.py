@@ -347,6 +347,21 @@ def test_band_holds_every_history() -> None:
     assert band.first_order[0].max() < 1e-20
 
 
+@pytest.mark.parametrize("load", [None, Load((0.0, 1e-3, 0.0))], ids=["plain", "force"])
+def test_the_radius_of_a_band_is_that_of_the_largest_torque_and_of_the_longest_lever(load: Load | None) -> None:
+    """Of two tubes that begin at the plate: torques tau (L - s) have the square int t^2 / kt, the turn of a tube with
+    square 1 moves the tip by the root of A^2 L^5 / 20 kt, and bending by that of L^3 / 3 K."""
+    length, curvature, torque = 0.06, 3.0, 1e-3
+    tubes = Tube(1.0 * MM, 0.75 * MM, 0.0, length, curvature), Tube(1.5 * MM, 1.15 * MM, 0.0, length, curvature)
+    band = friction_band(forward_kinematics(ConcentricRobot(tubes), [0.3, 0.4], load=load), Friction(torque))
+    stiffness = sum(tube.bending_stiffness for tube in tubes)
+    push = sum((torque**2 * length**3 / 3) / tube.torsional_stiffness for tube in tubes)
+    slopes = [tube.bending_stiffness * curvature / stiffness for tube in tubes]
+    lever = sum(a**2 * length**5 / 20 / tube.torsional_stiffness for a, tube in zip(slopes, tubes, strict=True))
+    lever += 0.0 if load is None else length**3 / (3 * stiffness)
+    assert band.tip_radius == pytest.approx(np.sqrt(lever * push) / band.certificate, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     "load", [Load((0.01, 0.004, 0.0)), Load((0.0, 0.05, 0.02), gravity=(0.0, -9.80665, 0.0))], ids=["force", "weight"]
 )
