@@ -654,8 +654,9 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     assert intervals.lever[0] == pytest.approx(ahead_of)
     straight = intervals.lever / intervals.bending.stiffness
     assert intervals.bending.most == pytest.approx(straight)
-    hanging = Pull(np.zeros(3), np.array([0.0, 3.0, 4.0]), np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 1.5]]))
-    assert hanging.per_length == pytest.approx(5.0 + 2.0 + 1.5)
+    along, weight = np.array([[0.0, 3.0, 4.0, 0.1, 0.0, 0.0], [1.0, 0, 0, 0, 0.2, 0]]), np.diag([0.0, 1.5, 2.0])
+    hanging = Pull(np.zeros(6), np.zeros(0), np.zeros((0, 6)), np.zeros((2, 2)), along, weight)
+    assert hanging.per_length == pytest.approx((5.0 + 1.0 + 1.5 + 2.0, 0.1 + 0.2))
 
 
 @pytest.mark.parametrize("lost", ["margin of one", "margin of other", "samples", "order"])
