@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from tubeopt import ConcentricRobot, Equilibrium, forward_kinematics, load_robot
-from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.directions import PARAMETERS
 
 from . import bvp
 from .joints import APART, path_joints, random_joints

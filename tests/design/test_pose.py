@@ -10,8 +10,8 @@ import pytest
 from tests.examples import random_robot
 from tubeopt import forward_kinematics, snap_free_certificate
 from tubeopt.design.pose import Pose, Twist, solve_pose
-from tubeopt.equilibrium.arm_change import PARAMETERS
-from tubeopt.equilibrium.linearised import PLACES
+from tubeopt.equilibrium.arm_change import PLACES
+from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.robots.tubes import Tube
 from tubeopt.typing import Array
 

@@ -11,20 +11,22 @@ import pytest
 
 from tubeopt import (
     ConcentricRobot,
+    EccentricRobot,
     Equilibrium,
     InputError,
     Load,
     Piece,
+    SegmentedEccentricRobot,
     SolveError,
     Tube,
     forward_kinematics,
     load_robot,
 )
 from tubeopt.equilibrium.along import curvature_at
-from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
 from tubeopt.equilibrium.linearised import linearise
-from tubeopt.robots.robot import resized
+from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array
 
 HELIX = Piece(0.04, (3.0, 1.0, 8.0))
@@ -76,14 +78,25 @@ LOADS = {
 }
 
 
+def _resized(robot: Robot, name: str, by: Array) -> Robot:
+    """The robot with a dimension of its tubes changed by (n,), the same for all tubes of a segment."""
+    if isinstance(robot, EccentricRobot):
+        return replace(robot, tube=robot.tube.resized(name, getattr(robot.tube, name) + by[0]))
+    if isinstance(robot, SegmentedEccentricRobot):
+        grown = zip(robot.segments, by[::3], strict=True)
+        return replace(robot, segments=tuple(tube.resized(name, getattr(tube, name) + one) for tube, one in grown))
+    for i, one in enumerate(by):
+        robot = resized(robot, i, name, getattr(robot.tubes[i], name) + one)
+    return robot
+
+
 def _moved(e: Equilibrium, name: str, by: Array) -> Equilibrium:
     """The equilibrium with all values of a parameter changed by (n,), solved for anew."""
     robot, joints = e.robot, {"rotations": e.rotations, "translations": e.translations}
     if name in joints:
         joints[name] = joints[name] + by
     else:
-        for i, one in enumerate(by):
-            robot = resized(robot, i, name, getattr(robot.tubes[i], name) + one)
+        robot = _resized(robot, name, by)
     guess = e if robot is e.robot else None
     return forward_kinematics(robot, joints["rotations"], joints["translations"], load=e.load, guess=guess)
 
@@ -135,6 +148,80 @@ def test_every_derivative_under_every_load_is_that_of_differences(load: str, nam
     e = forward_kinematics(_robot(n, (number + column) % 2 == 1), ROTATIONS[:n], SHIFT[:n], load=LOADS[load])
     assert np.isnan(e.jacobian().margin).all() == (not LOADS[load].has_energy)
     _check(e, name, (1e-10, 2e-9, 2e-9, 1e-6 * e.energy * 2e-3 + 1e-13, 3e-8))
+
+
+OFF_THE_CENTRELINE = {
+    "one segment": ("thesis_etr", [-0.013] * 3),
+    "segments": ("example_three_segment_etr", [*[-0.004] * 3, *[-0.009] * 3, *[-0.015] * 3]),
+}
+
+
+@cache
+def _eccentric(robot: str) -> Equilibrium:
+    """Tubes off the centreline at random rotations; between the segments they are straight."""
+    name, shift = OFF_THE_CENTRELINE[robot]
+    one = load_robot(f"configs/robots/{name}.yaml")
+    if isinstance(one, EccentricRobot):
+        one = replace(one, tube=one.tube.resized("straight_length", 0.05))
+    turned = np.random.default_rng(2).uniform(-3, 3, one.n_tubes)
+    return forward_kinematics(one, turned, one.home_translations + shift)
+
+
+def _along(e: Equilibrium, name: str, direction: Array, side: int = 1) -> Array:
+    """Change of tip, tip rotations, energy and margin, with all tubes moved at once."""
+    of = linearise(e, (name,), side, along=direction[:, None])
+    return np.concatenate([of.tip_position, of.tip_rotations, of.energy[None], of.margin[None]])[:, 0]
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("robot", OFF_THE_CENTRELINE)
+def test_every_derivative_of_tubes_off_the_centreline_is_that_of_differences(robot: str, name: str) -> None:
+    e, random = _eccentric(robot), np.random.default_rng(len(name))
+    assert e.margin < 0.999
+    n, size = len(e.rotations), _size(e, name)
+    together = random.uniform(0.5, 1.0, n // 3).repeat(3)
+    step = size * (random.choice([-1, 1], n) * random.uniform(0.5, 1.0, n) if name == "rotations" else together)
+
+    def there(k: float) -> Array:
+        moved = _moved(e, name, k * step)
+        return np.concatenate([moved.tip_position, moved.tip_rotations, [moved.energy, moved.margin]])
+
+    one, two, back, twice = (there(k) for k in (1, 2, -1, -2))
+    off = _along(e, name, step) - (8 * (one - back) - (two - twice)) / 12
+    assert np.abs(off)[:3].max() < 1e-10
+    assert np.abs(off)[3:-2].max() < 2e-9
+    assert abs(off[-2]) < 1e-6 * e.energy * 2e-3
+    assert abs(off[-1]) < 3e-8
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("name", ["translations", "curved_length"])
+def test_both_sides_are_exact_where_ends_off_the_centreline_meet(name: str, side: int) -> None:
+    """The three ends of a segment lie at one place, and move at once."""
+    e = _eccentric("segments")
+    for segment in range(3):
+        direction = np.repeat(np.eye(3)[segment], 3)
+
+        def there(step: float, direction: Array = direction) -> Array:
+            moved = _moved(e, name, step * direction)
+            return np.concatenate([moved.tip_position, moved.tip_rotations, [moved.energy, moved.margin]])
+
+        expected = _towards(there, side * 1e-4)
+        off = np.abs(_along(e, name, direction, side) - expected)
+        assert off.max() < 1e-6 * np.abs(expected).max()
+        assert off[:3].max() < 1e-6
+
+
+def test_curvature_inside_an_arm_off_the_centreline_changes_as_differences_say() -> None:
+    e = _eccentric("one segment")
+    for name in PARAMETERS:
+        step = _size(e, name) * 0.8
+        of = linearise(e, (name,), along=step[:, None])
+        for fraction in (0.37, 0.9):
+            told = (curvature_at(linearise(_moved(e, name, k * step)), fraction)[0] for k in (1, 2, -1, -2))
+            one, two, back, twice = told
+            wanted, found = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)[1][:, 0]
+            assert np.abs(found - wanted).max() < 1e-6 * max(float(np.abs(wanted).max()), 1e-3), name
 
 
 @pytest.mark.parametrize("load", [None, "tip", "moments along", "all"])

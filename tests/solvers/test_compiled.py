@@ -31,7 +31,7 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.equilibrium import compiled
-from tubeopt.equilibrium.arm_change import PARAMETERS
+from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
 from tubeopt.robots.robot import Robot, is_general
 from tubeopt.solvers.compiled import binding

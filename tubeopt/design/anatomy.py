@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..block.quantities import CLEARANCES
-from ..block.transcription.linear import cross
+from ..block.transcription.standing import hat
 from ..typing import Array, Index
 from .pose import Pose
 
@@ -53,7 +53,7 @@ def arm_slopes(pose: Pose, share: Array) -> Array:
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
     for w, end in ((weights[1], k), (weights[3], k + 1)):
-        turned = cross(turn[end], tangent[end])
+        turned = -hat(tangent[end]) @ turn[end]
         moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
     dx = (share[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
-from ..equilibrium.linearised import Change, Linearised
+from ..equilibrium.directions import Change, Directions
 from ..errors import InputError
 from ..robots.pieces import Piece, Slots
 from ..robots.series import Quantity, Series, times, turned, values
@@ -190,7 +190,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
-def change_of(here: Linearised, unknown: Unknown, given: Given) -> Change:
+def change_of(here: Directions, unknown: Unknown, given: Given) -> Change:
     """What an unknown changes along a solved arm."""
     (rate, stiffness, moment, phase), n = np.zeros((4, *here.here.phase.shape)), here.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
@@ -246,7 +246,7 @@ def _rates(
             return 0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0
 
 
-def _softer(here: Linearised, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
+def _softer(here: Directions, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
     """Change of int ds / GJ from the held end to the plate, with GJ of a piece in proportion to it."""
     tube, low, length = piece
     if np.ndim(dkt) == 0:

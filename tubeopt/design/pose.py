@@ -14,9 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from ..block.transcription.arm import ArmShape
-from ..block.transcription.standing import Standing
+from ..block.transcription.responsive import Responsive
 from ..block.transcription.whole_arm import evaluate_arm
-from ..equilibrium.linearised import Change, Linearised
+from ..equilibrium.directions import Change, Directions
+from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
 from ..errors import SolveError
@@ -91,7 +92,7 @@ class Pose:
         self,
         solved: PlainPoint,
         wrt: Sequence[str] = (),
-        more: Callable[[Linearised], Sequence[Change]] | None = None,
+        more: Callable[[Directions], Sequence[Change]] | None = None,
         along: Array | None = None,
     ) -> None:
         self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
@@ -121,8 +122,8 @@ class Pose:
         return Linearised(self._standing, self.solved.member.robot.tubes, self.margin)
 
     @cached_property
-    def _standing(self) -> Standing:
-        return Standing(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
+    def _standing(self) -> Responsive:
+        return Responsive(self.problem, self.solved.member.rotations, self.solved.state.theta, self.arm)
 
     @property
     def shape_slopes(self) -> tuple[Array, Array, Array]:

@@ -14,8 +14,10 @@ from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
 from ..equilibrium.along import curvature_at, position_at
 from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.arm_change import PLACES
+from ..equilibrium.directions import Change, Directions
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.linearised import PLACES, Change, Linearised, linearise
+from ..equilibrium.linearised import linearise
 from ..equilibrium.result import Equilibrium
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.breakpoints import DIMENSIONS
@@ -129,7 +131,7 @@ class State:
         """Columns of the unknowns of pieces."""
         return [column for column, one in enumerate(self.layout.space.unknowns) if one.pieces]
 
-    def piece_changes(self, here: Linearised) -> list[Change]:
+    def piece_changes(self, here: Directions) -> list[Change]:
         """What every unknown of pieces changes along a solved arm."""
         unknowns = self.layout.space.unknowns
         given = given_of(unknowns, self.x[: self.layout.designs].tolist())

@@ -1,285 +1,288 @@
-"""How torsion along a solved arm of tubes off the centreline changes with joint values and with every dimension and
-stiffness of the tubes, and the breakpoints that move with these: see `derivatives`."""
+"""How an arm in equilibrium answers to directions: its tip, its shape, its energy.
+
+A breakpoint that moves uncovers a stretch with other tubes, which is a jump of all rates there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..block.transcription.buffered import section_function
-from ..block.transcription.linear import Arm, Chain, Response, Slopes, along, chain_of, respond, slopes_at
-from ..block.transcription.reduced import ReducedProblem
-from ..errors import InputError
-from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.breakpoints import DIMENSIONS
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.poses import cumulate
+from ..block.transcription.responsive import Forcing, Response
+from ..block.transcription.sections import Given, by_data_of, sections_of, values_of
+from ..block.transcription.standing import cross, hat
+from ..errors import InputError, SolveError
+from ..robots.assembly import ROUND_OFF
+from ..robots.load import FORCE, MOMENT
 from ..typing import Array
+from .directions import Directions
+
+PLACES = tuple(ENDS.tolist())
+"""Fractions of a piece at which its shape points lie."""
+
+TIP = 1e-9
+"""Distance (m) from the tip up to which a force acts at it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Jumps:
-    """J breakpoints that parameters move: `column` of the parameter, `index` of the piece that begins there, and
-    kb, m (2 J, n) of the cross-sections that the motion uncovers, then of what was there; `spread` (J, Q) is 1 in the
-    column of each."""
+class Section:
+    """u (2,) at a place of the arm, and the changes of theta, kb and m (3 n, Q) and of u (2, Q) while it moves."""
 
-    column: NDArray[np.intp]
-    index: NDArray[np.intp]
-    stiffness: Array
-    moment: Array
-    spread: Array
-
-    def __len__(self) -> int:
-        return len(self.column)
-
-    @cached_property
-    def solid(self) -> Array:
-        """kb (2 J, n) where there is a tube, 1 where there is none and a cross-section cannot be asked."""
-        return np.where(self.stiffness.any(1, keepdims=True), self.stiffness, 1.0)
-
-    def twice(self, table: Array) -> Array:
-        """(2 J, ...) of a table (P + 1, ...) between the pieces."""
-        here = table[self.index]
-        return np.concatenate([here, here])
-
-    def gain(self, values: Array) -> Array:
-        """(J, ...) of values (2 J, ...): of what the motion uncovers over what was there."""
-        half = len(self.column)
-        return np.asarray(values[:half] - values[half:])
+    curvature: Array
+    by_tubes: Array
+    by_curvature: Array
 
 
-Mover = tuple[int, tuple[int, ...], tuple[int, ...]]
-"""Column of a parameter that moves breakpoints, with the tubes whose transitions and whose ends move along."""
-
-
-@lru_cache(maxsize=64)
-def moving_breakpoints(assembly: Assembly, between: bytes, movers: tuple[Mover, ...], side: int, size: int) -> Jumps:
-    """Every breakpoint in front of the plate that a parameter, one of `size`, moves towards the tip (`side` 1) or the
-    plate (-1), the same for all rotations of the bundle; `between` are the arc lengths (P + 1,) between the pieces."""
-    cuts = np.frombuffer(between)
-    n, nudge = assembly.n_tubes, side * ROUND_OFF
-    begin, end = assembly.transition.tolist(), assembly.end.tolist()
-    column, place, gained, lost = [], [], [], []
-    for c, first, last in movers:
-        own = sorted([end[i] for i in last] + [begin[i] for i in first if end[i] - begin[i] > ROUND_OFF])
-        begins = [s + 2 * nudge * (i in first) for i, s in enumerate(begin)]
-        ends = [s + 2 * nudge * (i in last) for i, s in enumerate(end)]
-        for k, s in enumerate(own):
-            if s > -nudge and not (k and s - own[k - 1] <= ROUND_OFF):
-                after, before = _there(begins, ends, s + nudge), _there(begin, end, s + nudge)
-                if after != before:
-                    column.append(c)
-                    place.append(s)
-                    gained.append(after)
-                    lost.append(before)
-    there = np.array(gained + lost, dtype=bool).reshape(-1, 2, n)
-    return Jumps(
-        column=np.array(column, dtype=np.intp),
-        index=np.searchsorted(cuts, np.array(place) - 2 * ROUND_OFF),
-        stiffness=there[:, 0] * assembly.bending_stiffness,
-        moment=there[:, 1] * (assembly.bending_stiffness * assembly.curvature),
-        spread=(np.array(column)[:, None] == np.arange(size)).astype(float),
-    )
-
-
-def _there(transition: list[float], end: list[float], s: float) -> tuple[list[bool], list[bool]]:
-    """Which tubes are there at arc length s between breakpoints, and which of them in their curved part."""
-    return [s < last for last in end], [first < s < last for first, last in zip(transition, end, strict=True)]
-
-
-PARAMETERS = ("rotations", "translations", *DIMENSIONS)
-"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
-
-
-def check_wrt(wrt: Sequence[str], side: int) -> None:
-    """Raise InputError for a name that is not among PARAMETERS, or a side that is neither 1 nor -1."""
-    if side not in (1, -1):
-        raise InputError(f"side is {side!r}; it must be 1 (forward) or -1 (backward)")
-    for name in wrt:
-        if name not in PARAMETERS:
-            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
-
-
-class ArmChange:
-    """Change of one arm with Q parameters, computed where it is asked for.
-
-    Args:
-        arm, carriages: the solved arm, and the tubes that move together.
-        wrt: names of PARAMETERS, n columns each in this order. Tubes of one carriage share the derivative with respect
-            to its translation in equal parts, so that the chain rule holds for every motion that is possible.
-        side: 1 for breakpoints that move towards the tip, -1 towards the plate: where breakpoints coincide the
-            derivatives differ.
-        margin: of the equilibrium.
-        problem: gives the reduced problem that the arm solves; the margin asks for it.
+class ArmChange(Directions):
+    """How an arm answers to directions, computed where it is asked for.
 
     Raises:
-        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
+        InputError: the tip draws back from under a force or moment that acts where it is.
+        SolveError: the equilibrium is a fold.
     """
 
-    def __init__(
-        self,
-        arm: Arm,
-        carriages: tuple[tuple[int, ...], ...],
-        *,
-        wrt: Sequence[str] = ("rotations", "translations"),
-        side: int = 1,
-        margin: float,
-        problem: Callable[[], ReducedProblem],
-    ) -> None:
-        check_wrt(wrt, side)
-        self.arm, self.assembly, self.carriages = arm, arm.assembly, carriages
-        self.wrt, self.side = tuple(wrt), side
-        self.value, self.problem = margin, problem
-        self.size = 0
-        """Number of columns, by carriages."""
-        self._first = {}
-        for name in self.wrt:
-            self._first[name] = self.size
-            self.size += len(carriages) if name == "translations" else arm.n_tubes
-
-    # --- what changes -------------------------------------------------------------------------------------------------
-
-    def first(self, name: str) -> int | None:
-        """The first column of a parameter, None where it is not asked for."""
-        return self._first.get(name)
+    @cached_property
+    def forcing(self) -> Forcing:
+        """All that the directions change."""
+        forcing = self.entered.forcing
+        np.add.at(forcing.jumps, self.strips.index, self._gains[0][:, :, None] * self.widths[:, None])
+        return forcing
 
     @cached_property
-    def data(self) -> Array:
-        """(P, 3n, Q) change of kb, m and kt."""
-        arm, n = self.arm, self.arm.n_tubes
-        out = np.zeros((arm.n_pieces, 3 * n, self.size))
-        if not self.reshaped:
-            return out
-        present, tube = arm.stiffness > 0, np.arange(n)
-        kb, kappa = self.assembly.bending_stiffness, self.assembly.curvature
-        curved = self._curved
-        for name, rows in (
-            ("curvature", ((n, kb * curved),)),
-            ("bending_stiffness", ((0, present), (n, kappa * curved))),
-            ("torsional_stiffness", ((2 * n, np.ones((arm.n_pieces, n))),)),
-        ):
-            first = self.first(name)
-            if first is not None:
-                for row, values in rows:
-                    out[:, row + tube, first + tube] = values
-        return out
-
-    @property
-    def reshaped(self) -> bool:
-        """Whether any parameter changes the cross-sections."""
-        return not {"curvature", "bending_stiffness", "torsional_stiffness"}.isdisjoint(self.wrt)
-
-    @property
-    def _curved(self) -> Array:
-        """(P, n) whether each tube is on its curved part, straight or not."""
-        middle = (self.arm.start + self.arm.length / 2)[:, None]
-        return np.asarray((middle > self.assembly.transition) & (middle < self.assembly.end))
+    def _force_there(self) -> Array:
+        """(T, 3) force on the cross-section at the strips, on the side to which they lie."""
+        here, index = self.here, self.strips.index
+        if self.side < 0:
+            return np.asarray(here.t.basis((1.0,), 0)[0] @ here.force[index - 1])
+        table = np.concatenate([here.t.basis((0.0,), 0)[0] @ here.force, here.tip_force[None]])
+        return np.asarray(table[index])
 
     @cached_property
-    def transmitted(self) -> Array:
-        """(n, Q) change of |beta|."""
-        out = np.zeros((self.arm.n_tubes, self.size))
-        first = self.first("translations")
-        if first is not None:
-            for c, tubes in enumerate(self.carriages):
-                for i in tubes:
-                    out[i, first + c] = -1.0
-        first = self.first("straight_length")
-        if first is not None:
-            out[np.arange(len(out)), first + np.arange(len(out))] = 1.0
-        return out
-
-    @cached_property
-    def movers(self) -> list[Mover]:
-        """Columns that move breakpoints, with the tubes whose transitions and whose ends move along."""
-        out: list[Mover] = []
-        first = self.first("translations")
-        if first is not None:
-            out += [(first + c, tubes, tubes) for c, tubes in enumerate(self.carriages)]
-        first = self.first("curved_length")
-        if first is not None:
-            out += [(first + i, (), (i,)) for i in range(self.arm.n_tubes)]
-        return out
-
-    @cached_property
-    def jumps(self) -> Jumps:
-        """Every breakpoint in front of the plate that a parameter moves."""
-        return moving_breakpoints(self.assembly, self.cuts.tobytes(), tuple(self.movers), self.side, self.size)
-
-    @cached_property
-    def cuts(self) -> Array:
-        """(P + 1,) arc lengths between the pieces, plate and tip included."""
-        return np.append(self.arm.start, self.assembly.total_length)
-
-    @cached_property
-    def gains(self) -> tuple[Array, Array, Array, Array]:
-        """What theta' and w' (J, 2n), u (J, 2), and energy per length and |u|^2 (J,) gain at the jumps, per unit of
-        their parameters."""
-        jumps, n, place, kt = self.jumps, self.arm.n_tubes, self.arm.place, self.arm.torsional_stiffness
-        count = len(jumps)
+    def _gains(self) -> tuple[Array, Array, Array, Array]:
+        """What the rates of the state (T, 2 n + 6), the motion of the tip (T, 3), the elastic energy per length and
+        |u|^2 (T,) gain per width of a strip."""
+        here, points = self.here, self.strips
+        index, count = points.index, len(points.index)
         if not count:
-            return np.zeros((0, 2 * n)), np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-        theta, twist = (jumps.twice(table) for table in self.arm.states)
-        there = jumps.stiffness.any(1, keepdims=True)
-        function = section_function("section", 2 * count, n, True)
-        moment, stretch, u, bending = function(theta, jumps.solid, jumps.moment, *place)
-        turned, bent = np.where(there, stretch, 1.0) * twist, u * there
-        density = (bending * there)[:, 0] + (turned * twist) @ kt / 2
-        rates = np.concatenate([turned, moment / kt], axis=1), bent, density, (bent**2).sum(1)
-        state, curvature, energy, squared = (self.side * jumps.gain(rate) for rate in rates)
-        return state, curvature, energy, squared
-
-    # --- torsion ------------------------------------------------------------------------------------------------------
+            return np.zeros((0, here.size)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        both = np.concatenate([index, index])
+        frame, there, n = here.end_frame[both], points.there, self.n
+        torque = (here.torque_plate_side if self.side < 0 else here.torque_tip_side)[both]
+        fall, curvature, stored, stretch = values_of(self.given_there, here.offsets)
+        rates = np.empty((2 * count, here.size))
+        rates[:, :n] = self.rate_there * torque * stretch
+        rates[:, n : n + 3] = (frame[..., :2] @ curvature[..., None])[..., 0]
+        rates[:, n + 3 : 2 * n + 3] = fall
+        falling = -cross(frame[:count, :, 2], self._force_there)
+        if here.load is not None and here.load.distributed is not None:
+            along = here.load.per_length(self.cuts[index] + self.side * ROUND_OFF)[:, MOMENT]
+            falling -= along
+            felt = (along * frame[:count, :, 2]).sum(1)
+            rates[np.arange(2 * count), n + 3 + points.outermost] -= np.concatenate([felt, felt])
+        rates[:count, 2 * n + 3 :] = rates[count:, 2 * n + 3 :] = falling
+        energy = stored + (rates[:, :n] * torque).sum(1) / 2
+        squared = (curvature**2).sum(1)
+        signs = self.side * there
+        signs[count:] *= -1
+        gains = [part * signs[:, None] for part in (rates, frame[..., 2], np.column_stack([energy, squared]))]
+        state, tip, more = (part[:count] + part[count:] for part in gains)
+        return state, tip, more[:, 0], more[:, 1]
 
     @cached_property
-    def slopes(self) -> Slopes:
-        """Cross-sections at the points, with their derivatives."""
-        return slopes_at(self.arm, self.arm.inner)
+    def given_there(self) -> Given:
+        """theta, kb, m (2 T, n) and b (2 T, 2) of what strips uncover, then of what was there."""
+        here, points = self.here, self.strips
+        index, tubes = points.index, points.sections
+        frame, moment = here.end_frame[index], here.moment_plate_side if self.side < 0 else here.moment_tip_side
+        bent = (frame[..., :2].swapaxes(1, 2) @ moment[index][..., None])[..., 0]
+        phi = here.phi_ends[index]
+        # Where there is no tube a cross-section cannot be asked.
+        solid = np.where(points.there[:, None], tubes.stiffness, 1.0)
+        return np.concatenate([phi, phi]) + tubes.phase, solid, tubes.moment, np.concatenate([bent, bent])
 
-    @cached_property
-    def chain(self) -> Chain:
-        """Linear maps of the pieces."""
-        return chain_of(self.arm, self.slopes, dimensions=self.reshaped)
+    @property
+    def rate_there(self) -> Array:
+        """(2 T, n) 1 / kt there."""
+        return np.asarray(1 / self.strips.sections.torsional_stiffness)
 
     @cached_property
     def response(self) -> Response:
-        """Change of theta and w along the arm, by carriages."""
-        arm, n = self.arm, self.arm.n_tubes
-        base = self.transmitted * arm.twist[:1].sum(0)[:, None]
-        first = self.first("rotations")
-        if first is not None:
-            base[np.arange(n), first + np.arange(n)] = 1.0
-        jumps = np.zeros((arm.n_pieces + 1, 2 * n, self.size))
-        # No two breakpoints that one parameter moves are at the same place.
-        jumps[self.jumps.index, :, self.jumps.column] = self.gains[0]
-        return respond(arm, self.chain, base, self.data, jumps)
+        """Of the arm."""
+        forcing = self.forcing
+        here, load = self.here, self.here.load
+        if load is not None:
+            self._must_stay()
+            if load.distributed is not None:
+                force = load.per_length(self.cuts[-1:] + self.side * ROUND_OFF)[0, FORCE]
+                forcing.force[:] += np.outer(force, self._longer)
+        return here.respond(forcing)
+
+    def _must_stay(self) -> None:
+        """Refuse motions that draw the tip, or the end of a tube, from under what acts there."""
+        here, ends, points = self.here, self.assembly.end, self.breakpoints
+        assert here.load is not None
+        tip, pace = self.cuts[-1], np.zeros((self.n, self.size))
+        at_end = np.abs(points.place - ends[points.tube]) <= ROUND_OFF
+        pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
+        if (self.side * self._longer < 0).any() and any(part.at >= tip - TIP for part in here.load.points):
+            raise InputError(
+                f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
+                "derivatives by what moves it out (side=1)"
+            )
+        left = {tube for k, tube, _ in here.joints if (pace[tube] < 0).any() and abs(self.cuts[k] - ends[tube]) <= TIP}
+        if any(here.load.moment):
+            last = np.flatnonzero(tip - ends <= ROUND_OFF)
+            over = pace[last] > pace[here.tip_tube]
+            # A tube that runs ahead takes the moment over, or one that stays while that with the moment draws back.
+            left |= {int(i) for i, row in zip(last, over, strict=True) if (row & (pace[i] > 0)).any()}
+            left |= {here.tip_tube} if (over.any(0) & (pace[here.tip_tube] < 0)).any() else set()
+        if left:
+            raise SolveError(
+                f"there is no derivative by the end of tube {min(left) + 1}: a moment acts there, which another tube "
+                "takes over"
+            )
 
     @cached_property
-    def twist_change(self) -> Array:
-        """(P, K, n, Q) change of w at the points, by carriages."""
-        arm, at, n = self.arm, self.slopes, self.arm.n_tubes
-        rate = at.rate_slope[..., :n] @ self.response.inner
-        if self.reshaped:
-            rate += at.rate_slope[..., n:] @ self.data[:, None, : 2 * n]
-            rate -= (at.rate / arm.torsional_stiffness)[..., None] * self.data[:, None, 2 * n :]
-        gained = arm.length[:, None, None, None] * along(arm.tableau.adjoint, rate)
-        return np.asarray(self.response.state[:-1, None, n:] + gained)
+    def _longer(self) -> Array:
+        """(Q,) change of the arm's length."""
+        at_tip = self.strips.index == self.here.pieces
+        return np.asarray((self._gains[1] @ self.here.end_frame[-1, :, 2] * at_tip) @ self.widths)
+
+    @property
+    def pushed(self) -> Array:
+        """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
+        return np.outer(self.here.end_frame[-1, :, 2], self._longer)
 
     @cached_property
-    def columns(self) -> Array:
-        """(P, K, 3n, Q) change of theta, kb and m at the points."""
-        n, inner = self.arm.n_tubes, self.response.inner
-        data = np.broadcast_to(self.data[:, None, : 2 * n], (*inner.shape[:2], 2 * n, self.size))
-        return np.concatenate([inner, data], axis=2)
+    def tip_position(self) -> Array:
+        """(3, Q) of the tip, m."""
+        here = self.here
+        levers = (here.weights[..., None, None] * -hat(here.axis)).reshape(-1, 3, 3).swapaxes(0, 1).reshape(3, -1)
+        return np.asarray(levers @ self.response.psi.reshape(-1, self.size) + self.pushed)
 
-    def per_tube(self, columns: Array) -> Array:
-        """(..., Q) by tubes from (...) by carriages: every tube of a carriage gets an equal part."""
-        n, first = self.arm.n_tubes, self.first("translations")
-        if first is None or len(self.carriages) == n:
-            return columns
-        parts = [columns[..., :first], np.zeros((*columns.shape[:-1], n)), columns[..., first + len(self.carriages) :]]
-        for c, tubes in enumerate(self.carriages):
-            parts[1][..., list(tubes)] = columns[..., first + c, None] / len(tubes)
-        return np.concatenate(parts, axis=-1)
+    @property
+    def tip_rotation(self) -> Array:
+        """(3, Q) turn vector of the tip frame in the plate frame, rad."""
+        return self.response.state[-1, self.n : self.n + 3]
+
+    @property
+    def tip_rotations(self) -> Array:
+        """(n, Q) of theta at each tube's own end."""
+        ends = np.clip(self.assembly.end, 0.0, self.cuts[-1])
+        index = np.abs(self.cuts - ends[:, None]).argmin(1)
+        return np.asarray(self.response.state[index, np.arange(self.n)] + self.entered.wound)
+
+    @cached_property
+    def moved(self) -> Array:
+        """(m, Q) motion of the shape points along the arm, if they keep their places in the pieces of the mesh."""
+        return self._moved(self.arm.arc_length)
+
+    def _moved(self, s: Array) -> Array:
+        """(len(s), Q) motion of places that divide the stretches between breakpoints as they do; of those that coincide
+        the foremost counts."""
+        points, pace = self.breakpoints, self.side * self.entered.speed
+        each = [own for own in points.together if points.index[own[0]] > 0]
+        knots = np.concatenate([[0.0], self.cuts[points.index[[own[0] for own in each]]]]) if each else np.zeros(1)
+        speed = self.side * np.array([pace[[*own]].max(0) for own in each])
+        share = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
+        return np.stack(share, axis=1) @ speed if share else np.zeros((len(s), self.size))
+
+    @cached_property
+    def turned(self) -> Array:
+        """(m, 3, Q) turn vector of the frames at the shape points that move so, rad."""
+        here, n = self.here, self.n
+        rates = here.frame[..., :2] @ self.response.curvature
+        inside = here.t.basis(PLACES, 1)[1:] @ rates.reshape(here.pieces, here.degree, 3 * self.size)
+        inside = (here.h * inside).reshape(here.pieces, len(PLACES) - 1, 3, self.size)
+        turned = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
+        bend = (self.arm.frame[1:, :, :2] @ self.arm.curvature[1:, :, None]) * self.moved[1:, None]
+        return np.concatenate([np.zeros((1, 3, self.size)), turned + bend])
+
+    @cached_property
+    def _sections_along(self) -> tuple[Array, Array]:
+        """(P, K, n) phi' and (P, K, 3 n + 2) phase, kb, m and b at the points."""
+        here = self.here
+        return here.rate * here.stretched, np.concatenate([here.phase, here.stiffness, here.moments, here.bent], axis=2)
+
+    @cached_property
+    def sections(self) -> tuple[Array, Array]:
+        """(P, 5, 3 n) theta, kb and m, and (P, 5, 2) u at ENDS of every piece."""
+        here, n, (rate, table) = self.here, self.n, self._sections_along
+        at = here.t.basis(PLACES, 0) @ table
+        at[..., :n] += here.phi_ends[:-1, None] + here.h * (here.t.basis(PLACES, 1) @ rate)
+        found = sections_of(_parts(at.reshape(-1, 3 * n + 2)), here.offsets)
+        return at[..., : 3 * n], found.curvature.reshape(*at.shape[:2], 2)
+
+    def section(self, k: int, x: float, moves: Array) -> Section:
+        """The cross-section at a fraction x of piece k, while the place moves along the arm by (Q,)."""
+        here, n, (rate, table) = self.here, self.n, self._sections_along
+        h, response, forcing = here.length[k], self.response, self.forcing
+        inside, whole, slope = (here.t.basis((x,), times)[0] for times in (0, 1, -1))
+        at, by = inside @ table[k], slope @ table[k] / h
+        at[:n] += here.phi_ends[k] + h * (whole @ rate[k])
+        by[:n] += inside @ rate[k]
+        change = by[:, None] * moves
+        change[: 3 * n] += _at(inside, forcing.data[k])
+        if here.load is not None:
+            change[3 * n :] += _at(inside, response.bent[k])
+        change[:n] += response.state[k, :n] + h * _at(whole, here.wound(response, forcing, k))
+        given = _parts(at[None])
+        found, own = sections_of(given, here.offsets), by_data_of(given, here.offsets)[1]
+        turned = found.by_curvature[0] @ np.concatenate([change[:n], change[3 * n :]]) + own[0] @ change[n : 3 * n]
+        return Section(found.curvature[0], change[: 3 * n], turned)
+
+    @cached_property
+    def position(self) -> Array:
+        """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
+        here = self.here
+        out = cumulate(here.t, here.h[..., None] * (-hat(here.axis) @ self.response.psi))
+        out[-1] += self.pushed
+        return out
+
+    @property
+    def total_bend(self) -> float:
+        """int |u|^2 ds along the arm, 1/m."""
+        return float(self.here.weights.ravel() @ (self.here.at.curvature**2).sum(1))
+
+    @cached_property
+    def bend(self) -> Array:
+        """(Q,) of int |u|^2 ds, 1/m."""
+        here, u = self.here, self.here.at.curvature
+        pull = (2 * here.weights.ravel()[:, None] * u).ravel()
+        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + self._gains[3] @ self.widths)
+
+    @cached_property
+    def energy(self) -> Array:
+        """(Q,) of the elastic energy, J."""
+        here, forcing, n = self.here, self.forcing, self.n
+        moved, weights, size = self.response, here.weights.ravel(), self.size
+        by = weights[:, None] * here.by_energy.reshape(len(weights), -1)
+        out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
+        out += by[:, n:].ravel() @ moved.bent.reshape(-1, size)
+        if forcing.data.any():
+            out += (weights[:, None] * here.by_data[2].reshape(len(weights), -1)).ravel() @ forcing.data.reshape(
+                -1, size
+            )
+        torque = here.torque.reshape(-1, n)
+        out += (weights[:, None] * here.winding.reshape(-1, n) * torque).ravel() @ moved.torque.reshape(-1, size)
+        stretched = here.stretched.reshape(-1, n)
+        out += (weights[:, None] * stretched * torque / 2).ravel() @ forcing.rate.reshape(-1, size)
+        # The torque that the transmissions feel, on the plate's side of what moves there.
+        held, gained = here.torque_plate_side[0], (moved.state - forcing.jumps)[0, n + 3 : 2 * n + 3]
+        out += (held**2 / 2) @ forcing.transmission + (here.transmission * held) @ gained
+        return np.asarray(out + self._gains[2] @ self.widths)
+
+
+def _parts(table: Array) -> tuple[Array, Array, Array, Array]:
+    """theta, kb, m (X, n) and b (X, 2) of a table (X, 3 n + 2)."""
+    n = table.shape[1] // 3
+    return table[:, :n], table[:, n : 2 * n], table[:, 2 * n : 3 * n], table[:, 3 * n :]
+
+
+def _at(weights: Array, values: Array) -> Array:
+    """(r, Q) at a place, by weights (K,) of what is at the points (K, r, Q)."""
+    return np.asarray(weights @ values.reshape(len(values), -1)).reshape(values.shape[1:])

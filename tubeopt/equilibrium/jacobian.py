@@ -7,17 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arguments import typed
-from ..errors import SolveError
 from ..robots.robot import is_general
 from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .arm_change import PARAMETERS
-from .derivatives import Derivatives
+from .directions import PARAMETERS
 from .linearised import Linearised, linearise, sharing
-from .problem import assembly_of
 from .result import Equilibrium, Jacobian
-from .state import arm_of_equilibrium, problem_of
 
 JOINTS = ("rotations", "translations")
 """What a Jacobian is taken with respect to unless asked otherwise."""
@@ -32,28 +28,11 @@ def derivatives_of(
     *,
     side: int = 1,
     carriages: Carriages | None = None,
-) -> Derivatives | Linearised:
-    """Derivatives of an equilibrium, computed where they are asked for: see `Linearised` and, of tubes off the
-    centreline, `Derivatives`. Its `carriages` are by default those of the robot."""
+) -> Linearised:
+    """Derivatives of an equilibrium, computed where they are asked for; its `carriages` are by default those of the
+    robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
-    assembly = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
-    if not assembly.eccentric:
-        return linearise(equilibrium, wrt, side, along=sharing(carriages, wrt))
-    arm = arm_of_equilibrium(equilibrium, assembly)
-    if arm.n_pieces:
-        off = float(np.abs(arm.theta[0] - assembly.transmission * arm.twist[0] - equilibrium.rotations).max())
-        if off > 1e-6:
-            raise SolveError(
-                f"the equilibrium is a fold or was not solved: its base rotations are off by {off:.1e} rad"
-            )
-    return Derivatives(
-        arm,
-        carriages,
-        wrt=wrt,
-        side=side,
-        margin=equilibrium.margin,
-        problem=lambda: problem_of(equilibrium),
-    )
+    return linearise(equilibrium, wrt, side, along=sharing(carriages, tuple(wrt)))
 
 
 def compiled_slopes(
@@ -123,7 +102,7 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
     return found.position if isinstance(found, Jacobian) else found.tip_position
 
 
-def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Derivatives | Linearised:
+def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Linearised:
     """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
     plain = equilibrium.load is None and not is_general(equilibrium.robot)
     by_kernel = _by_kernel(equilibrium, wrt, side) if plain else None

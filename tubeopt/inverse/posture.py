@@ -12,7 +12,6 @@ from ..block.transcription.reduced import ReducedProblem
 from ..bodies.scene import Scene
 from ..equilibrium.answer import point_of
 from ..equilibrium.continuation import shortest_arm
-from ..equilibrium.derivatives import Derivatives
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.linearised import Linearised
@@ -72,11 +71,11 @@ class Posture:
         return self.solution.member.problem
 
     @cached_property
-    def derivatives(self) -> Derivatives | Linearised:
+    def derivatives(self) -> Linearised:
         """Those by rotations and translations, which grow, where they differ to either side: of all that there is."""
         return self._derivatives(1)
 
-    def _derivatives(self, side: int) -> Derivatives | Linearised:
+    def _derivatives(self, side: int) -> Linearised:
         return derivatives_of(self.equilibrium, side=side, carriages=self.space.carriages)
 
     @cached_property

@@ -183,10 +183,10 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     """CasADi functions of (theta, kb, m, b) at one cross-section of n concentric tubes that bears a bending moment b
     (2,), N m.
 
-    `torque`: M.  `linear`: M, u, bending energy, and their derivatives (n, n + 2), (2, n + 2), (1, n + 2) with respect
-    to theta and b; `linear_data`: those (n, 2 n), (2, 2 n), (1, 2 n) with respect to kb and m.  `mode`, with further
-    arguments g (2,), y (n,) and a softness c: what a mode of the second variation that turns the tubes by y and bends
-    by the moment g has per length,
+    `section`: M, u, bending energy.  `linear`: these and their derivatives (n, n + 2), (2, n + 2), (1, n + 2) with
+    respect to theta and b; `linear_data`: those (n, 2 n), (2, 2 n), (1, 2 n) with respect to kb and m.  `mode`, with
+    further arguments g (2,), y (n,) and a softness c: what a mode of the second variation that turns the tubes by y and
+    bends by the moment g has per length,
 
         y' (dM/dtheta) y - 2 g'(du/dtheta) y - c |g|^2 / sum kb,
 
@@ -201,7 +201,7 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     mode = ca.bilin(stiff, y, y) - 2 * felt.T @ turned @ y - softness * ca.sumsqr(felt) / ca.sum1(stiffness)
     of_mode = [*inputs, felt, y, softness]
     table = {
-        "torque": (inputs, [here.moment]),
+        "section": (inputs, values),
         "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given)) for value in values)]),
         "linear_data": (inputs, [ca.densify(ca.jacobian(value, data)) for value in values]),
         "mode": (of_mode, [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),

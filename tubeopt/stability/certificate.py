@@ -11,8 +11,8 @@ from ..arguments import typed
 from ..block.transcription.arm import profile
 from ..block.transcription.buffered import mapped
 from ..block.transcription.reduced import ReducedProblem, evaluate
+from ..block.transcription.responsive import Responsive
 from ..block.transcription.second_variation import least
-from ..block.transcription.standing import Standing
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
@@ -280,6 +280,6 @@ def _gradient(robot: Robot, problem: ReducedProblem, margin: float, y: Array) ->
     """That of the eigenvalue with the eigenvector y (N, n), which rotations do not change: of tubes without torsion."""
     n, wrt = robot.n_tubes, tuple(OWN_NAME.get(name, name) for name in PARAMETERS)
     still, state = np.zeros(n), evaluate(problem, np.zeros(n), np.zeros(problem.size))
-    here = Standing(problem, still, state.theta, evaluate_arm(problem, still, state, profile(problem, still, state)))
+    here = Responsive(problem, still, state.theta, evaluate_arm(problem, still, state, profile(problem, still, state)))
     slope = Linearised(here, robot.tubes, 1.0, wrt).certificate(margin, y)
     return dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))

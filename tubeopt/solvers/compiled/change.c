@@ -1,5 +1,5 @@
-/* What a parameter changes at a solved equilibrium of concentric tubes: the linear algebra of equilibrium/derivatives.py and
-   margin.py on the condensed unknowns.
+/* What a parameter changes at a solved equilibrium of concentric tubes: what equilibrium/linearised.py finds, on the condensed
+   unknowns.
 
    At fixed arc lengths theta = alpha - C W M(theta), C the torsional compliance, W the weights. Where e is what changes on
    the right-hand side with theta held, d theta = L H^-1 L^-1 e, with C = L L' and H the second variation. A breakpoint

@@ -1,0 +1,430 @@
+"""How an arm in equilibrium answers to whatever changes: the one linearisation.
+
+A turn psi of the frame about world axes changes the rest of `standing` by
+
+    psi' = R du,     db = (R'(dm - psi x m))_xy,     dm' = n x (psi x e) - e x dn.
+
+These equations are collocated where the equilibrium was. The state (phi, psi, t, m) at the end of a piece is linear in
+that where it begins; plate and tip close the chain. A breakpoint that moves uncovers a stretch with other tubes, which
+is a jump of the rates there. Without a load m, n and l are 0: phi and t close the chain, and psi follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+
+from ...errors import SolveError
+from ...typing import Array, Index
+from .standing import Standing, cross, hat
+
+
+@dataclass(frozen=True, eq=False)
+class Forcing:
+    """What Q parameters change at fixed arc lengths: alpha (n, Q), int ds / kt up to the plate (n, Q); at the points
+    phase, kb and m (P, K, 3 n, Q), 1 / kt (P, K, n, Q) and the force (P, K, 3, Q); what the state gains between the
+    pieces (P + 1, 2 n + 6, Q), and by which `side` of what acts there."""
+
+    base: Array
+    transmission: Array
+    data: Array
+    rate: Array
+    force: Array
+    jumps: Array
+    side: int
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Linear maps of P pieces: the `matrix` (P, r, r) of the equations of (phi, psi) at the points, r = K (n + 3), the
+    state at the ends `gathered` (P, 2 n + 6, r) from them, and both by the state where the pieces begin, `inner`
+    (P, r, 2 n + 6) and `ends` (P, 2 n + 6, 2 n + 6)."""
+
+    matrix: Array
+    gathered: Array
+    inner: Array
+    ends: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Change of an arm at fixed arc lengths: the state (P + 1, 2 n + 6, Q) where pieces begin, and at the tip;
+    phi (P, K, n, Q), psi, m (P, K, 3, Q), t (P, K, n, Q), b (P, K, 2, Q) and u (P, K, 2, Q) at the points."""
+
+    state: Array
+    phi: Array
+    psi: Array
+    moment: Array
+    torque: Array
+    bent: Array
+    curvature: Array
+
+
+class Responsive(Standing):
+    """An arm in equilibrium, and how it answers."""
+
+    @property
+    def size(self) -> int:
+        """Length of a state: rotations, turn of the frame, torques, moment. The chain is of the rows `kept`: without a
+        load, of rotations and torques."""
+        return 2 * self.n + 6
+
+    @cached_property
+    def _slopes(self) -> tuple[Array, ...]:
+        """At the points: of b by psi and by m, of t' by psi, of m' by psi."""
+        across = self.frame[..., :2].swapaxes(2, 3)
+        twisting = np.zeros((*self.phi.shape, 3))
+        if self.along is not None:
+            twisting = -self.felt[..., None] * cross(self.axis, self.along)[..., None, :]
+        leaning = (self.force * self.axis).sum(2)[..., None, None] * np.eye(3)
+        return across @ hat(self.moment), across, twisting, leaning - self.axis[..., None] * self.force[..., None, :]
+
+    @cached_property
+    def _by(self) -> tuple[Array, ...]:
+        """At the points: of M by theta and by b, of u by theta."""
+        n, points = self.n, (self.pieces, self.degree)
+        at = self.at.by_torque, self.at.by_curvature
+        torque, curvature = (part.reshape(*points, *part.shape[1:]) for part in at)
+        return torque[..., :n], torque[..., n:], curvature[..., :n]
+
+    def _swept(self, matrix: Array, rates: Array) -> Array:
+        """(P, K, r, C) integrals of rates (P, K, r, C) by a matrix (K, K) of the tableau."""
+        out = matrix @ rates.reshape(self.pieces, self.degree, -1)
+        out *= self.h
+        return np.asarray(out.reshape(rates.shape))
+
+    def _felt(
+        self, q: Array, starts: tuple[Array, Array], forcing: tuple[Array, ...] | None
+    ) -> tuple[Array, Array, Array, Array, Array, Array, Array | None]:
+        """What changes of (phi, psi) at the points, by columns (P, K, n + 3, C), and of t and m where the pieces begin
+        (P or 1, 1, r, C) make there of t, m, b, of t' and m', of u at fixed b, and of phi' at fixed t."""
+        n, (torque_by_phi, torque_by_bent, u_by_phi) = self.n, self._by
+        phi, shape = q[..., :n, :], (self.pieces, self.degree)
+        twisted, turned = torque_by_phi @ phi, u_by_phi @ phi
+        if self.load is None:
+            moment, bent = (np.zeros((*shape, rows, q.shape[3])) for rows in (3, 2))
+            falling = moment
+        else:
+            (by_turn, across, twisting, leaning), psi = self._slopes, q[..., n:, :]
+            falling = leaning @ psi
+            if forcing is not None:
+                falling += forcing[3]
+            moment = self._swept(self.t.adjoint, falling)
+            moment += starts[1]
+            bent = across @ moment
+            bent += by_turn @ psi
+            twisted += torque_by_bent @ bent
+            if self.along is not None:
+                twisted += twisting @ psi
+        if forcing is not None:
+            twisted += forcing[1]
+            turned += forcing[2]
+        torque = self._swept(self.t.adjoint, twisted)
+        torque += starts[0]
+        wound = None if self.coupled is None else self.coupled @ phi
+        if forcing is not None:
+            wound = forcing[0] if wound is None else wound + forcing[0]
+        return torque, moment, bent, twisted, falling, turned, wound
+
+    @cached_property
+    def _unforced(self) -> tuple[Any, ...]:
+        """`_felt` by columns of (phi, psi) at the points, then of the state where the pieces begin."""
+        own, size, inner = self.own, 2 * self.own, self.degree * self.own
+        table = np.zeros((inner, inner + size))
+        table.ravel()[:: inner + size + 1] = 1.0
+        begin = np.zeros((size, inner + size))
+        begin[:, inner:] = np.eye(size)
+        q = table.reshape(1, self.degree, own, -1)
+        return self._felt(q, (begin[own : own + self.n], begin[own + self.n :]), None)
+
+    def _ended(self, felt: tuple[Any, ...], softness: float) -> tuple[Array, Array]:
+        """(P, K own, C) integrals of the rates of (phi, psi) up to the points and (P, 2 own, C) of those of the state
+        along whole pieces, from `_felt`."""
+        (torque, _, bent, twisted, falling, bending, wound), n, own, k = felt, self.n, self.own, self.degree
+        count = torque.shape[-1]
+        rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, 2 * own, count))
+        np.multiply(torque, softness * self.winding[..., None], out=rates[..., :n, :])
+        if wound is not None:
+            rates[..., :n, :] += wound
+        parts = [(rates, slice(own)), (twisted, slice(own, own + n))]
+        if own > n:
+            np.matmul(self.frame[..., :2], bent * (softness * self._give) + bending, out=rates[..., n:, :])
+            parts.append((falling, slice(own + n, None)))
+        weights = self.weights[:, None]
+        for part, rows in parts:
+            np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
+        return self._swept(self.t.matrix, rates).reshape(self.pieces, k * own, count), end
+
+    def _maps(self, softness: float) -> Maps:
+        """The linear maps of all pieces."""
+        own, size, inner = self.own, 2 * self.own, self.degree * self.own
+        there, end = self._ended(self._unforced, softness)
+        table = there.reshape(self.pieces, self.degree, own, -1)
+        table[..., inner:] += np.eye(own, size)
+        matrix = -there[..., :inner]
+        matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
+        solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
+        ends = end[..., inner:] + np.eye(size) + end[..., :inner] @ solved
+        return Maps(matrix, end[..., :inner], solved, ends)
+
+    @cached_property
+    def _standing_maps(self) -> Maps:
+        """Of the arm as it stands."""
+        return self._maps(1.0)
+
+    def _forced_maps(self, forcing: tuple[Array, ...]) -> tuple[Array, Array]:
+        """(P, K own, C) of (phi, psi) at the points and (P, 2 own, C) of the state at the ends of the pieces by
+        what is forced."""
+        count, maps = forcing[0].shape[-1], self._standing_maps
+        none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
+        there, end = self._ended(self._felt(*none, forcing), 1.0)
+        solved = np.asarray(np.linalg.solve(maps.matrix, there))
+        return solved, end + maps.gathered @ solved
+
+    @cached_property
+    def _give(self) -> Array:
+        """(P, K, 1, 1) of u by b: one over the bending stiffness of all tubes."""
+        return np.asarray(1 / self.stiffness.sum(2))[..., None, None]
+
+    def _kicked(self) -> Array | None:
+        """(P + 1, 2 n + 6, 2 n + 6) the state on the tip's side of a place by that on the plate's side; None where no
+        moment acts between pieces."""
+        if not self.joints:
+            return None
+        out = np.tile(np.eye(self.size), (self.pieces + 1, 1, 1))
+        for k, tube, moment in self.joints:
+            out[k, self.n + 3 + tube, self.n : self.n + 3] -= cross(self.end_frame[k, :, 2], moment)
+        return out
+
+    def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
+        """The matrix of torques and moment (own) at the plate, and of the states where pieces begin (P, 2 own);
+        `turns` (P, 2 own, 3) is what a turn of the tip makes of these, with which a force turns."""
+        n, size, own, pieces = self.n, 2 * self.own, self.own, self.pieces
+        total = own + pieces * size
+        matrix = np.zeros((total, total))
+        kicks = self._kicked()
+        maps = ends if kicks is None else kicks[1:] @ ends
+        first = np.zeros((size, own))
+        first[own:] = np.eye(own)
+        first[range(n), range(n)] = softness * self.transmission
+        matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
+        matrix[:size, :own] = -maps[0] @ first
+        for k in range(1, pieces):
+            matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -maps[k]
+        if turns is not None:
+            turn = slice(total - size + n, total - size + own)
+            matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
+        last, rows = total - size, slice(pieces * size, total)
+        matrix[rows, last + own :] = np.eye(own)
+        if own == n:
+            return matrix
+        tip = matrix[rows, last + n : last + own]
+        if self.following:
+            tip[n:] += hat(self.tip_moment)
+        else:
+            tip[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
+        return matrix
+
+    @cached_property
+    def turning(self) -> Array | None:
+        """(P, K, 3, 3) change of m' by the turn of the tip, with which a force turns; None of dead forces."""
+        if not (self.following and self.tip_force.any()):
+            return None
+        return np.asarray(hat(self.axis) @ hat(self.tip_force))
+
+    def respond(self, forcing: Forcing) -> Response:
+        """How the arm answers to changes.
+
+        Raises:
+            SolveError: the equilibrium is a fold.
+        """
+        n, own, size, count = self.n, self.own, 2 * self.own, forcing.base.shape[1]
+        first = np.zeros((size, count))
+        first[:n] = forcing.base + forcing.transmission * self.torque_plate_side[0][:, None]
+        if not self.pieces:
+            nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
+            state = forcing.jumps.copy()
+            state[0, self.kept] += first
+            return Response(state, *nothing)
+        forced, columns = self._forced(forcing)
+        maps, turned = self._standing_maps, self._turns
+        inner, gained = (None, None) if forced is None else self._forced_maps(forced)
+        matrix = self._system(1.0, maps.ends, None if gained is None or not turned else gained[..., :turned])
+        right, kicks = np.zeros((len(matrix), count)), self._kicked()
+        jumps = forcing.jumps[:, self.kept]
+        if kicks is not None and forcing.side < 0:
+            jumps = kicks @ jumps
+        start = first + jumps[0]
+        table = right[: self.pieces * size].reshape(self.pieces, size, count)
+        if gained is not None:
+            table[..., columns] = gained[..., turned:]
+        table[0] += maps.ends[0] @ start
+        if kicks is not None:
+            table[:] = kicks[1:] @ table
+        table += jumps[1:]
+        *_, found, singular = scipy.linalg.lapack.dgesv(matrix, right)
+        if singular or not np.isfinite(found).all():
+            raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
+        state = np.empty((self.pieces + 1, size, count))
+        state[1:] = found[own:].reshape(self.pieces, size, count)
+        state[0] = start
+        state[0, own:] += found[:own]
+        state[0, :n] += self.transmission[:, None] * found[:n]
+        q = maps.inner @ state[:-1]
+        wide = None
+        if forced is not None and inner is not None:
+            q[..., columns] += inner[..., turned:]
+            wide = tuple(np.zeros((*part.shape[:3], count)) for part in forced)
+            for whole, part in zip(wide, forced, strict=True):
+                whole[..., columns] = part[..., turned:]
+            if self.turning is not None:
+                turn = state[-1, n : n + 3]
+                q += inner[..., :turned] @ turn
+                wide[3][:] += self.turning @ turn
+        if self.load is None:
+            state = self._whole(state)
+            state[:, n : n + 3] = forcing.jumps[:, n : n + 3]
+        return self._along(state, q, wide, 1.0)
+
+    def _whole(self, state: Array) -> Array:
+        """(P + 1, 2 n + 6, Q) states of the rows `kept`."""
+        out = np.zeros((len(state), self.size, state.shape[2]))
+        out[:, self.kept] = state
+        return out
+
+    @property
+    def _turns(self) -> int:
+        """Columns of the turn of the tip."""
+        return 0 if self.turning is None else 3
+
+    def _forced(self, forcing: Forcing) -> tuple[tuple[Array, ...] | None, Index]:
+        """What is forced of phi', t', u and m' at the points, by columns (P, K, r, C) of the turn of the tip and of
+        the changes that force anything there, and which of the changes these are."""
+        some = [part.any((0, 1, 2)) for part in (forcing.data, forcing.rate, forcing.force)]
+        columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
+        extra = self._turns
+        if not len(columns) and not extra:
+            return None, columns
+        data, rate, force = (part[..., columns] for part in (forcing.data, forcing.rate, forcing.force))
+        torque_by, u_by, _, phi_by = self.by_data
+        wound = rate * self.stretched[..., None]
+        if phi_by is not None:
+            wound += phi_by @ data
+        parts = [wound, torque_by @ data, u_by @ data, -hat(self.axis) @ force]
+        if self.turning is not None:
+            parts = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in parts]
+            parts[3][..., :extra] = self.turning
+        return tuple(parts), columns
+
+    def _along(self, state: Array, q: Array, forced: tuple[Array, ...] | None, softness: float) -> Response:
+        """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K own, Q). Without a load the
+        states have, of psi, what it gains between the pieces."""
+        n, begin = self.n, state[:-1, None]
+        q = q.reshape(self.pieces, self.degree, self.own, -1)
+        starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
+        torque, moment, bent, _, _, turned, _ = self._felt(q, starts, forced)
+        if self.load is not None:
+            bending = turned + softness * self._give * bent
+            return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
+        rates = self.frame[..., :2] @ turned
+        state[1:, n : n + 3] += (self.weights[:, None] @ rates.reshape(self.pieces, self.degree, -1)).reshape(
+            self.pieces, 3, -1
+        )
+        state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
+        psi = state[:-1, None, n : n + 3] + self._swept(self.t.matrix, rates)
+        return Response(state, q, psi, moment, torque, bent, turned)
+
+    def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
+        """(K, n, Q) change of phi' at the points of a piece."""
+        out = self.winding[piece, ..., None] * response.torque[piece]
+        out += self.stretched[piece, ..., None] * forcing.rate[piece]
+        if self.coupled is not None:
+            out += self.coupled[piece] @ response.phi[piece]
+            by_data = self.by_data[3]
+            assert by_data is not None
+            out += by_data[piece] @ forcing.data[piece]
+        return np.asarray(out)
+
+    def pulled(self, pull: Array, softness: float) -> Response:
+        """The mode in which torques fall by (P, K, n) towards the plate, and nothing bends: one column."""
+        n, none = self.n, np.zeros((*self.axis.shape, 1))
+        torque, tip_side, _ = self._inwards(-pull, np.zeros((self.pieces + 1, n)), np.zeros(n))
+        rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
+        whole = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
+        state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), tip_side
+        phi = state[:-1, None, :n, 0] + self.h * (self.t.matrix @ rates)
+        return Response(state, phi[..., None], none, none, torque[..., None], none[..., :2, :], none[..., :2, :])
+
+    def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
+        """How the arm buckles when its elasticity is softened by its margin, one column, and 1 / (1 - margin); None
+        where the mesh is too coarse to show how, or two ways are equally easy and not `one_of_two` will do."""
+        known = margin
+        for _ in range(MODE_STEPS):
+            # Beside the eigenvalue itself, where there would be nothing left to divide by.
+            beside = margin - ASIDE
+            softness = 1 / (1 - beside)
+            maps = self._maps(softness)
+            matrix = self._system(softness, maps.ends)
+            angle = np.arange(len(matrix), dtype=float)
+            factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
+            right = np.column_stack([np.cos(angle), np.sin(angle)])
+            grown = scipy.linalg.lapack.dgetrs(factors, pivots, right)[0]
+            size = np.abs(grown[:, 0]).max()
+            found = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
+            found /= np.abs(found).max()
+            other = np.abs(grown[:, 1] - found * ((found @ grown[:, 1]) / (found @ found))).max()
+            state = self._state(found, softness)
+            inner = maps.inner @ state[:-1]
+            mode = self._along(state if self.own > self.n else self._whole(state), inner, None, softness)
+            margin = self.quotient(mode, softness)
+            # Every mode grows by one over its distance, and is mixed into this one by as much.
+            if abs(margin - beside) * size < DOUBLE * other:
+                if not one_of_two:
+                    return None
+                break
+            if other < MIXED * size:
+                break
+        return (mode, softness) if abs(margin - known) < SAME_MODE else None
+
+    def _state(self, found: Array, softness: float) -> Array:
+        """(P + 1, 2 own, 1) states where pieces begin, of torques and moment at the plate and what follows."""
+        n, own = self.n, self.own
+        state = np.zeros((self.pieces + 1, 2 * own, 1))
+        state[1:, :, 0] = found[own:].reshape(self.pieces, 2 * own)
+        state[0, own:, 0] = found[:own]
+        state[0, :n, 0] = softness * self.transmission * found[:n]
+        return state
+
+    def elastic(self, mode: Response, softness: float) -> float:
+        """The elastic part T of the second variation along a mode, one column."""
+        torque, bent, held = mode.torque[..., 0], mode.bent[..., 0], mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
+        density = (self.rate * torque**2).sum(2) + (bent**2).sum(2) / self.stiffness.sum(2)
+        return float(softness**2 * ((self.weights * density).sum() + self.transmission @ held**2))
+
+    def quotient(self, mode: Response, softness: float) -> float:
+        """Second variation over its elastic part T along a mode, one column."""
+        y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
+        bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
+        form = np.einsum("pki,pkij,pkj->pk", y, self._by[0], y)
+        form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
+        return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
+
+
+MODE_STEPS = 4
+"""How often a mode is sought at most, each time at the quotient of the one before."""
+
+MIXED = 3e-7
+"""Part of another mode that a mode may have."""
+
+SAME_MODE = 1e-6
+"""Difference of the margin up to which a mode is that of the margin."""
+
+ASIDE = 1e-12
+"""By how much less than the margin an arm is softened to find how it buckles."""
+
+DOUBLE = 1e-9
+"""Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""

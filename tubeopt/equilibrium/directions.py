@@ -1,0 +1,306 @@
+"""What joint values, dimensions and stiffnesses of the tubes change of an arm in equilibrium, at fixed arc lengths.
+
+A tube that moves carries what varies along it past every point, and moves its breakpoints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..block.transcription.green import INWARDS
+from ..block.transcription.reduced import ReducedProblem
+from ..block.transcription.responsive import Forcing, Responsive
+from ..errors import InputError
+from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.breakpoints import DIMENSIONS
+from ..robots.lengthwise import Lengthwise
+from ..robots.load import masses
+from ..robots.tubes import Tube
+from ..typing import Array
+from .strips import Breakpoints, Uncovered, breakpoints_of, strips_of, uncovered_by
+
+PARAMETERS = ("rotations", "translations", *DIMENSIONS)
+"""What an equilibrium is differentiated by, n columns each, per rad, per m, or per SI unit of the dimension."""
+
+
+def check_wrt(wrt: Sequence[str], side: int) -> None:
+    """Raise InputError for a name that is not among PARAMETERS, or a side that is neither 1 nor -1."""
+    if side not in (1, -1):
+        raise InputError(f"side is {side!r}; it must be 1 (forward) or -1 (backward)")
+    for name in wrt:
+        if name not in PARAMETERS:
+            raise InputError(f"wrt names {name!r}; it may name {', '.join(PARAMETERS)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an unknown changes at fixed arc lengths: int ds / kt up to the plate (n,), at the points (P, K, n) 1 / kt,
+    kb, m and phase, and the natural turn (n,) up to the ends of the tubes."""
+
+    transmission: Array
+    rate: Array
+    stiffness: Array
+    moment: Array
+    phase: Array
+    wound: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Entered:
+    """What directions change: `forcing`, but for breakpoints; the natural turn (n, Q) up to the ends of the tubes,
+    `wound`; by how much each moves the breakpoints, `speed` (J, Q)."""
+
+    forcing: Forcing
+    wound: Array
+    speed: Array
+
+
+class Directions:
+    """Q directions in which an arm is changed: by what `wrt` names of its n tubes, n columns each.
+
+    Where breakpoints coincide they are directional: those along a sum of parameters are not the sum of those by each.
+
+    Args:
+        here: the arm in equilibrium.
+        tubes: of which it is.
+        margin: of the equilibrium.
+        wrt: names of PARAMETERS.
+        side: 1 for parameters that grow, so that breakpoints move towards the tip, -1 for those that shrink: where
+            breakpoints coincide the derivatives differ.
+        more: changes of the tubes at fixed arc lengths, one further column each.
+        along: (L, Q) directions, by what `wrt` and `more` give, that replace these L columns; as where a group of tubes
+            moves at once. Where moments act, no direction moves breakpoints to both sides.
+
+    Raises:
+        InputError: a name that is not among PARAMETERS, or a side that is neither 1 nor -1.
+    """
+
+    def __init__(
+        self,
+        here: Responsive,
+        tubes: Sequence[Tube],
+        margin: float,
+        wrt: Sequence[str] = ("rotations", "translations"),
+        side: int = 1,
+        more: Callable[[Directions], Sequence[Change]] | None = None,
+        along: Array | None = None,
+    ) -> None:
+        check_wrt(wrt, side)
+        self.here, self.tubes, self.value, self.wrt, self.side = here, tuple(tubes), margin, tuple(wrt), side
+        self.problem, self.assembly = here.problem, here.problem.assembly
+        self.n, self.arm, self.cuts = here.n, here.shape, here.cuts
+        self._more = [] if more is None else list(more(self))
+        self._along = along
+        self.size = self.n * len(self.wrt) + len(self._more) if along is None else along.shape[1]
+
+    @cached_property
+    def entered(self) -> Entered:
+        """What they change."""
+        here, n, size = self.here, self.n, self.n * len(self.wrt) + len(self._more)
+        points, bases = (here.pieces, here.degree), np.zeros((3, n, size))
+        forcing = Forcing(
+            base=bases[0],
+            transmission=bases[1],
+            data=np.zeros((*points, 3 * n, size)),
+            rate=np.zeros((*points, n, size)),
+            force=np.zeros((*points, 3, size)),
+            jumps=np.zeros((here.pieces + 1, here.size, self.size)),
+            side=self.side,
+        )
+        into = Entered(forcing, bases[2], np.zeros((len(self.breakpoints.tube), size)))
+        for k, name in enumerate(self.wrt):
+            self._enter(into, k * n, name)
+        for column, change in enumerate(self._more, start=n * len(self.wrt)):
+            forcing.transmission[:, column], forcing.rate[..., column] = change.transmission, change.rate
+            forcing.data[..., column] = np.concatenate([change.phase, change.stiffness, change.moment], axis=2)
+            into.wound[:, column] += change.wound
+        if self._along is None:
+            return into
+        along = self._along
+        forcing = replace(
+            forcing,
+            base=forcing.base @ along,
+            transmission=forcing.transmission @ along,
+            data=_combined(forcing.data, along),
+            rate=_combined(forcing.rate, along),
+            force=_combined(forcing.force, along),
+        )
+        return Entered(forcing, into.wound @ along, into.speed @ along)
+
+    @cached_property
+    def _uncovering(self) -> tuple[Uncovered, Array]:
+        """What the directions uncover, and the widths (T, Q) of the strips."""
+        strips, widths = strips_of(self.breakpoints, self.size, (self.side * self.entered.speed).tobytes())
+        return uncovered_by(self.assembly, self.cuts.tobytes(), strips), widths
+
+    @property
+    def strips(self) -> Uncovered:
+        """The T strips that breakpoints uncover."""
+        return self._uncovering[0]
+
+    @property
+    def widths(self) -> Array:
+        """(T, Q) of the strips."""
+        return self._uncovering[1]
+
+    @cached_property
+    def breakpoints(self) -> Breakpoints:
+        return breakpoints_of(self.assembly, self.cuts.tobytes())
+
+    def _enter(self, entered: Entered, first: int, name: str) -> None:
+        """Enter what a parameter of the tubes changes into n columns from the first one on."""
+        here, into, i = self.here, entered.forcing, np.arange(self.n)
+        kb, m, column = self.n + i, 2 * self.n + i, first + i
+        if name == "rotations":
+            into.base[i, column] = 1.0
+        elif name == "straight_length":
+            into.transmission[i, column] = _held(self.assembly, 0)
+        elif name == "curvature":
+            bend = np.array([tube.curvature for tube in self.tubes])
+            into.data[..., m, column] = here.moments / np.where(bend, bend, 1.0)
+            for k in np.flatnonzero(bend == 0).tolist():
+                into.data[..., m[k], column[k]] = here.stiffness[..., k] * self._bendable(k)
+        elif name == "bending_stiffness":
+            stiffness = np.array([tube.bending_stiffness for tube in self.tubes], dtype=float)
+            into.data[..., kb, column], into.data[..., m, column] = here.stiffness / stiffness, here.moments / stiffness
+        elif name == "torsional_stiffness":
+            stiffness = np.array([tube.torsional_stiffness for tube in self.tubes], dtype=float)
+            into.rate[..., i, column] = -here.rate / stiffness
+            into.transmission[i, column] = -here.transmission / stiffness
+        elif name == "translations" and self.assembly.lengthwise is None and not self._density.any():
+            tube = self.breakpoints.tube
+            entered.speed[np.arange(len(tube)), first + tube] = 1.0
+            into.transmission[i, column] = -_held(self.assembly, self.side)
+        else:
+            for k in range(self.n):
+                self._advance(entered, first, name, k)
+
+    def _advance(self, entered: Entered, first: int, name: str, i: int) -> None:
+        """A tube moves forward with all that it is; or its curved part becomes longer, all its pieces in proportion: a
+        place x of the tube moves by (x - l) / L behind the straight part, l, for each unit of length, L."""
+        here, into, n, own, points = self.here, entered.forcing, self.n, self.tubes[i], self.breakpoints
+        column = first + i
+        held, mine, table = float(self.assembly.transmission[i]), points.tube == i, self.assembly.lengthwise
+
+        def moves(place: Array) -> Array:
+            if name == "translations":
+                return np.ones_like(place)
+            return np.maximum(place - own.straight_length, 0.0) / (own.curved_length or np.inf)
+
+        pace = moves(points.place[mine] + held)
+        if name == "curved_length":
+            pace[points.end[mine]] = 1.0
+        entered.speed[mine, column] += pace
+        into.transmission[i, column] -= float(moves(np.array(held))) * self._softness(i)
+        end = float(self.assembly.end[i])
+        if self._density[i] and end > -self.side * ROUND_OFF:
+            into.force[..., column] += (self._arc_length < end)[..., None] * (self._density[i] * self._gravity)
+        stretches = name == "curved_length" and own.curved_length > 0
+        if table is None:
+            if stretches:
+                grown = max(held - own.straight_length, 0.0) / own.curved_length
+                into.transmission[i, column] += grown * self._softness(i)
+            return
+        place = self._arc_length + held
+        moved = moves(place)
+        for k, rate in enumerate(self._passing[:3]):
+            into.data[..., k * n + i, column] -= rate[..., i] * moved
+        into.rate[..., i, column] -= self._passing[3][..., i] * moved
+        if stretches:
+            straight = np.array([tube.straight_length for tube in self.tubes])
+            up_to = table.compliant(self.assembly.transmission)[i] - table.compliant(straight)[i]
+            into.transmission[i, column] += max(float(up_to), 0.0) / own.curved_length
+            ends = np.array([tube.length for tube in self.tubes])
+            begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
+            turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
+            into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
+            entered.wound[i, column] += (ended - begun) / own.curved_length
+
+    @cached_property
+    def _arc_length(self) -> Array:
+        """(P, K) of the points, m."""
+        return np.asarray(self.here.mesh.start[:, None] + self.here.length[:, None] * self.here.t.nodes)
+
+    @cached_property
+    def _density(self) -> Array:
+        """(n,) mass per length of the tubes, kg/m; 0 where nothing weighs."""
+        load = self.here.load
+        return np.zeros(self.n) if load is None else masses(self.tubes, load)
+
+    @property
+    def _gravity(self) -> Array:
+        load = self.here.load
+        return np.array((0.0, 0.0, 0.0) if load is None or load.gravity is None else load.gravity)
+
+    def _bendable(self, i: int) -> Array:
+        """(P, K) where a straight tube would be curved if it had a curvature; straight pieces stay straight."""
+        own, place = self.tubes[i], self._arc_length + self.assembly.transmission[i]
+        return np.asarray((place > own.straight_length) & (not own.general))
+
+    def _softness(self, i: int) -> float:
+        """1 / kt of a tube at the plate, on the side from which it moves, 1/(N m^2)."""
+        return float(_held(self.assembly, self.side)[i])
+
+    @property
+    def _passing(self) -> tuple[Array, ...]:
+        return passing(self.here.problem)
+
+    # --- what a change of pieces needs to know ------------------------------------------------------------------------
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Pieces, points, tubes."""
+        return self.here.pieces, self.here.degree, self.n
+
+    @property
+    def place(self) -> Array:
+        """(P, K, n) where the points lie on the tubes, m from their held ends."""
+        return self._arc_length[..., None] + self.assembly.transmission
+
+    @property
+    def table(self) -> Lengthwise:
+        """What tubes made of pieces are along them."""
+        assert self.assembly.lengthwise is not None
+        return self.assembly.lengthwise
+
+    @cached_property
+    def values(self) -> Array:
+        """(6, P, K, n) the quantities of the table at the points."""
+        return self.table.values(self.place.reshape(-1, self.n)).reshape(6, *self.shape)
+
+
+def _combined(columns: Array, along: Array) -> Array:
+    """(..., Q) along directions (L, Q), of (..., L)."""
+    return np.asarray((columns.reshape(-1, len(along)) @ along).reshape(*columns.shape[:-1], along.shape[1]))
+
+
+@lru_cache(maxsize=64)
+def _held(assembly: Assembly, side: int) -> Array:
+    """(n,) 1 / kt of the tubes at the plate, on the side from which they move; with `side` 0 where they are held."""
+    table = assembly.lengthwise
+    if table is None:
+        return np.asarray(1 / assembly.torsional_stiffness)
+    at = assembly.transmission[None] * abs(side)
+    return np.asarray(1 / table.values(at, at - side * ROUND_OFF)[1, 0])
+
+
+@lru_cache(maxsize=64)
+def passing(problem: ReducedProblem) -> tuple[Array, ...]:
+    """(P, K, n) rates of phase, kb, m and 1 / kt along tubes made of pieces, at the points."""
+    table, mesh, shape = problem.assembly.lengthwise, problem.mesh, problem.here.rate.shape
+    assert table is not None
+    nodes = mesh.tableau.nodes
+    s, inside = (
+        (mesh.start[:, None] + mesh.length[:, None] * x).ravel()[:, None] + problem.assembly.transmission
+        for x in (nodes, nodes + INWARDS * (0.5 - nodes))
+    )
+    kb, kt, x, y, z, _ = (part.reshape(shape) for part in table.values(s, inside))
+    dkb, dkt, dx, dy, _, _ = (part.reshape(shape) for part in table.rates(s, inside))
+    there, size = problem.here.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
+    solid = np.where(size > 0, size, 1.0)
+    turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
+    return z + turning, dkb * there, (dkb * size + kb * growing) * there, -dkt / kt**2
