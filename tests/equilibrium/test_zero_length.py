@@ -100,6 +100,8 @@ def test_tubes_of_one_carriage_leave_the_plate_with_the_energy_of_their_straight
     coupling = (pull[0] * pull[1].conjugate()).real / kb.sum()
     held = np.array([tube.length for tube in robot.tubes]) / [tube.torsional_stiffness for tube in robot.tubes]
     assert slopes.margin[2:].sum() == pytest.approx(min(0.0, coupling * held.sum()), rel=1e-12)
+    # What leaves the plate twists the transmissions.
+    assert slopes.tip_rotations[:, 2:].sum(1) == pytest.approx(-held * (u.conjugate() * pull).imag, rel=1e-12)
     apart = withdrawn("two_tube", turn=0.0)
     opposed = forward_kinematics(robot, [0.0, 2.5], apart.translations)
     pull = kb * kappa * np.exp(1j * opposed.rotations)

@@ -260,7 +260,7 @@ class ArmChange(Directions):
         """(Q,) of the elastic energy, J."""
         here, forcing, n = self.here, self.forcing, self.n
         moved, weights, size = self.response, here.weights.ravel(), self.size
-        by = weights[:, None] * here.by_energy.reshape(len(weights), -1)
+        by = weights[:, None] * here.by_energy.reshape(-1, n + 2)
         out = by[:, :n].ravel() @ moved.phi.reshape(-1, size)
         out += by[:, n:].ravel() @ moved.bent.reshape(-1, size)
         if forcing.data.any():

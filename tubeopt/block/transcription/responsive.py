@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -36,6 +36,28 @@ class Forcing:
     force: Array
     jumps: Array
     side: int
+
+
+class Forced(NamedTuple):
+    """What is forced of phi', t', u and m' at the points, by columns (P, K, r, C)."""
+
+    phi: Array
+    torque: Array
+    curvature: Array
+    moment: Array
+
+
+class Felt(NamedTuple):
+    """Change of t, m and b at the points, of t' and m', of u at fixed b, and of phi' at fixed t, by columns
+    (P, K, r, C); None where phi' is of the torques alone."""
+
+    torque: Array
+    moment: Array
+    bent: Array
+    twisting: Array
+    falling: Array
+    curvature: Array
+    turning: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,41 +119,39 @@ class Responsive(Standing):
         out *= self.h
         return np.asarray(out.reshape(rates.shape))
 
-    def _felt(
-        self, q: Array, starts: tuple[Array, Array], forcing: tuple[Array, ...] | None
-    ) -> tuple[Array, Array, Array, Array, Array, Array, Array | None]:
+    def _felt(self, q: Array, starts: tuple[Array, Array], forced: Forced | None) -> Felt:
         """What changes of (phi, psi) at the points, by columns (P, K, n + 3, C), and of t and m where the pieces begin
-        (P or 1, 1, r, C) make there of t, m, b, of t' and m', of u at fixed b, and of phi' at fixed t."""
+        (P or 1, 1, r, C) make there."""
         n, (torque_by_phi, torque_by_bent, u_by_phi) = self.n, self._by
         phi, shape = q[..., :n, :], (self.pieces, self.degree)
-        twisted, turned = torque_by_phi @ phi, u_by_phi @ phi
+        twisting, curvature = torque_by_phi @ phi, u_by_phi @ phi
         if self.load is None:
             moment, bent = (np.zeros((*shape, rows, q.shape[3])) for rows in (3, 2))
             falling = moment
         else:
-            (by_turn, across, twisting, leaning), psi = self._slopes, q[..., n:, :]
+            (by_turn, across, twisted, leaning), psi = self._slopes, q[..., n:, :]
             falling = leaning @ psi
-            if forcing is not None:
-                falling += forcing[3]
+            if forced is not None:
+                falling += forced.moment
             moment = self._swept(self.t.adjoint, falling)
             moment += starts[1]
             bent = across @ moment
             bent += by_turn @ psi
-            twisted += torque_by_bent @ bent
+            twisting += torque_by_bent @ bent
             if self.along is not None:
-                twisted += twisting @ psi
-        if forcing is not None:
-            twisted += forcing[1]
-            turned += forcing[2]
-        torque = self._swept(self.t.adjoint, twisted)
+                twisting += twisted @ psi
+        if forced is not None:
+            twisting += forced.torque
+            curvature += forced.curvature
+        torque = self._swept(self.t.adjoint, twisting)
         torque += starts[0]
-        wound = None if self.coupled is None else self.coupled @ phi
-        if forcing is not None:
-            wound = forcing[0] if wound is None else wound + forcing[0]
-        return torque, moment, bent, twisted, falling, turned, wound
+        turning = None if self.coupled is None else self.coupled @ phi
+        if forced is not None:
+            turning = forced.phi if turning is None else turning + forced.phi
+        return Felt(torque, moment, bent, twisting, falling, curvature, turning)
 
     @cached_property
-    def _unforced(self) -> tuple[Any, ...]:
+    def _unforced(self) -> Felt:
         """`_felt` by columns of (phi, psi) at the points, then of the state where the pieces begin."""
         own, size, inner = self.own, 2 * self.own, self.degree * self.own
         table = np.zeros((inner, inner + size))
@@ -141,19 +161,18 @@ class Responsive(Standing):
         q = table.reshape(1, self.degree, own, -1)
         return self._felt(q, (begin[own : own + self.n], begin[own + self.n :]), None)
 
-    def _ended(self, felt: tuple[Any, ...], softness: float) -> tuple[Array, Array]:
+    def _ended(self, felt: Felt, softness: float) -> tuple[Array, Array]:
         """(P, K own, C) integrals of the rates of (phi, psi) up to the points and (P, 2 own, C) of those of the state
-        along whole pieces, from `_felt`."""
-        (torque, _, bent, twisted, falling, bending, wound), n, own, k = felt, self.n, self.own, self.degree
-        count = torque.shape[-1]
+        along whole pieces."""
+        n, own, k, count = self.n, self.own, self.degree, felt.torque.shape[-1]
         rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, 2 * own, count))
-        np.multiply(torque, softness * self.winding[..., None], out=rates[..., :n, :])
-        if wound is not None:
-            rates[..., :n, :] += wound
-        parts = [(rates, slice(own)), (twisted, slice(own, own + n))]
+        np.multiply(felt.torque, softness * self.winding[..., None], out=rates[..., :n, :])
+        if felt.turning is not None:
+            rates[..., :n, :] += felt.turning
+        parts = [(rates, slice(own)), (felt.twisting, slice(own, own + n))]
         if own > n:
-            np.matmul(self.frame[..., :2], bent * (softness * self._give) + bending, out=rates[..., n:, :])
-            parts.append((falling, slice(own + n, None)))
+            np.matmul(self.frame[..., :2], self._bending(felt, softness), out=rates[..., n:, :])
+            parts.append((felt.falling, slice(own + n, None)))
         weights = self.weights[:, None]
         for part, rows in parts:
             np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
@@ -176,12 +195,16 @@ class Responsive(Standing):
         """Of the arm as it stands."""
         return self._maps(1.0)
 
-    def _forced_maps(self, forcing: tuple[Array, ...]) -> tuple[Array, Array]:
+    def _bending(self, felt: Felt, softness: float) -> Array:
+        """(P, K, 2, C) of u."""
+        return felt.bent * (softness * self._give) + felt.curvature
+
+    def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
         """(P, K own, C) of (phi, psi) at the points and (P, 2 own, C) of the state at the ends of the pieces by
         what is forced."""
-        count, maps = forcing[0].shape[-1], self._standing_maps
+        count, maps = forced.phi.shape[-1], self._standing_maps
         none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
-        there, end = self._ended(self._felt(*none, forcing), 1.0)
+        there, end = self._ended(self._felt(*none, forced), 1.0)
         solved = np.asarray(np.linalg.solve(maps.matrix, there))
         return solved, end + maps.gathered @ solved
 
@@ -247,8 +270,10 @@ class Responsive(Standing):
         first[:n] = forcing.base + forcing.transmission * self.torque_plate_side[0][:, None]
         if not self.pieces:
             nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
-            state = forcing.jumps.copy()
-            state[0, self.kept] += first
+            # What leaves the plate twists the transmissions.
+            state, torque = forcing.jumps.copy(), slice(n + 3, 2 * n + 3)
+            state[0, :n] += first[:n] - self.transmission[:, None] * state[0, torque]
+            state[0, torque] = 0.0
             return Response(state, *nothing)
         forced, columns = self._forced(forcing)
         maps, turned = self._standing_maps, self._turns
@@ -278,13 +303,13 @@ class Responsive(Standing):
         wide = None
         if forced is not None and inner is not None:
             q[..., columns] += inner[..., turned:]
-            wide = tuple(np.zeros((*part.shape[:3], count)) for part in forced)
+            wide = Forced(*(np.zeros((*part.shape[:3], count)) for part in forced))
             for whole, part in zip(wide, forced, strict=True):
                 whole[..., columns] = part[..., turned:]
             if self.turning is not None:
                 turn = state[-1, n : n + 3]
                 q += inner[..., :turned] @ turn
-                wide[3][:] += self.turning @ turn
+                wide.moment[:] += self.turning @ turn
         if self.load is None:
             state = self._whole(state)
             state[:, n : n + 3] = forcing.jumps[:, n : n + 3]
@@ -301,9 +326,9 @@ class Responsive(Standing):
         """Columns of the turn of the tip."""
         return 0 if self.turning is None else 3
 
-    def _forced(self, forcing: Forcing) -> tuple[tuple[Array, ...] | None, Index]:
-        """What is forced of phi', t', u and m' at the points, by columns (P, K, r, C) of the turn of the tip and of
-        the changes that force anything there, and which of the changes these are."""
+    def _forced(self, forcing: Forcing) -> tuple[Forced | None, Index]:
+        """What is forced at the points by the turn of the tip and by the changes that force anything there, and which
+        of the changes these are."""
         some = [part.any((0, 1, 2)) for part in (forcing.data, forcing.rate, forcing.force)]
         columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
         extra = self._turns
@@ -311,32 +336,32 @@ class Responsive(Standing):
             return None, columns
         data, rate, force = (part[..., columns] for part in (forcing.data, forcing.rate, forcing.force))
         torque_by, u_by, _, phi_by = self.by_data
-        wound = rate * self.stretched[..., None]
+        turning = rate * self.stretched[..., None]
         if phi_by is not None:
-            wound += phi_by @ data
-        parts = [wound, torque_by @ data, u_by @ data, -hat(self.axis) @ force]
+            turning += phi_by @ data
+        parts = [turning, torque_by @ data, u_by @ data, -hat(self.axis) @ force]
         if self.turning is not None:
             parts = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in parts]
             parts[3][..., :extra] = self.turning
-        return tuple(parts), columns
+        return Forced(*parts), columns
 
-    def _along(self, state: Array, q: Array, forced: tuple[Array, ...] | None, softness: float) -> Response:
+    def _along(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
         """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K own, Q). Without a load the
         states have, of psi, what it gains between the pieces."""
         n, begin = self.n, state[:-1, None]
         q = q.reshape(self.pieces, self.degree, self.own, -1)
         starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
-        torque, moment, bent, _, _, turned, _ = self._felt(q, starts, forced)
+        felt = self._felt(q, starts, forced)
         if self.load is not None:
-            bending = turned + softness * self._give * bent
-            return Response(state, q[..., :n, :], q[..., n:, :], moment, torque, bent, bending)
-        rates = self.frame[..., :2] @ turned
+            bends = felt.moment, felt.torque, felt.bent, self._bending(felt, softness)
+            return Response(state, q[..., :n, :], q[..., n:, :], *bends)
+        rates = self.frame[..., :2] @ felt.curvature
         state[1:, n : n + 3] += (self.weights[:, None] @ rates.reshape(self.pieces, self.degree, -1)).reshape(
             self.pieces, 3, -1
         )
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
         psi = state[:-1, None, n : n + 3] + self._swept(self.t.matrix, rates)
-        return Response(state, q, psi, moment, torque, bent, turned)
+        return Response(state, q, psi, felt.moment, felt.torque, felt.bent, felt.curvature)
 
     def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
         """(K, n, Q) change of phi' at the points of a piece."""

@@ -198,7 +198,7 @@ class Standing:
     @cached_property
     def by_energy(self) -> Array:
         """(P, K, n + 2) of the elastic energy per length by theta and b at given torques."""
-        out = self.at.by_energy.reshape(self.pieces, self.degree, -1)
+        out = self.at.by_energy.reshape(self.pieces, self.degree, self.n + 2)
         if self.coupled is None:
             return out
         stretched = (self.torque[..., None, :] @ self.coupled)[..., 0, :] / 2
