@@ -113,7 +113,10 @@ def test_a_robot_in_place_of_a_rig_is_called_a_robot_file(run: Run) -> None:
     ("flags", "words"),
     [
         # The bare tube is in the window, the middle is not.
-        (("--material", "steel", "--window-degC", "60,120"), "the middle of the curved part is below the window"),
+        (
+            ("--material", "steel", "--window-degC", "60,120", "--hold-s", "5", "--longest-s", "30", "--slot-s", "2"),
+            "the middle of the curved part is below the window",
+        ),
         (("--hold-s", "5"), "mm from each clamp are below the window"),
     ],
 )

@@ -140,19 +140,22 @@ def test_how_hard_the_robot_can_push(run: Run) -> None:
 
 
 def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
-    recording = str(ROOT / "configs" / "experiments" / "synthetic_forces.csv")
+    lines = (ROOT / "configs" / "experiments" / "synthetic_forces.csv").read_text().splitlines()
+    head, rows = [line for line in lines if not line[0].isdigit() and line[0] != "-"], lines[-12:]
+    recording = str(tmp_path / "recording.csv")
+    Path(recording).write_text("\n".join([*head, *rows[::3]]) + "\n")
     data = answer(run("force", THESIS, recording, "--noise-mm", "0.1", "--json", "--out", str(tmp_path)))
-    angle = 2 * np.pi * np.arange(12) / 12
-    true = np.stack([60 * np.sin(angle), 40 * np.cos(angle), np.full(12, -20.0)], axis=1)
+    angle = 2 * np.pi * np.arange(0, 12, 3) / 12
+    true = np.stack([60 * np.sin(angle), 40 * np.cos(angle), np.full(4, -20.0)], axis=1)
     told = data["estimates"]
     wrong = np.array([row["force_mN"] for row in told]) - true
     errors = np.array([row["standard_error_mN"] for row in told])
-    assert data["told"] == 12
+    assert data["told"] == 4
     assert np.abs(wrong / errors).max() < 3.5
     assert (errors < 10).all()
     header, *rows = (tmp_path / "forces.csv").read_text().splitlines()
     assert header.startswith("row,rotation_1_deg,")
-    assert len(rows) == 12
+    assert len(rows) == 4
     with_moment = answer(run("force", THESIS, recording, "--tip-moment-mN-m", "0.001,0,0", "--json"))["estimates"]
     apart = np.array([row["force_mN"] for row in with_moment]) - np.array([row["force_mN"] for row in told])
     assert 0 < np.abs(apart).max() < 0.1

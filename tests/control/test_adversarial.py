@@ -213,6 +213,6 @@ def test_nothing_dies_moves_too_far_or_is_silent(path: Path) -> None:
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 @pytest.mark.parametrize("name", ["thesis_ctr", "two_tube", "thesis_etr"])
 def test_nor_does_the_c_library(name: str) -> None:
-    made = attack_robot(Path(f"configs/robots/{name}.yaml"), True, 12, 12)
+    made = attack_robot(Path(f"configs/robots/{name}.yaml"), True, 6, 12)
     assert made["started"] > 0
     assert made["refused"] > 0

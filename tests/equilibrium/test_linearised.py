@@ -231,8 +231,9 @@ def test_curvature_inside_the_arm_changes_as_differences_say(pieces: bool, load:
     e = forward_kinematics(_robot(3, pieces), ROTATIONS[:3], SHIFT[:3], load=None if load is None else LOADS[load])
     for name in PARAMETERS:
         step, of = _size(e, name) * np.array([0.9, -0.6, 0.8]), linearise(e, (name,))
+        moved = [linearise(_moved(e, name, k * step)) for k in (1, 2, -1, -2)]
         for fraction in (0.37, 0.9):
-            told = (curvature_at(linearise(_moved(e, name, k * step)), fraction)[0] for k in (1, 2, -1, -2))
+            told = (curvature_at(each, fraction)[0] for each in moved)
             one, two, back, twice = told
             wanted, (_, found) = (8 * (one - back) - (two - twice)) / 12, curvature_at(of, fraction)
             assert np.abs(found @ step - wanted).max() < 1e-6 * max(float(np.abs(wanted).max()), 1e-3), name

@@ -41,7 +41,7 @@ def test_a_way_around_a_ball_is_planned_and_proved() -> None:
     found = plan_trajectory(PIECES, START, GOAL, obstacles=[ball], options=PlanOptions(objective="none"))
     proof = verify_trajectory(PIECES, found.time, found.rotations, found.translations, obstacles=[ball])
     assert proof.holds
-    passed = follow(PIECES, found.rotations, found.translations)
+    passed = follow(PIECES, found.rotations[::-3][::-1], found.translations[::-3][::-1], start=found.start)
     assert not passed.snaps
     assert np.linalg.norm(passed.equilibria[-1].tip_position - ends[1].tip_position) < 1e-9
     apart = [ball.signed_distance(e.position).min() for e in passed.equilibria]

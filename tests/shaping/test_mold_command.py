@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tubeopt import ConcentricRobot, MoldSpec, Tube, load_robot, save_robot
 from tubeopt.runs.mold_file import load_mold_spec, mold_spec_from_dict
+from tubeopt.shaping.mold.ranking import rank_mold_materials
 
 ETR = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 MOLD = str(ROOT / "configs" / "molds" / "calcium_silicate.yaml")
@@ -67,7 +69,9 @@ def test_calibration_feeds_the_plan(run: Run, tmp_path: Path) -> None:
     assert "constant" in run("mold", "calibrate", TRIALS).out
 
 
-def test_materials(run: Run, tmp_path: Path) -> None:
+def test_materials(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The same question has the same answer: it is computed once.
+    monkeypatch.setattr("tubeopt.runs.mold_study.rank_mold_materials", cache(rank_mold_materials))
     out = answer(run("mold", "materials", "--out", str(tmp_path), "--json"))
     assert [m["material"] for m in out["materials"]] == ["calcium_silicate", "mdf", "glass_mica", "steel"]
     assert [m["suitable"] for m in out["materials"]] == [True, False, False, False]

@@ -48,7 +48,7 @@ def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.Monkey
 def test_laws_of_friction_hold_in_the_kernel() -> None:
     """The state after every row slips against its torque, and from where the row before left its material."""
     rub = Friction(0.012, refinement=-1)
-    time = np.arange(120) / 10.0
+    time = np.arange(60) / 10.0
     rows = joints(3 * time, 3 * time[-1]) * [1, 1, 0, 0]
     held = rubbing_start(robot(), rows[0], rub)
     fronts, worst = 0, 0.0

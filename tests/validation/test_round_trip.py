@@ -29,7 +29,7 @@ ASKED = ("clearance", "translation_compliance")
 QUICK = FitOptions(folds=0, solver=FitSolver(iterations=2, draws=5))
 
 
-def recording(robot: Robot, *, poses: bool = True, count: int = 20) -> Measurements:
+def recording(robot: Robot, *, poses: bool = True, count: int = 14) -> Measurements:
     """A way of a few rows, whose sensor is off the tip and tilted, with noise."""
     random, n = np.random.default_rng(0), robot.n_tubes
     time = np.arange(count) / 4
