@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -242,13 +243,16 @@ def test_a_velocity_that_bends_is_bounded_by_the_middles_of_neighbouring_links()
     mean = top - bend / 6
     links = row([1.0, 0.5], [mean, 2 * mean], [1.0, 2.0], error)
     vars(links)["velocity"] = lambda step, link: np.array([1e-9, 0.0, 0.0])
-    rates = np.array([[np.inf, np.inf], [bend, 8 * bend]])
+    # The second link may bend less.
+    rates = np.array([[np.inf, np.inf], [bend, 8 * 0.9 * bend]])
     found = links.fastest(rates, 0.0)[0]
     assert found[0] == pytest.approx(top + 2 * error)
     # Of places that are exact the second is twice as fast.
     exact = row([1.0, 0.5], [mean, 2 * mean], [1.0, 2.0])
     vars(exact)["velocity"] = links.velocity
-    assert exact.fastest(rates, 0.0)[0] == pytest.approx([top, 2 * top], rel=1e-6)
+    equal = np.array([[np.inf, np.inf], [bend, 8 * bend]])
+    assert exact.fastest(equal, 0.0)[0] == pytest.approx([top, 2 * top], rel=1e-6)
+    assert exact.fastest(rates, 0.0)[0][0] == pytest.approx(top, rel=1e-6)
     vars(exact)["alike"] = np.array([False])
     vars(exact)["velocity"] = lambda step, link: None
     assert np.isinf(exact.fastest(rates, 0.0)[0]).all()
@@ -286,3 +290,67 @@ def test_a_link_is_as_fast_as_the_cubic_through_both_velocities_and_what_it_leav
     found, _ = links.fastest(np.array([[np.inf], [200.0]]), 0.0)
     assert cubic < middle + 200 * h**2 / 32
     assert found[0] == pytest.approx(cubic)
+
+
+def test_the_speed_along_a_cubic_between_samples_is_that_of_a_parabola() -> None:
+    """6 x (1 - x) + 3/4 x is fastest at 9/16, half-way between two samples."""
+    along = np.array([1.0, 0.0, 0.0])
+    # Between 0 and 3/4 with a mean of 1 + 3/8.
+    found = fastest_on_cubic(1.375 * along, 0.0 * along, 0.75 * along)
+    assert found == pytest.approx(6 * 9 / 16 * 7 / 16 + 0.75 * 9 / 16, rel=1e-12)
+
+
+def going(joints: list[list[float]]) -> Any:
+    """Links at times 0, 1, 2 of a robot of two tubes, whose breakpoints are as far in front of the plate as both are
+    advanced, and 1/4 m farther."""
+
+    def cuts(translations: Array) -> Array:
+        moving = np.concatenate([translations, translations + 0.25], axis=-1)
+        return np.concatenate([np.zeros((*moving.shape[:-1], 1)), moving], axis=-1)
+
+    follower = SimpleNamespace(robot=SimpleNamespace(n_tubes=2), constants=SimpleNamespace(ended=2), cuts=cuts)
+    steps = [SimpleNamespace(joints=np.array(each), equilibrium="arm") for each in joints]
+    found: Any = _Row.__new__(_Row)
+    vars(found).update(
+        follower=follower,
+        links=[SimpleNamespace(one=a, other=b) for a, b in pairwise(steps)],
+        passed=np.ones(len(joints) - 1),
+        steps=steps,
+    )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("joints", "alike"),
+    [
+        ([[0.0, 0.0, 0.25, 0.6], [0.1, 0.05, 0.35, 0.6], [0.3, 0.15, 0.55, 0.6]], False),
+        ([[0.0, 0.0, 0.05, 0.6], [0.1, 0.05, 0.06, 0.6], [0.3, 0.15, 0.08, 0.6]], True),
+        ([[0.0, 0.0, 0.05, 0.6], [0.1, 0.05, 0.06, 0.6], [0.3, 0.16, 0.08, 0.6]], False),
+        ([[0.0, 0.0, 0.0, 0.0], [0.1, 0.05, 0.0, 0.0], [0.3, 0.15, 0.0, 0.0]], True),
+    ],
+    ids=["breakpoints pass each other", "straight on", "another direction", "turns alone"],
+)
+def test_joints_go_on_alike_along_one_line_of_one_order_of_sections(joints: list[list[float]], alike: bool) -> None:
+    assert going(joints).alike.tolist() == [alike]
+
+
+@pytest.mark.parametrize(
+    ("here", "rate", "known"),
+    [
+        ([0.0, 0.0, 0.25, 0.5], [1.0, 0.0, 0.25, 0.5], False),  # breakpoints that meet move apart
+        ([0.0, 0.0, 0.25, 0.5], [1.0, 0.0, 0.25, 0.25], True),
+        ([0.0, 0.0, 0.25, 0.625], [1.0, 0.0, 0.25, 0.5], True),
+        ([0.0, 0.0, 0.0, 0.625], [1.0, 0.0, 0.25, 0.25], False),  # one leaves the plate
+    ],
+)
+def test_no_velocity_is_known_where_sections_of_an_arm_begin(
+    here: list[float], rate: list[float], known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    links = going([here, (np.array(here) + rate).tolist()])
+    slope = np.arange(12.0).reshape(3, 4)
+    vars(links)["slopes"] = {}
+    monkeypatch.setattr("tubeopt.planning.speed.position_slopes", lambda equilibrium: slope)
+    found = links.velocity(0, 0)
+    assert (found is not None) == known
+    if known:
+        assert found == pytest.approx(slope @ rate)
