@@ -9,10 +9,22 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tests.examples import nested
 from tests.stability.test_pair import Case
 from tubeopt import snap_free_certificate
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import certificate
-from tubeopt.stability.pair import TOLERANCE, Pair, farthest_fold, greatest_bend, least_margin_of_pair, margins
+from tubeopt.stability.pair import (
+    TOLERANCE,
+    Pair,
+    _differences,
+    farthest_fold,
+    greatest_bend,
+    least_margin_of_pair,
+    margins,
+    pair_fold,
+    pair_of,
+)
 from tubeopt.typing import Array
 
 
@@ -80,3 +92,51 @@ def test_what_a_finer_mesh_differs_by_is_taken_off_the_certificate_of_a_pair(mon
 
     monkeypatch.setattr(certificate, "margins", off)
     assert snap_free_certificate(robot) == pytest.approx(sharp - 5e-4, abs=1e-6)
+
+
+def test_the_bound_of_the_bend_of_a_margin_sums_what_lies_nearer_to_the_tip() -> None:
+    """Of three points: P and S of each from those before it, by hand; and no difference bends by more."""
+    nothing: Any = None
+    coupling, root = np.array([0.3, 0.2, 0.4]), np.diag([0.5, 0.7, 1.1])
+    reach = np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [2.0, 1.2, 0.0]])
+    pair = Pair(nothing, (0, 1), coupling, np.array([0.1, 1.2, 2.0]), np.zeros(3), reach, root)
+    first, second = [1.0], [0.0]
+    for i in (1, 2):
+        turn = reach[i] * coupling
+        first.append(1 + sum(turn[j] * first[j] for j in range(i)))
+        second.append(sum(turn[j] * (first[j] ** 2 + second[j]) for j in range(i)))
+    each = [c * r**2 * np.hypot(p**2, q) for c, r, p, q in zip(coupling, np.diag(root), first, second, strict=True)]
+    assert greatest_bend(pair) == pytest.approx(max(each))
+    x, step = np.linspace(0, 2 * np.pi, 400), 1e-3
+    d = [_differences(pair, x + k * step) for k in (-1, 0, 1)]
+    assert (np.abs(d[2] - d[0]).max(0) / (2 * step) <= np.array(first) * (1 + 1e-6)).all()
+    assert (np.abs(d[2] - 2 * d[1] + d[0]).max(0) / step**2 <= np.array(second) + 1e-5).all()
+    # The first point turns with the tips, and what it pulls at the second is most where both are aligned.
+    assert np.abs(d[2] - d[0])[:, 1].max() / (2 * step) >= 0.999 * first[1]
+
+
+def test_a_tube_that_bends_backwards_is_one_turned_by_half_a_turn() -> None:
+    plain, back = (nested((0.0, 0.06, 9.0), (0.0, 0.06, sign * 7.0)) for sign in (1, -1))
+    pairs = [pair_of(reduced_problem(robot, (0.0, 0.0), DEFAULT_DISCRETISATION)) for robot in (plain, back)]
+    one, other = pairs
+    assert one is not None
+    assert other is not None
+    x = np.linspace(0, 2 * np.pi, 17)
+    assert margins(other, x) == pytest.approx(margins(one, x + np.pi), abs=1e-9)
+    assert np.ptp(margins(one, x)) > 0.1
+
+
+@pytest.mark.parametrize("margin", [0.02, -0.02])
+def test_two_tubes_fold_where_their_opposed_pose_is_not_stable(margin: float) -> None:
+    """Alike tubes of length L: the margin of the opposed pose is 1 - (2 omega L / pi)^2."""
+    length = 0.08
+    inner, outer = nested((0.0, length, 1.0), (0.0, length, 1.0)).tubes
+    one, other = inner.bending_stiffness, outer.bending_stiffness
+    rate = one * other / (one + other) * (1 / inner.torsional_stiffness + 1 / outer.torsional_stiffness)
+    curvature = np.sqrt((1 - margin) / rate) * np.pi / 2 / length
+    robot = nested((0.0, length, curvature), (0.0, length, curvature))
+    pair = pair_of(reduced_problem(robot, (0.0, 0.0), DEFAULT_DISCRETISATION))
+    assert pair is not None
+    fold = pair_fold(pair)
+    assert (fold is None) == (margin > 0)
+    assert fold is None or np.pi < fold.turn < 1.01 * np.pi
