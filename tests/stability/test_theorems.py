@@ -30,6 +30,17 @@ def test_a_cantilever_moves_by_the_cube_of_its_length_over_three_times_its_stiff
     assert middle > force * 0.05**2 * (3 * length - 0.05) / (6 * stiffness)
 
 
+def test_a_curved_tube_moves_by_what_bends_and_by_what_twists_it() -> None:
+    """kappa(s)^2 = s^3 / 3 K + A^2 s^5 / 20 kt of a tube that begins at the plate, bent by A."""
+    curvature, length, force = 4.0, 0.1, 1e-4
+    robot = ConcentricRobot((Tube(1.2e-3, 1.0e-3, 0.0, length, curvature),))
+    tube, s = robot.tubes[0], np.array([length, length / 2])
+    kappa = np.sqrt(s**3 / 3 / tube.bending_stiffness + curvature**2 * s**5 / 20 / tube.torsional_stiffness)
+    margin = snap_free_certificate(robot, max_force=force)
+    found = deflection_bound(robot, max_force=force, arc_length=s)
+    assert found * margin == pytest.approx(force * kappa[0] * kappa, rel=1e-9)
+
+
 def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
     """kappa(s)^2 by sums over many points, sections and tubes at once."""
     shift, force = np.array([-0.02, 0.0, 0.0]), 1e-3
