@@ -130,6 +130,8 @@ def test_no_cross_section_bears_more_than_the_bound() -> None:
     # To one side all forces add up, and so does their bound.
     along = Load((0.02, 0, 0), points=((0.02, (0.01, 0, 0)),), distributed=(0.3, 0, 0))
     assert most_borne(FINE, way, along) == pytest.approx(0.02 + 0.01 + 0.3 * 0.07, rel=1e-12)
+    part = Load(distributed=((0.01, 0.2, (0.1, 0, 0)),))
+    assert most_borne(FINE, way, part) == pytest.approx(0.1 * (0.07 - 0.01), rel=1e-12)
     hanging = sum(
         9.81 * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.material.thermal.density * end
         for t, end in zip(FINE.tubes, (0.07, 0.05), strict=True)
@@ -222,3 +224,20 @@ def test_bounds_for_a_box_of_translations_hold_inside() -> None:
             shift = random.uniform(low, high)
             assert snap_free_certificate(robot, shift, max_force=0.01) >= bound.margin
             assert deflection_bound(robot, shift, max_force=0.01)[0] <= bound.deflection
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        [[-0.03, -0.03], [0.0, 0.0]],
+        [[0.0, 0.0], [-0.03, -0.03]],
+        [[-0.001, -0.001], [0.0, 0.0], [-0.001, -0.001]],
+        [[-0.03, 0.0], [0.0, 0.0]],
+    ],
+    ids=["out", "in", "out and in", "one tube"],
+)
+def test_what_holds_on_a_way_holds_where_it_is_least(way: list[list[float]]) -> None:
+    """The longest arm is the softest and the farthest moved, wherever on the way it is."""
+    bound = under_any_force(FINE, way, 0.02)
+    assert bound.margin <= snap_free_certificate(FINE, [0.0, 0.0], max_force=0.02)
+    assert bound.deflection >= deflection_bound(FINE, [0.0, 0.0], max_force=0.02)[0]

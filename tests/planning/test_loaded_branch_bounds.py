@@ -25,6 +25,7 @@ from tubeopt.planning.cross_sections import Constants, Jet
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS
+from tubeopt.robots.load import Stretch
 from tubeopt.typing import Array
 
 K, N = 3, 2
@@ -574,16 +575,18 @@ def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
         assert bounds.swing[0, k] == pytest.approx(np.sqrt(total), rel=3e-5)
 
 
-def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load() -> None:
-    """By c + A_i M per length at most, over half of the distance of samples."""
+@pytest.mark.parametrize("couple", [0.0, 1e-3])
+def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load(couple: float) -> None:
+    """By c + A_i M per length at most, and by the moment that acts on the outer tube, over half of the distance."""
     force = 0.01
-    intervals, bounds = loaded(Load(force=(force, 0.0, 0.0)))
+    along = (Stretch(0.0, 1.0, moment=(0.0, 0.0, couple)),) if couple else None
+    intervals, bounds = loaded(Load(force=(force, 0.0, 0.0), distributed=along))
     one, other = (tube.bending_stiffness for tube in STEPPED.tubes)
     bends = [tube.bending_stiffness * tube.curvature for tube in STEPPED.tubes]
     length = intervals.length[0][0]
     k = int(np.argmax((intervals.stretch[0] == 1).all(1) & (length > 1e-9)))
-    lever = force * (intervals.begin[0, -1] - intervals.begin[0, k])
-    slope = bends[0] * bends[1] / (one + other) + np.array(bends) / (one + other) * lever
+    lever = (force + couple) * (intervals.begin[0, -1] - intervals.begin[0, k])
+    slope = bends[0] * bends[1] / (one + other) + np.array(bends) / (one + other) * lever + [0.0, couple]
     more = bounds.torque[0, k] - intervals.loads[0][0, k]
     assert more == pytest.approx(slope * length[k] / (2 * PARTS), rel=1e-9)
 
