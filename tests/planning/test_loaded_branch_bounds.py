@@ -25,7 +25,7 @@ from tubeopt.planning.cross_sections import Constants, Jet
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS
-from tubeopt.robots.load import Stretch
+from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.typing import Array
 
 K, N = 3, 2
@@ -579,7 +579,7 @@ def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
 def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load(couple: float) -> None:
     """By c + A_i M per length at most, and by the moment that acts on the outer tube, over half of the distance."""
     force = 0.01
-    along = (Stretch(0.0, 1.0, moment=(0.0, 0.0, couple)),) if couple else None
+    along = (Stretch(0.0, 0.03, moment=(0.0, 0.0, couple)),) if couple else None
     intervals, bounds = loaded(Load(force=(force, 0.0, 0.0), distributed=along))
     one, other = (tube.bending_stiffness for tube in STEPPED.tubes)
     bends = [tube.bending_stiffness * tube.curvature for tube in STEPPED.tubes]
@@ -681,3 +681,36 @@ def test_no_branch_of_loaded_arms_is_shown_where_a_part_of_the_proof_is_missing(
     found = loaded_branch(intervals, margins)
     assert not found.unbroken.any()
     assert np.isinf(found.off).all()
+
+
+def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever() -> None:
+    """Forces by their places and moments as they are: on the tip, at a place, on a stretch, and by weight."""
+    length, at, (begin, end) = 0.1, 0.03, (0.02, 0.07)
+    tip, point, along = np.array([2.0, 0.3]), np.array([1.5, 0.2]), np.array([5.0, 0.7])
+
+    def both(parts: Array) -> Array:
+        return np.array([parts[0], 0.0, 0.0, 0.0, parts[1], 0.0])
+
+    pull = Pull(
+        tip=both(tip),
+        at=np.array([at]),
+        points=both(point)[None],
+        stretches=np.array([[begin, end]]),
+        along=both(along)[None],
+        weight=np.array([[4.0, 0.0, 0.0]]),
+    )
+    arms = SimpleNamespace(ends=np.array([[length]]), pull=pull)
+    true = length * tip[0] + tip[1] + at * point[0] + point[1] + along[0] * (end**2 - begin**2) / 2
+    true += along[1] * (end - begin) + 4.0 * length**2 / 2
+    assert vars(LoadedArms)["_lever"].func(arms) == pytest.approx([true])
+
+
+def test_moments_that_cancel_ahead_bend_what_lies_between_them() -> None:
+    """Of two that oppose each other the base bears none, and more is ahead: the larger of both is its bound."""
+    moment = 1e-3
+    points = PointLoad(0.01, moment=(moment, 0.0, 0.0)), PointLoad(0.025, moment=(-moment, 0.0, 0.0))
+    intervals, bounds = loaded(Load(points=points))
+    inside = intervals.begin[0, :-1] < 0.025 - 1e-9
+    assert bounds.couple.v[0, inside] == pytest.approx(np.full(inside.sum(), moment))
+    assert bounds.couple.v[0, ~inside] == pytest.approx(np.zeros((~inside).sum()))
+    assert intervals.lever[0] == pytest.approx(bounds.couple.v[0])
