@@ -8,7 +8,7 @@ and the strain of a tube, are smooth in all lengths.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,9 +25,7 @@ from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.newton import descend
-from ..stability.certificate import worst_case
-from ..stability.pair import least_margin_of_pair, pair_of
-from ..stability.shooting import profiles, to_base
+from ..stability.certificate import worst_case, worst_of_pair
 from ..typing import Array
 
 
@@ -138,19 +136,9 @@ class Pose:
         """mu_cert at this pose's translations, and its change (L,), at given rotations.
 
         Where two tubes of pieces do better than at their worst it is the margin of the equilibrium that has the least.
-        At that one the margin does not change with the rotations.
         """
         value, mode, _ = worst_case(self.problem)
-        pair = pair_of(self.problem) if self.problem.assembly.general else None
-        least = None if pair is None else least_margin_of_pair(pair)
-        if pair is not None and least is not None and least.bound > value + 1e-6:  # else they are the same
-            tips = np.zeros((1, self.problem.assembly.n_tubes))
-            tips[0, pair.tubes[0]] = least.tip
-            rotations = to_base(self.problem, tips)[0]
-            theta = profiles(self.problem, tips)[0]
-            member = replace(self.solved.member, rotations=rotations)
-            found = member.solve(member.unknowns(theta))
-            if found.converged:
-                solved = Point(0.0, member, found.state, least.margin)
-                return least.margin, Pose(solved, self._wrt, self._more, self._along).derivatives.one_margin
+        worst = worst_of_pair(self.solved.member, value)
+        if worst is not None:
+            return worst.margin, Pose(worst, self._wrt, self._more, self._along).derivatives.one_margin
         return value, self.derivatives.certificate(value, mode)

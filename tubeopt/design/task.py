@@ -178,7 +178,7 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 def _check_pieces(task: DesignTask) -> None:
     """What a design of pieces cannot ask for: bounds for errors of tubes, and what one curvature gives."""
-    if any(tube.general for tube in task.space.robot_tubes) and any(
+    if not all(tube.even for tube in task.space.robot_tubes) and any(
         isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements
     ):
         raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
 
 def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int) -> list[Check]:
     """The certificate with curvatures and stiffnesses that are off by as much as they may be."""
-    if one.growth == 1 or any(tube.general for tube in robot.tubes):
+    if one.growth == 1 or not all(tube.even for tube in robot.tubes):
         return []
     random, least = np.random.default_rng(0), np.inf
     for _ in range(count):
@@ -167,12 +167,9 @@ def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int
             [[one.curvature_error], [one.stiffness_error], [one.stiffness_error]]
         )
         tubes = tuple(
-            replace(
-                tube,
-                curvature=tube.curvature * float(bent[i]),
-                bending_stiffness=float(tube.bending_stiffness) * float(bending[i]),
-                torsional_stiffness=float(tube.torsional_stiffness) * float(torsional[i]),
-            )
+            tube.resized("curvature", tube.curvature * float(bent[i]))
+            .resized("bending_stiffness", float(tube.bending_stiffness) * float(bending[i]))
+            .resized("torsional_stiffness", float(tube.torsional_stiffness) * float(torsional[i]))
             for i, tube in enumerate(robot.tubes)
         )
         least = min(least, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in rows))

@@ -18,7 +18,7 @@ from ..block.transcription.reduced import ReducedProblem, pull_rate
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, is_even
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .member import Loaded, LoadedPoint, Member, Place, Point, Unloaded, interpolate
@@ -162,7 +162,7 @@ def error_of(equilibrium: Equilibrium) -> float:
     """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, under a load of the length of the
     arm, whichever is larger."""
     by = max(float(equilibrium.arc_length[-1]), 1e-300)
-    if by > SHORT and equilibrium.load is None and is_general(equilibrium.robot):
+    if by > SHORT and equilibrium.load is None and not is_even(equilibrium.robot):
         by = SHORT
     return max(equilibrium.mesh_error, equilibrium.tip_error / by)
 
@@ -170,7 +170,7 @@ def error_of(equilibrium: Equilibrium) -> float:
 def measure(robot: Robot, length: ArrayLike) -> Array:
     """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
     length = np.maximum(length, 1e-300)
-    return np.minimum(length, SHORT) if is_general(robot) else length
+    return length if is_even(robot) else np.minimum(length, SHORT)
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     own = equilibrium.point
     if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
         theta = equilibrium.point_rotation
-        if is_general(equilibrium.robot):
+        if not is_even(equilibrium.robot):
             placed = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
             theta = theta - placed.wound(arc_length)
         return theta
@@ -278,10 +278,11 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
     """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
     rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
-    phi = rotation - robot.assembly(translations).wound(s) if is_general(robot) else rotation
+    even = is_even(robot)
+    phi = rotation if even else rotation - robot.assembly(translations).wound(s)
     if len(s) < 2:
         return np.repeat(phi, len(arc_length), axis=-2)
-    if is_general(robot):
+    if not even:
         # The polynomial through the shape points of each piece: its rate jumps between.
         piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
         x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)

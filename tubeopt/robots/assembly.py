@@ -26,8 +26,8 @@ class Assembly:
     Inside a section the same pieces of tubes are present and the same ones are curved. Tube i runs at the fixed offset
     `offset[i]` from the centreline in direction `offset_angle[i]` (0 for concentric tubes).
 
-    Where a tube is made of pieces, stiffnesses and curvature have no number, and refuse every use with an InputError:
-    `lengthwise` tells them.
+    Where a tube is not even, stiffnesses and curvature have no number, and refuse every use with an InputError:
+    `lengthwise` has them.
     """
 
     bending_stiffness: Array
@@ -55,52 +55,59 @@ class Assembly:
     curved: Mask
     """(m, n) whether it is curved there."""
     lengthwise: Lengthwise | None = None
-    """Precurvature and stiffness along the tubes, where one of them is made of pieces; else None."""
+    """Precurvature and stiffness along the tubes, where one of them is written as pieces; else None."""
+    even: bool = True
+    """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube."""
 
     @property
     def general(self) -> bool:
-        """Whether a tube is made of pieces."""
+        """Whether a tube is written as pieces, which all have their own place in the numbers of an arm."""
         return self.lengthwise is not None
 
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
         """The tubes at arc lengths (X,), m; `inside` (X,) lie in the same sections, away from their ends, which tells
         what is meant where a breakpoint lies."""
         section = np.searchsorted(self.start, inside, side="right") - 1
-        if self.lengthwise is None:
+        if self.even:
             return self.of_sections(section)
+        assert self.lengthwise is not None
         place, near = (s[:, None] + self.transmission for s in (arc_length, inside))
         # By section, for what lies inside a very short one rounds to where it ends.
         return self.lengthwise.at(place, near, self.present[section])
 
     def of_sections(self, section: Index) -> CrossSections:
-        """The tubes in sections (X,), where none is made of pieces."""
+        """The tubes in sections (X,), where all are even."""
         kb = self.bending_stiffness * self.present[section]
         moment, none = kb * self.curvature * self.curved[section], np.zeros(kb.shape)
         return CrossSections(kb, moment, none, none + self.torsional_stiffness, none, none)
 
     def wound(self, arc_length: Array) -> Array:
-        """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 without pieces."""
-        if self.lengthwise is None:
+        """(X, n) natural turn of the tubes up to arc lengths (X,) from where they are held, rad; 0 of even ones."""
+        if self.even:
             return np.zeros((len(arc_length), self.n_tubes))
+        assert self.lengthwise is not None
         return np.asarray(self.lengthwise.values(arc_length[:, None] + self.transmission)[5])
 
     def steady(self, low: Array, high: Array) -> Mask:
         """(P,) whether no tube varies from arc lengths `low` to `high` (P,), m, inside sections."""
-        if self.lengthwise is None:
+        if self.even:
             return np.ones(len(low), dtype=bool)
+        assert self.lengthwise is not None
         return self.lengthwise.steady(*(s[:, None] + self.transmission for s in (low, high)))
 
     def compliant(self, place: Array) -> Array:
         """(..., n) int ds / GJ of the tubes from their held ends to arc lengths (..., n) from there, 1/(N m)."""
-        if self.lengthwise is None:
+        if self.even:
             return np.asarray(place / self.torsional_stiffness)
+        assert self.lengthwise is not None
         return self.lengthwise.compliant(place)
 
     @property
     def held_stiffness(self) -> Array:
         """(n,) GJ where the tubes are held, N m^2."""
-        if self.lengthwise is None:
+        if self.even:
             return self.torsional_stiffness
+        assert self.lengthwise is not None
         return np.asarray(self.lengthwise.values(np.zeros((1, self.n_tubes)))[1][0])
 
     @property
@@ -185,7 +192,7 @@ def assemble(
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
-    curvature = _numbers(tubes, "curvature")
+    curvature = _numbers(tubes, "arc")
     table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
     cuts = merge([0.0, *(s for s in _breakpoints(transition, end, table, beta) if s > 0)])
     middle = (cuts[:-1] + cuts[1:])[:, None] / 2
@@ -209,6 +216,7 @@ def assemble(
         present=present,
         curved=curved,
         lengthwise=table,
+        even=all(tube.even for tube in tubes),
     )
 
 
@@ -241,10 +249,10 @@ class _OfPieces:
 
 
 def _numbers(tubes: Sequence[Tube], name: str) -> Array:
-    """(n,) one number per tube; what refuses to be used where a tube is made of pieces."""
-    made = next((i for i, tube in enumerate(tubes, start=1) if tube.general), 0)
-    if made:
-        return cast(Array, _OfPieces(name, made))
+    """(n,) one number per tube; what refuses to be used where a tube is not even."""
+    uneven = next((i for i, tube in enumerate(tubes, start=1) if not tube.even), 0)
+    if uneven:
+        return cast(Array, _OfPieces("curvature" if name == "arc" else name, uneven))
     return np.array([getattr(tube, name) for tube in tubes])
 
 

@@ -164,6 +164,12 @@ def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
 
 
 @lru_cache(maxsize=64)
+def is_even(robot: Robot) -> bool:
+    """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube of the robot."""
+    return all(tube.even for tube in robot.tubes)
+
+
+@lru_cache(maxsize=64)
 def is_general(robot: Robot) -> bool:
-    """Whether a tube of the robot is made of pieces."""
+    """Whether a tube of the robot is written as pieces: how its numbers lie. No answer depends on it; see `is_even`."""
     return any(tube.general for tube in robot.tubes)

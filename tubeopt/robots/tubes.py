@@ -199,6 +199,22 @@ class Tube(Displayed):
         return bool(self.pieces)
 
     @property
+    def even(self) -> bool:
+        """Whether all of it has the same stiffnesses, and all of its curved part the same curvature, about x."""
+        if not self.pieces:
+            return True
+        own = float(self.bending_stiffness), float(self.torsional_stiffness)
+        return all(
+            precurvature == (self.arc, 0.0, 0.0) and (bending, torsional) == own
+            for _, precurvature, bending, torsional in stretches(self)[self.straight_length > 0 :]
+        )
+
+    @property
+    def arc(self) -> Any:
+        """The curvature about x where its curved part begins, 1/m: of an even tube that of all of it, with its sign."""
+        return self.pieces[0].precurvature[0] if self.pieces else self.curvature
+
+    @property
     def chain(self) -> tuple[Piece, ...]:
         """Its pieces; the one piece that its curved part is where it is not made of any."""
         if self.pieces or self.curved_length == 0:

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from ..equilibrium.readings import to_readings
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
-from ..robots.robot import is_general
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
@@ -270,8 +269,6 @@ class CertificationReport(Report[Certification]):
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
-            if is_general(self.answer.robot):
-                return Text("Of tubes made of pieces the certificate has no gradient.")
             return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
         cells = [
             [

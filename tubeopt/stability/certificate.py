@@ -10,23 +10,25 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.arm import profile
 from ..block.transcription.buffered import mapped
-from ..block.transcription.reduced import ReducedProblem, evaluate
+from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
 from ..block.transcription.responsive import Responsive
-from ..block.transcription.second_variation import least
+from ..block.transcription.second_variation import least as least_value
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.robot import Robot, is_general, shifts
+from ..robots.robot import Robot, is_even, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, Sentence
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
 from .pair import least_margin_of_pair, margins, pair_of
+from .shooting import profiles, to_base
 
 OWN_NAME = {"translation": "translations"}
 """Of a parameter of the certificate among those of an equilibrium."""
@@ -64,8 +66,8 @@ class Certificate(Displayed):
     """(n,) m."""
     gradient: dict[str, Array]
     """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit: where breakpoints meet,
-    as it changes when the parameter grows. NaN where the eigenvalue is double, so that the margin has no derivative,
-    and with tubes made of pieces."""
+    as it changes when the parameter grows. NaN where the eigenvalue is double, so that the margin has no
+    derivative."""
     pair: tuple[int, int] | None
     """The two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and for tubes
     off the centreline, of which three take it together."""
@@ -137,7 +139,7 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
         raise InputError(f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof")
     if assembly.eccentric:
         return proof(assembly)[0]
-    unloaded = _of_pieces(robot, shift)[0] if assembly.general else worst_case(_problem(robot, shift))[0]
+    unloaded = worst_case(_problem(robot, shift))[0] if assembly.even else _of_pieces(robot, shift)[0]
     return loaded_worst_case(robot, shift, unloaded, max_force) if max_force else unloaded
 
 
@@ -145,7 +147,7 @@ def convexity(robot: Robot, translations: Array) -> float:
     """Least eigenvalue of the second variation of concentric tubes, relative to its torsional part, at any rotations
     along them at all, equilibria or not: a lower bound, never more than the certificate."""
     value = worst_case(_problem(robot, translations))[0]
-    return value - abs(worst_case(_problem(robot, translations, 1))[0] - value) if is_general(robot) else value
+    return value if is_even(robot) else value - abs(worst_case(_problem(robot, translations, 1))[0] - value)
 
 
 def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
@@ -172,8 +174,8 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
     if assembly.eccentric:
         return proof(assembly)[0]
     problem = reduced_assembly(assembly)
-    if not is_general(robot):
-        return least(np.eye(problem.size) + _coupled(problem)) if problem.size else 1.0
+    if is_even(robot):
+        return least_value(np.eye(problem.size) + _coupled(problem)) if problem.size else 1.0
     value, pair = worst_case(problem)[0], pair_of(problem)
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
 
@@ -233,7 +235,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
     problem, opposition, proved = _problem(robot, shift), None, None
-    if is_general(robot):
+    if not is_even(robot):
         proved, opposition = _of_pieces(robot, shift)
     margin, y, following = worst_case(problem, opposition)
     if margin >= 1 - 1e-12:
@@ -248,8 +250,10 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     k = int(np.argmax(each))
     span = float(assembly.start[k]), float(assembly.start[k] + assembly.length[k])
     double = following - margin < 1e-9
-    known = not double and not is_general(robot)
-    gradient = _gradient(robot, problem, margin, y) if known else {name: np.full(n, np.nan) for name in PARAMETERS}
+    slope = np.full(n * len(PARAMETERS), np.nan) if double else _gradient(robot, problem, margin, y)
+    if opposition is not None:
+        slope = _gradient_of_pair(robot, shift, worst_case(problem)[0])
+    gradient = dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))
     return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, share)
 
 
@@ -276,10 +280,39 @@ def breakpoint_pattern(assembly: Assembly) -> Pattern:
     return tuple(ends), present, curved
 
 
-def _gradient(robot: Robot, problem: ReducedProblem, margin: float, y: Array) -> dict[str, Array]:
-    """That of the eigenvalue with the eigenvector y (N, n), which rotations do not change: of tubes without torsion."""
-    n, wrt = robot.n_tubes, tuple(OWN_NAME.get(name, name) for name in PARAMETERS)
-    still, state = np.zeros(n), evaluate(problem, np.zeros(n), np.zeros(problem.size))
-    here = Responsive(problem, still, state.theta, evaluate_arm(problem, still, state, profile(problem, still, state)))
-    slope = Linearised(here, robot.tubes, 1.0, wrt).certificate(margin, y)
-    return dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))
+def _gradient(robot: Robot, problem: ReducedProblem, margin: float, y: Array) -> Array:
+    """(Q,) by PARAMETERS of the eigenvalue with the eigenvector y (N, n), which rotations do not change: of tubes
+    without torsion."""
+    still = np.zeros(robot.n_tubes)
+    return _changes(robot, problem, still, evaluate(problem, still, np.zeros(problem.size)), 1.0).certificate(margin, y)
+
+
+def _gradient_of_pair(robot: Robot, shift: Array, above: float) -> Array:
+    """(Q,) by PARAMETERS of the least margin of two coupled tubes, which is more than `above`; NaN without one."""
+    point = worst_of_pair(Unloaded.of(robot, np.zeros(robot.n_tubes), tuple(shift.tolist())), above)
+    if point is None:
+        return np.full(robot.n_tubes * len(PARAMETERS), np.nan)
+    return _changes(robot, point.member.problem, point.member.rotations, point.state, point.margin).one_margin
+
+
+def _changes(robot: Robot, problem: ReducedProblem, rotations: Array, state: Evaluation, margin: float) -> Linearised:
+    """Derivatives by PARAMETERS at a solved state."""
+    arm = evaluate_arm(problem, rotations, state, profile(problem, rotations, state))
+    here = Responsive(problem, rotations, state.theta, arm)
+    return Linearised(here, robot.tubes, margin, tuple(OWN_NAME.get(name, name) for name in PARAMETERS))
+
+
+def worst_of_pair(member: Unloaded, above: float) -> PlainPoint | None:
+    """The equilibrium of least margin at any rotations of the two tubes of a problem that are coupled, at which the
+    margin does not change with the rotations. None where tubes are even, more than two are coupled, that margin is not
+    more than `above`, or Newton's method does not stay there."""
+    problem, n = member.problem, len(member.rotations)
+    pair = None if problem.assembly.even else pair_of(problem)
+    least = None if pair is None else least_margin_of_pair(pair)
+    if pair is None or least is None or least.bound <= above + 1e-6:  # else they are the same
+        return None
+    tips = np.zeros((1, n))
+    tips[0, pair.tubes[0]] = least.tip
+    there = replace(member, rotations=to_base(problem, tips)[0])
+    found = there.solve(there.unknowns(profiles(problem, tips)[0]))
+    return Point(0.0, there, found.state, least.margin) if found.converged else None

@@ -80,7 +80,7 @@ def find_equilibria(
 def _without_load(member: Unloaded, search: EquilibriaSearch) -> list[PlainPoint]:
     """All solutions of a problem; raises SolveError where their degree is not 1."""
     problem, rotations = member.problem, member.rotations
-    surely = search.certain_of_pieces if problem.assembly.general else search.certain
+    surely = search.certain if problem.assembly.even else search.certain_of_pieces
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
         result = descend(problem, rotations, np.zeros(problem.size))
         if result.converged:

@@ -161,7 +161,7 @@ def stability_map(
 
 def own_mirror_image(assembly: Assembly) -> bool:
     """Whether opposite rotations give mirror images: concentric tubes, each of them curved in one plane."""
-    return not (assembly.eccentric or assembly.general)
+    return assembly.even and not assembly.eccentric
 
 
 def rim(directions: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import SolveError
-from ..robots.robot import Robot, is_general
+from ..robots.robot import Robot, is_even
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .folds import fall
@@ -135,7 +135,7 @@ def search_snap(
     search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:
         return None, search
-    if is_general(robot):
+    if not is_even(robot):
         return _of_pieces(search), search
     if len(search.coupled) == 2:
         return _pair(search), search

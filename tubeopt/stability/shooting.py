@@ -42,7 +42,7 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
     """1 / kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces with the phase, and
     (P, X, n) at GRID."""
     mesh, n = problem.mesh, problem.assembly.n_tubes
-    if not problem.assembly.general:
+    if problem.assembly.even:
         return problem.here.rate[:, 0], *problem.on_pieces
     at = sections_at(problem.assembly, mesh, GRID)
     table = 1 / at.torsional_stiffness, at.stiffness, at.moment, at.phase

@@ -16,7 +16,7 @@ from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, vector
-from ..robots.robot import Robot, is_general, shifts
+from ..robots.robot import Robot, is_even, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
@@ -86,7 +86,7 @@ def worst_margin(
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
     member = Unloaded.of(robot, np.zeros(n), shift)
     problem = member.problem
-    pair = pair_of(problem) if is_general(robot) else None
+    pair = None if is_even(robot) else pair_of(problem)
     if pair is None:
         ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
     else:

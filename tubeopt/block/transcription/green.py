@@ -40,7 +40,7 @@ def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
     """(P X, n) cross-sections at fractions x (X,) of every piece of a mesh."""
-    if not assembly.general:
+    if assembly.even:
         return assembly.of_sections(np.repeat(mesh.section, len(x)))
     s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
     return assembly.cross_sections(s.ravel(), inside.ravel())

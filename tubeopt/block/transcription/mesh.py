@@ -67,7 +67,7 @@ def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
 def needs(assembly: Assembly) -> tuple[Array, ...]:
     """Of sections (m,): coupling rate, largest curvature, pieces for twist and detail of tubes made of pieces, least
     sum of kb, and largest |m_i| / kt_i."""
-    if not assembly.general:
+    if assembly.even:
         here = assembly.of_sections(np.arange(assembly.n_sections))
         rate = _rate(here.stiffness, here.moment, assembly.torsional_stiffness)
         steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
