@@ -42,6 +42,7 @@ from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.rechecks import check_own, numbers_of
 from tubeopt.design.settings import OptimumSearch, StartSearch
+from tubeopt.equilibrium.answer import sure_margin
 from tubeopt.typing import Array
 
 MM = 1e-3
@@ -321,6 +322,40 @@ def test_a_design_that_a_payload_moves_least() -> None:
         DesignTask(two_tubes(), free, (SnapFree(0.1),), aim_under(force))
 
 
+TWISTED = Load(moment=(0.001, 0.002, -0.001))
+
+
+@dataclass(frozen=True)
+class SureUnder(OwnRequirement):
+    """Every pose keeps a margin under a load."""
+
+    limit: float
+    words = "margin under the load"
+
+    def expression(self, q: Quantities) -> Any:
+        return q.poses[0].margin_under(TWISTED) - self.limit
+
+
+def test_a_design_that_a_moment_moves_least_and_softens_no_further() -> None:
+    """Alone it would take as much curvature as it may, and be softer."""
+    poses = Poses(((0.5, 2.6),), ((-0.01, -0.005),))
+    free = (Free("curvature", (0, 1), 1.0, 20.0), Free("curved_length", (1,), 0.05, 0.079))
+    aim = Objective("tip_deflection", tip_moment=TWISTED.moment)
+    moved, sure = [], []
+    for own in ((), (SureUnder(0.9),)):
+        found = optimize_design(DesignTask(two_tubes(), free, (poses, *own), aim), turns=0)
+        plain, pushed = (
+            forward_kinematics(found.robot, poses.rotations[0], poses.translations[0], load=each)
+            for each in (None, TWISTED)
+        )
+        moved.append(float(np.linalg.norm(pushed.tip_position - plain.tip_position)))
+        sure.append(sure_margin(pushed))
+        assert found.objectives["tip_deflection"] == pytest.approx(moved[-1], rel=1e-5)
+    assert sure[1] >= 0.9 - 1e-6
+    assert sure[0] < 0.9 or moved[0] == pytest.approx(moved[1], rel=1e-4)
+    assert moved[0] <= moved[1] * (1 + 1e-6)
+
+
 def aim_under(force: tuple[float, float, float]) -> Objective:
     return Objective("tip_deflection", tip_force=force)
 
@@ -358,6 +393,8 @@ def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> No
         ({"kind": "tip_stiffness"}, "tip_force belongs to the objectives tip_deflection and tip_stiffness"),
         ({"kind": "length", "tip_force": (0.1, 0, 0)}, "tip_force belongs to the objectives"),
         ({"kind": "tip_deflection", "tip_force": (0, 0, 0)}, "tip_force of the objective is 0; it must push"),
+        ({"kind": "tip_deflection", "tip_moment": (0, 0, 0)}, "tip_moment of the objective is 0; it must push"),
+        ({"kind": "length", "tip_moment": (0, 0, 1)}, "tip_moment belongs to the objective tip_deflection, and to no"),
     ],
 )
 def test_a_tip_force_belongs_to_what_is_told_under_it(given: dict[str, Any], message: str) -> None:

@@ -52,6 +52,7 @@ from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.relaxation import DesignNotFoundError
 from tubeopt.design.settings import DesignSolver, OptimumSearch, OrderSearch
 from tubeopt.design.state import State
+from tubeopt.equilibrium.answer import sure_margin
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
 from tubeopt.solvers.sampling import sobol
@@ -138,9 +139,18 @@ def test_changes_are_those_of_central_differences(robot: ConcentricRobot, free: 
         assert np.abs(slope - found).max() <= (1e-3 if rough else 1e-7) * np.abs(found).max()
 
 
-def test_deflections_change_as_equilibria_say() -> None:
-    """Of robots whose pieces, diameters, lengths or joint values differ, solved with and without the force."""
-    robot, force = chained(), (0.02, 0.01, -0.03)
+MOMENTS = Load(
+    (0.01, 0, -0.01),
+    (0.002, -0.001, 0.003),
+    points=((0.03, (0, 0, 0), (0.003, 0.001, -0.002)),),
+    distributed=((0.01, 0.04, (0, 0, 0), (0.05, 0, 0.02)),),
+)
+
+
+@pytest.mark.parametrize("load", [Load((0.02, 0.01, -0.03)), MOMENTS], ids=["force", "moments"])
+def test_deflections_and_margins_under_a_load_change_as_equilibria_say(load: Load) -> None:
+    """Of robots whose pieces, diameters, lengths or joint values differ, solved with and without the load."""
+    robot = chained()
     free = [
         Free("piece_curvature", (0, 1), -30.0, 30.0, tie="equal"),
         Free("piece_plane", (1,), -3.0, 3.0, pieces=(1,)),
@@ -154,18 +164,24 @@ def test_deflections_change_as_equilibria_say() -> None:
     beta = np.array([-0.033, -0.021, -0.0052]) - [tube.straight_length for tube in space.tubes(begin)]
     x = np.concatenate([begin, [0.3, 2.5, -1.0], beta])
 
-    def deflection(at: Array) -> Array:
+    def under(at: Array) -> Array:
         robot = ConcentricRobot(space.tubes(at[:6]))
         joints = at[6:9], at[9:] + [tube.straight_length for tube in robot.tubes]
-        plain, pushed = (forward_kinematics(robot, *joints, load=load) for load in (None, Load(force)))
-        return pushed.tip_position - plain.tip_position
+        plain, pushed = (forward_kinematics(robot, *joints, load=each) for each in (None, load))
+        return np.append(pushed.tip_position - plain.tip_position, sure_margin(pushed))
 
-    value, slope = State(Layout(space, (FreePose(0),), (), ()), x).quantity(Quantity("deflection", 0, force))
-    assert value == pytest.approx(deflection(x), abs=1e-10)
+    state = State(Layout(space, (FreePose(0),), (), ()), x)
+    (value, slope), (margin, change) = (
+        state.quantity(Quantity(name, 0, (load,))) for name in ("deflection", "margin_under")
+    )
+    assert np.append(value, margin) == pytest.approx(under(x), abs=1e-8)
     steps = np.concatenate([1e-4 * space.scale, np.full(3, 1e-4), np.full(3, 1e-6)])
-    found = np.array([(deflection(x + d) - deflection(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
-    assert np.abs(found).max(0) == pytest.approx(np.abs(slope).max(0), rel=1e-5)
-    assert (np.abs(slope - found).max(0) <= 2e-6 * np.abs(found).max(0)).all()
+    found = np.array([(under(x + d) - under(x - d)) / (2 * d.sum()) for d in np.diag(steps)]).T
+    moved, softened = found[:3], found[3]
+    assert np.abs(moved).max(0) == pytest.approx(np.abs(slope).max(0), rel=1e-5)
+    assert (np.abs(slope - moved).max(0) <= 2e-6 * np.abs(moved).max(0)).all()
+    # Differences with steps of a tenth come a hundred times as close.
+    assert (np.abs(change[0] - softened) * steps).max() <= 2e-4 * np.abs(softened * steps).max()
 
 
 def test_points_along_the_arm_move_as_differences_say() -> None:

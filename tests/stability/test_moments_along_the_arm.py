@@ -26,6 +26,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.orientation import tangents
 from tubeopt.equilibrium.answer import point_of
+from tubeopt.equilibrium.margin_change import beside, unit_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
 from tubeopt.typing import Array
@@ -269,3 +270,37 @@ def test_no_other_starts_find_further_equilibria_without_an_energy(frame: str, t
 def test_a_rod_under_a_moment_along_it_has_one_equilibrium() -> None:
     found = find_equilibria(ROD, [0.0], load=Load(moment=(0.0, 0.0, 5 * BENDING / LENGTH)))
     assert [e.index for e in found] == [0]
+
+
+@pytest.mark.parametrize("load", [Load((0.01, 0, 0), MOMENT), Load(points=((0.06, NONE, (0.006, -0.004, 0.008)),))])
+def test_the_margin_under_moments_changes_as_differences_say(load: Load, thesis: ConcentricRobot) -> None:
+    """By joint values and dimensions, real eigenvalues and pairs of complex ones."""
+    names = ("rotations", "translations", "curvature", "curved_length", "torsional_stiffness")
+    e = forward_kinematics(thesis, (2.0, 0.3, -0.2), (-0.02, -0.013, -0.007), load=load)
+    found, true = e.margin_slopes(wrt=names), []
+    for name, tube in ((name, tube) for name in names for tube in range(3)):
+        step = 1e-4 * unit_of(e, name, tube)
+        sides = (beside(e, name, tube, sign * step) for sign in (1, -1))
+        one, other = (forward_kinematics(*side, load=load).margin for side in sides)
+        true.append((one - other) / (2 * step))
+    sizes = np.abs(true).reshape(5, 3).max(1).repeat(3)
+    assert (np.abs(found - true) <= 1e-6 * sizes).all()
+
+
+def test_the_margin_of_a_pair_changes_with_the_length_as_differences_say() -> None:
+    """Of a rod that a push and a moment along it bring close to flutter."""
+    push, moment = 0.8 * np.pi**2 / 4 * BENDING / LENGTH**2, 0.5 * BENDING / LENGTH
+    load = Load((0, 0, -push), (0, 0, moment))
+    e = forward_kinematics(ROD, [0.0], [-0.01], load=load)
+    values = np.linalg.eigvals(whitened(e))
+    assert abs(values[np.argmin(values.real)].imag) > 1e-3
+    one, other = (forward_kinematics(ROD, [0.0], [-0.01 + step], load=load).margin for step in (1e-5, -1e-5))
+    assert e.margin_slopes(wrt=("translations",))[0] == pytest.approx((one - other) / 2e-5, rel=1e-5)
+
+
+def test_a_margin_has_no_derivative_where_breakpoints_part(thesis: ConcentricRobot) -> None:
+    slopes = forward_kinematics(thesis, (2.0, 0.3, -0.2), load=Load(moment=MOMENT)).margin_slopes()
+    assert np.isfinite(slopes[:3]).all()
+    assert np.isnan(slopes[3:]).all()
+    plain = forward_kinematics(thesis, (2.0, 0.3, -0.2), load=Load((0.01, 0, 0)))
+    assert plain.margin_slopes() == pytest.approx(plain.jacobian().margin)

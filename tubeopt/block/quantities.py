@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, finite, vector
+from ..robots.load import Load
 from ..typing import Array
 
 TUBES = (
@@ -41,6 +42,7 @@ SIZES = {
     "straightened_strain": 1,
     "clearance": CLEARANCES,
     "deflection": 3,
+    "margin_under": 1,
     "stroke_force": 1,
     "certificate": 1,
 }
@@ -54,7 +56,7 @@ PoseNumber = int | tuple[int, float]
 @dataclass(frozen=True)
 class Quantity:
     """One quantity: its name; the pose of which it is, or None; and `at`: the fraction of the arm's length, the
-    translations (n,) of a certificate, the tube of a strain, the body of a clearance, the force of a deflection; of a
+    translations (n,) of a certificate, the tube of a strain, the body of a clearance, the load of a deflection; of a
     strain held straight the tube and its piece."""
 
     name: str
@@ -144,9 +146,15 @@ class PoseQuantities:
         """
         return self._of("clearance", body)
 
-    def deflection(self, force: Any) -> Any:
-        """(3,) m, how far a force (3,), N, which keeps its direction, moves the tip. For designs only."""
-        return self._of("deflection", *vector("force", force, 3, "x, y, z").tolist())
+    def deflection(self, load: Any) -> Any:
+        """(3,) m, how far a `Load`, or a force (3,) on the tip, N, which keeps its direction, moves the tip. For
+        designs only."""
+        return self._of("deflection", _load(load))
+
+    def margin_under(self, load: Any) -> Any:
+        """Stability margin under a `Load`, or a force (3,) on the tip, N; under moments the least eigenvalue of the
+        symmetric part of the linearised equations, which is at most the margin. For designs only."""
+        return self._of("margin_under", _load(load))
 
     @property
     def stroke_force(self) -> Any:
@@ -172,6 +180,12 @@ class PoseQuantities:
         if not 0 < finite("share", share) < 1:
             raise InputError(f"share is {share:g}; it must lie between 0, the plate, and 1, the arm as it is")
         return PoseQuantities(self._look, (self._number, float(share)), self._n_tubes)
+
+
+def _load(given: Any) -> Load:
+    if isinstance(given, Load):
+        return given
+    return Load(tuple(vector("force", given, 3, "x, y, z").tolist()))
 
 
 def _fraction(value: float) -> float:

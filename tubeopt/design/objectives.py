@@ -16,6 +16,7 @@ from ..errors import InputError, numbers, vector
 from ..files.marks import POSITIVE, OneOf, check_fields, unit
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
+from ..robots.load import ZERO, Load
 from ..typing import Of
 from .requirements import ROUNDED, Rows, deviations
 
@@ -84,8 +85,9 @@ class Objective:
         "strain": largest strain of any tube held straight.
         "length": overall length of the longest tube.
         "margin": the least certificate where a certificate is required, else the least margin of the task poses.
-        "tip_deflection": how far `tip_force` moves the tip, the farthest of all task poses; "tip_stiffness": its size
-            over how far it moves the tip along itself, the least of all task poses.
+        "tip_deflection": how far `tip_force` and `tip_moment` move the tip, the farthest of all task poses;
+        "tip_stiffness": the size of `tip_force` over how far it moves the tip along itself, the least of all task
+            poses.
         "stroke_force": the largest force with which the tip can push along itself before the arm buckles or snaps, the
             least of all task poses, whose joint values are given; 10 N where all bear that.
         "dexterity": by how much joints move the tip, for 1 rad or 50 mm, in the direction in which they move it least:
@@ -112,18 +114,24 @@ class Objective:
     tip_force: Annotated[
         tuple[float, float, float] | None, unit("mN"), "for tip_deflection and tip_stiffness, in axes of the plate"
     ] = None
+    tip_moment: Annotated[
+        tuple[float, float, float] | None, unit("mN_m"), "for tip_deflection, with or without a force, in these axes"
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "the objective")
         if (self.kind == "reach_radius") != (self.depth is not None):
             raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
-        if (self.kind in PUSHED) != (self.tip_force is not None):
+        if self.tip_moment is not None and self.kind != "tip_deflection":
+            raise InputError("tip_moment belongs to the objective tip_deflection, and to no other")
+        if (self.kind in PUSHED) != (self.tip_force is not None or self.tip_moment is not None):
             raise InputError(f"tip_force belongs to the objectives {' and '.join(PUSHED)}, which need it, and no other")
-        if self.tip_force is not None:
-            force = vector("tip_force of the objective", self.tip_force, 3, "x, y, z")
-            if not force.any():
-                raise InputError("tip_force of the objective is 0; it must push")
-            object.__setattr__(self, "tip_force", tuple(force.tolist()))
+        for name in ("tip_force", "tip_moment"):
+            if getattr(self, name) is not None:
+                push = vector(f"{name} of the objective", getattr(self, name), 3, "x, y, z")
+                if not push.any():
+                    raise InputError(f"{name} of the objective is 0; it must push")
+                object.__setattr__(self, name, tuple(push.tolist()))
         if self.translations is not None:
             if self.kind not in ("tip_curvature", "turning_radius"):
                 raise InputError(
@@ -182,7 +190,8 @@ def _numbers(one: Objective, poses: Sequence[int], certified: Rows, depth_pose: 
         case "margin":
             return ca.vertcat(*(pose.margin for pose in at))
         case "tip_deflection":
-            return ca.vertcat(*(ca.norm_2(pose.deflection(one.tip_force)) for pose in at))
+            load = Load(one.tip_force or ZERO, one.tip_moment or ZERO)
+            return ca.vertcat(*(ca.norm_2(pose.deflection(load)) for pose in at))
         case "tip_stiffness":
             force = ca.DM(list(one.tip_force or ()))
             return ca.vertcat(*(ca.sumsqr(force) / ca.dot(force, pose.deflection(one.tip_force)) for pose in at))

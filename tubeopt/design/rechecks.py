@@ -12,19 +12,18 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import CLEARANCES, Look, Quantity, recorded
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.answer import sure_margin
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..physics.strain import surface_strain
 from ..robots.concentric import ConcentricRobot
-from ..robots.load import Load
 from ..robots.series import Series
 from ..robots.tubes import Tube, piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .drawn import draw
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
-from .state import STRONGEST
+from .state import STRONGEST, loaded
 
 MISSED = 1e-6
 """Part of a limit, or of a step of an own requirement, by which it may be missed."""
@@ -141,9 +140,9 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
             case "clearance":
                 return np.full(CLEARANCES, least_room(one.at[0], robot, found))
             case "deflection":
-                force = Load(one.at)
-                pushed = forward_kinematics(robot, found.rotations, found.translations, load=force, guess=found)
-                return pushed.tip_position - found.tip_position
+                return loaded(found, one.at[0]).tip_position - found.tip_position
+            case "margin_under":
+                return np.array([sure_margin(loaded(found, one.at[0]))])
             case "stroke_force":
                 limit = find_stroke_force(
                     robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST

@@ -13,12 +13,14 @@ import numpy as np
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
 from ..equilibrium.along import curvature_at, position_at
-from ..equilibrium.answer import to_equilibrium
+from ..equilibrium.answer import sure_margin, to_equilibrium
 from ..equilibrium.arm_change import PLACES
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.linearised import linearise
+from ..equilibrium.margin_change import margin_slopes
 from ..equilibrium.result import Equilibrium
+from ..errors import SolveError
 from ..physics.strain import bend_from_own, surface_strain
 from ..robots.breakpoints import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
@@ -198,7 +200,9 @@ def _value_and_change(state: State, one: Quantity) -> tuple[Array, Array]:
         case "strain":
             return _row(pose_strain(state, one.pose, one.at[0]))
         case "deflection":
-            return tip_deflection(state, one.pose, one.at)
+            return tip_deflection(state, one.pose, one.at[0])
+        case "margin_under":
+            return _row(margin_under(state, one.pose, one.at[0]))
         case "stroke_force":
             return _row(stroke_force(state, one.pose))
         case "jacobian" | "turning":
@@ -233,18 +237,38 @@ def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
             return curvature_at(of, one.at[0])
 
 
-# --- a force on the tip -----------------------------------------------------------------------------------------------
+# --- loads ------------------------------------------------------------------------------------------------------------
 
 
-def tip_deflection(state: State, index: PoseNumber, force: tuple[float, float, float]) -> tuple[Array, Array]:
-    """(3,) m and (3, X) of a force, N, that keeps its direction and grows on a pose; raises SolveError where the robot
-    does not bear it there."""
+def loaded(plain: Equilibrium, load: Load) -> Equilibrium:
+    """The equilibrium into which one without load grows; raises SolveError where the robot does not bear it there."""
+    return forward_kinematics(plain.robot, plain.rotations, plain.translations, load=load, guess=plain)
+
+
+def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, Array]:
+    """(3,) m and (3, X) of a load that grows on a pose; raises SolveError where the robot does not bear it there."""
     plain, names, rows = _unloaded(state, index)
-    pushed = forward_kinematics(plain.robot, plain.rotations, plain.translations, load=Load(force), guess=plain)
+    pushed = loaded(plain, load)
     directions, chain = moving(np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]]))
     of = linearise(pushed, names, more=state.piece_changes, along=directions)
     change = of.tip_position @ chain - state.pose(index).derivatives.tip_position @ state.chain(index)
     return pushed.tip_position - plain.tip_position, change
+
+
+def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Array]:
+    """`sure_margin` of a pose under a load, and its change (X,); raises SolveError where the robot does not bear it
+    there, or breakpoints meet at the pose that part."""
+    plain, names, rows = _unloaded(state, index)
+    pushed, pieces = loaded(plain, load), np.eye(state.layout.size)[state.free_pieces]
+    if load.has_energy:
+        directions, chain = moving(np.concatenate([rows, pieces]))
+        slope = linearise(pushed, names, more=state.piece_changes, along=directions).one_margin @ chain
+    else:
+        free = [(step, robots) for _, step, robots in _free_pieces(state)]
+        slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
+    if not np.isfinite(slope).all():
+        raise SolveError(f"the margin of pose {index} under a load has no derivative: breakpoints meet there")
+    return sure_margin(pushed), slope
 
 
 def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:

@@ -122,7 +122,8 @@ class Jacobian(Displayed):
     tip_rotations: Array
     """(n, Q) of theta at each tube's own end."""
     margin: Array
-    """(Q,); NaN where the margin is a double eigenvalue."""
+    """(Q,); NaN where the margin is a double eigenvalue, and under a load without an energy: see
+    `Equilibrium.margin_slopes`."""
     energy: Array
     """(Q,) J."""
 
@@ -248,6 +249,12 @@ class Equilibrium(Displayed):
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `equilibrium.jacobian`."""
         found: Jacobian = late("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
+        return found
+
+    def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
+        """(Q,) derivatives of the margin as those of `jacobian`, also under a load without an energy, where `jacobian`
+        has NaN: they take a hundred times as long there. NaN where breakpoints meet, too."""
+        found: Array = late("tubeopt.equilibrium.margin_change.margin_slopes_of")(self, wrt)
         return found
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:

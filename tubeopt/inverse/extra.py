@@ -96,7 +96,7 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
         match one.name:
             case _ if isinstance(one.pose, tuple):
                 raise InputError("arms on their way out are known in designs only")
-            case "strain" | "clearance" | "deflection" | "jacobian" | "turning" | "stroke_force":
+            case "strain" | "clearance" | "deflection" | "margin_under" | "jacobian" | "turning" | "stroke_force":
                 raise InputError(f"the {one.name.replace('_', ' ')} of a pose is known in designs only")
             case "certificate":
                 return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +11,12 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.margin_change import STEP, beside, unit_of
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
-from ..robots.robot import Robot, resized
+from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
@@ -127,7 +127,7 @@ def stroke_slopes(
     out = []
     for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
         slope = np.cross(turned[:, k], force)
-        step = STEP * _unit(first, name, tube)
+        step = STEP * unit_of(first, name, tube)
         both = _sides(first, (name, tube, step), force, slope)
         if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
             raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
@@ -144,24 +144,6 @@ def stroke_slopes(
     return value, np.array(out)
 
 
-STEP = 1e-5
-"""Of the differences: rad, and as a share of the arm's length, of one over it, or of a stiffness."""
-
-
-def _unit(e: Equilibrium, name: str, tube: int) -> float:
-    """By what a step is measured: it turns the tip by about as much, in rad."""
-    length = float(e.arc_length[-1])
-    match name:
-        case "rotations":
-            return 1.0
-        case "curvature":
-            return 1 / length
-        case "translations" | "straight_length" | "curved_length":
-            return length
-        case _:
-            return float(getattr(e.robot.tubes[tube], name))
-
-
 def _sides(
     e: Equilibrium, what: tuple[str, int, float], force: Array, slope: Array
 ) -> list[tuple[LoadedProblem, Array]]:
@@ -169,16 +151,10 @@ def _sides(
     is no robot, under a force that changes by `slope` with it."""
     (name, tube, size), out = what, []
     for step in (size, -size):
-        joints = {"rotations": e.rotations.copy(), "translations": e.translations.copy()}
-        robot: Any = e.robot
         try:
-            if name in joints:
-                joints[name][tube] += step
-            else:
-                robot = resized(robot, tube, name, getattr(robot.tubes[tube], name) + step)
+            robot, alpha, shift = beside(e, name, tube, step)
             load = Load(tuple((force + step * slope).tolist()))
-            shift = tuple(joints["translations"].tolist())
-            out.append((loaded_problem(robot, shift, load, LOADED_DISCRETISATION), joints["rotations"]))
+            out.append((loaded_problem(robot, shift, load, LOADED_DISCRETISATION), alpha))
         except InputError:
             continue
     return out

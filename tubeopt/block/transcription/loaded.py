@@ -362,12 +362,9 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     return np.asarray(out)
 
 
-def monotonicity(problem: LoadedProblem, state: LoadedState) -> float:
-    """Least eigenvalue of the symmetric part of the linearised equations, at most 1, where the load has no energy: no
-    smaller change of the equations leaves more than one equilibrium close by.
-
-    A moment at a joint twists its tube as no z does, too: these are unknowns of their own here.
-    """
+def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
+    """The symmetric part of the linearised equations under a load without an energy, by x and by J twists: those that
+    moments at joints make of their tubes and no z does."""
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
@@ -375,11 +372,17 @@ def monotonicity(problem: LoadedProblem, state: LoadedState) -> float:
     lever = ends[couples.joint, tube]
     alike = np.where(tube[:, None] == tube, np.minimum(lever[:, None], lever), 0.0)
     size, vectors = np.linalg.eigh(alike - row @ row.T)
+    root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
     twisting = couples.torque_slopes(state.orientation, _push(problem, state.orientation).moment, state.turned)
-    across = state.factor / 2 * (vectors * np.sqrt(np.maximum(size, 0.0))).T @ twisting[:joints]
+    across = -state.factor / 2 * root @ twisting[:joints]
     both = (state.hessian + state.hessian.T) / 2
-    whole = np.block([[both, -across.T], [-across, np.eye(joints)]])
-    return min(1.0, float(np.linalg.eigvalsh(whole)[0]))
+    return np.block([[both, across.T], [across, np.eye(joints)]])
+
+
+def monotonicity(problem: LoadedProblem, state: LoadedState) -> float:
+    """Least eigenvalue of the symmetric part of the linearised equations, at most 1, where the load has no energy:
+    above 0 there is no other equilibrium close by."""
+    return min(1.0, float(np.linalg.eigvalsh(symmetric_part(problem, state))[0]))
 
 
 def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
