@@ -19,7 +19,7 @@ from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.robot import Robot, resized
 from ..typing import Array
 from .answer import point_of
-from .arm_change import check_wrt
+from .directions import check_wrt
 from .jacobian import jacobian
 from .linearised import sharing
 from .member import LoadedPoint
@@ -93,7 +93,7 @@ def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
     if e.load is None or e.load.has_energy:
         return jacobian(e, wrt=wrt).margin
     check_wrt(wrt, 1)
-    shared, found = sharing(e.robot.moving_together, wrt), margin_slopes(e, wrt)
+    shared, found = sharing(e.robot.moving_together, tuple(wrt)), margin_slopes(e, wrt)
     return found if shared is None else np.asarray(found @ shared)
 
 
