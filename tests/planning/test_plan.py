@@ -486,3 +486,21 @@ def test_a_trajectory_is_exported_as_a_message_of_ros(tmp_path: Path) -> None:
     whole = np.trapezoid(rates, time, axis=0)
     np.testing.assert_allclose(whole, table[-1] - table[0], atol=2e-3)
     assert {len(p["accelerations"]) for p in points} == {6}
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-10, 1e-8, 1e-6])
+def test_a_motion_smaller_than_round_off_shows_is_planned(size: float) -> None:
+    """Over microseconds the round-off of joint values looked like accelerations above their limits."""
+    rotations, translations = np.array([0.2, 0.3, 0.1]), np.array([-0.02, -0.01, 0.0])
+    goal = rotations + 30 * size, translations - [0.0, 0.0, size]
+    plan = plan_trajectory(THESIS, (rotations, translations), goal)
+    assert plan.proved
+    assert len(plan.proof.samples) < 500
+    np.testing.assert_array_equal(plan.rotations[[0, -1]], [rotations, goal[0]])
+    np.testing.assert_array_equal(plan.translations[[0, -1]], [translations, goal[1]])
+
+
+def test_a_tip_goal_where_the_tip_is_already_is_planned() -> None:
+    withdrawn = [-tube.curved_length for tube in THESIS.tubes]
+    plan = plan_trajectory(THESIS, ([1.0, 2.0, -2.0], withdrawn), (0.0, 0.0, 0.0))
+    assert plan.proved

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ..equilibrium.jacobian import position_slopes
+from ..equilibrium.method import TOLERANCE
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..typing import Array, Mask
@@ -65,6 +66,8 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
         line = reached * (1 + TIGHT)
         loose = own > (min(line, limit) if reached <= limit else line)
         loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links], dtype=bool)
+        # The speed over less than the accuracy of the tips is not known better.
+        loose &= own * row.passed > TOLERANCE * follower.length
         if not loose.any() or follower.over:
             break
         # What the bound gives away falls with the square of the length, and faster near folds; halves get the cubic.

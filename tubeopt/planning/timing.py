@@ -33,6 +33,10 @@ TINY = 1e-12
 FAR = 1e100
 """More than any b."""
 
+SHORTEST = 1e-3
+"""s, the cycle of a usual control loop, that a motion takes at least: over shorter times the round-off of joint values
+looks like an acceleration."""
+
 Tips = Callable[[Array], Array]
 """Tips (k, 3), m, at joint values (k, m)."""
 
@@ -101,6 +105,7 @@ def _along(curves: Sequence[PPoly], limits: Limits) -> list[Motion]:
         grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.timing.fine_cells), time, s))
     found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
     motions = [_motion(curve, s, b) for curve, s, b in found]
+    motions = [each.slower(max(1.0, SHORTEST / each.duration)) for each in motions]
     return motions if limits.tip is None else [replace(each, tip_limited=True) for each in motions]
 
 
