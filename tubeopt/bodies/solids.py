@@ -9,7 +9,7 @@ others by that bound; and which side they are on by a way to another node that n
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,9 +71,9 @@ def field_of_mesh(
             f"{name}: its surface is open, so there is no inside to stay in; close the surface, or give keep: out, "
             "by which the arm keeps clear of its triangles"
         )
-    corners = mesh.surface.corners if keep == "out" else mesh.surface.corners[:, ::-1]  # from the inside, all is body
     said = "" if mesh.closed else open_surface(name, len(mesh.faces))
-    return _field(Triangles(corners, mesh.closed), 0.0, AROUND[keep], cell, (name, said))
+    surface = Triangles(mesh.surface.corners, mesh.closed, hollow=keep == "in")
+    return _field(surface, 0.0, AROUND[keep], cell, (name, said))
 
 
 def field_of_surface(
@@ -98,7 +98,7 @@ def _field(
     corners = surface.corners.reshape(-1, 3)
     ends = corners if not radius else np.concatenate([corners - radius, corners + radius])
     nodes, shape, size, origin = _lattice(ends, cell, name, around)
-    moved = Triangles(surface.corners - origin, surface.closed)
+    moved = replace(surface, corners=surface.corners - origin)
     least, most = _bounds(moved.corners, nodes, size)
     near = least < BAND * size
     exact = moved.signed_distance(nodes[near])

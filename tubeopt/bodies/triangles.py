@@ -1,8 +1,7 @@
 """Distance from a surface of triangles, for many points at once; of a closed surface it has a sign.
 
 Which triangles to ask is found with a tree of their centres, after the long ones are cut; and on which side a point
-lies follows from the normals of all triangles that are equally near, weighted by their angles there (Baerentzen and
-Aanaes, 2005): that is right at edges and corners too.
+lies is what the winding number of the surface says.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from ..errors import InputError
 from ..typing import Array, Index, Mask
 from .distance_field import UP
 from .obstacles import unit_vectors
+from .winding import Rays, seen_along, winding_number
 
 FINEST = 6
 """Edges are cut to the longest side of the body over this, so that triangles are of similar size."""
@@ -107,6 +107,8 @@ class Triangles:
     corners: Array
     closed: bool = True
     """Whether it bounds a body, its normals outwards; the distance from another surface has no sign."""
+    hollow: bool = False
+    """Whether the body is all that a closed surface does not go around."""
 
     @cached_property
     def size(self) -> float:
@@ -146,14 +148,23 @@ class Triangles:
         return scipy.spatial.cKDTree(centre), float(size.max())
 
     @cached_property
-    def _sides(self) -> tuple[Array, Array, Array, Array]:
-        """Of every triangle its sides (f, 3, 3), their squares (f, 3), vectors (f, 3, 3) square to them that point into
-        it, and its angles (f, 3)."""
+    def _sides(self) -> tuple[Array, Array, Array]:
+        """Of every triangle its sides (f, 3, 3), their squares (f, 3), and vectors (f, 3, 3) square to them that point
+        into it."""
         side = np.roll(self._cut, -1, axis=1) - self._cut
         into = np.cross(self._normals[:, None], side)
         square = np.maximum((side**2).sum(-1), np.finfo(float).tiny)
-        cosine = -(side * np.roll(side, 1, axis=1)).sum(-1) / (square**0.5 * np.roll(square, 1, axis=1) ** 0.5)
-        return side, square, into, np.arccos(np.clip(cosine, -1, 1))
+        return side, square, into
+
+    @cached_property
+    def _rays(self) -> list[Rays]:
+        return seen_along(self.corners)
+
+    def _in_body(self, points: Array) -> Mask:
+        """(N,) whether points (N, 3) are in the body: bodies that overlap are one, and a cavity is no part of it."""
+        if not self.closed:
+            return np.zeros(len(points), dtype=bool)
+        return np.asarray((winding_number(self._rays, points) != 0) ^ self.hollow)
 
     def signed_distance(self, points: Array) -> Array:
         """(N,) distance of points (N, 3), m; negative inside a closed surface."""
@@ -189,21 +200,11 @@ class Triangles:
         row, face = row[near], face[near]
         place, distance = self._places(points[row], face)
         # Rows are in order, and none is without a triangle.
-        least = np.minimum.reduceat(distance, np.searchsorted(row, np.arange(len(points))))
-        near = distance <= least[row] + 8 * tie
-        row, face, place, distance = row[near], face[near], place[near], distance[near]
-        # All triangles at a corner count by their angles there, or none: whether it is as near as the nearest place is
-        # decided by the distance of the corner itself, which is the same number for all of them.
-        corner, angle, there = self._corner(face, place)
-        to_corner = np.linalg.norm(points[row] - corner, axis=1)
-        tied = np.where(there, to_corner, distance) <= least[row] + tie
-        row, face, place, angle = row[tied], face[tied], place[tied], angle[tied]
-        angle = np.where(to_corner[tied] <= least[row] + tie, angle, np.pi)
-        facing = (self._normals[face] * (points[row] - place)).sum(1) * angle
-        side = np.bincount(row, facing, len(points))
-        one = np.searchsorted(row, np.arange(len(points)))
-        inside = (side < 0) & self.closed
-        return np.where(inside, -least, least), place[one], self._normals[face[one]]
+        first = np.searchsorted(row, np.arange(len(points)))
+        least = np.minimum.reduceat(distance, first)
+        nearest = np.flatnonzero(distance <= least[row])
+        one = nearest[np.searchsorted(row[nearest], np.arange(len(points)))]
+        return np.where(self._in_body(points), -least, least), place[one], self._normals[face[one]]
 
     def _at_least(self, points: Array, face: Array) -> Array:
         """(K,) lower bounds of the distance of points (K, 3) from triangles (K,): that of the disc around each."""
@@ -216,7 +217,7 @@ class Triangles:
     def _places(self, points: Array, face: Array) -> tuple[Array, Array]:
         """Nearest points (K, 3) of triangles (K,) to points (K, 3), and their distance: on one of the sides, but where
         the foot of the perpendicular lies between them."""
-        sides, squares, into, _ = self._sides
+        sides, squares, into = self._sides
         corner, side = self._cut[face], sides[face]
         away = points[:, None] - corner
         share = np.clip((away * side).sum(2) / squares[face], 0.0, 1.0)
@@ -228,13 +229,3 @@ class Triangles:
         normal = self._normals[face[above]]
         place[above] = points[above] - normal * (away[above, 0] * normal).sum(1)[:, None]
         return place, np.linalg.norm(points - place, axis=1)
-
-    def _corner(self, face: Array, place: Array) -> tuple[Array, Array, Array]:
-        """(K, 3) the corner of triangles nearest to points of them, (K,) their angle there, and whether it is there.
-
-        Elsewhere a triangle counts by pi: on an edge, and (as good) inside.
-        """
-        corner = self._cut[face]
-        gap = np.linalg.norm(corner - place[:, None], axis=2)
-        k, row = gap.argmin(1), np.arange(len(face))
-        return corner[row, k], self._sides[3][face, k], gap[row, k] <= TIE * self.size
