@@ -434,8 +434,9 @@ class Responsive(Standing):
         """Second variation over its elastic part T along a mode, one column."""
         y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
         bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
-        form = np.einsum("pki,pkij,pkj->pk", y, self._by[0], y)
-        form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
+        form = (y * (self._by[0] @ y[..., None])[..., 0]).sum(2)
+        if self.load is not None:
+            form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
         return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
 
 

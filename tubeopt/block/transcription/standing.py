@@ -119,7 +119,6 @@ class Standing:
             tip = self.shape.frame[-1]
             self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in given)
             self.force += burden.force.reshape(self.force.shape) + self.following * self.tip_force
-        self.tip_tube = int(last_tube(self.problem.assembly.end))
         self.along: Array | None = None
         self.felt = np.zeros(self.phase.shape)
         self.joints: list[tuple[int, int, Array]] = []
@@ -178,7 +177,8 @@ class Standing:
         for k, tube, moment in self.joints:
             kicks[k, tube] += moment @ self.end_frame[k, :, 2]
         tip = np.zeros(self.n)
-        tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
+        if self.load is not None:
+            tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
         self.torque, self.torque_tip_side, self.torque_plate_side = self._inwards(fall, kicks, tip)
         self.stretched = self.torque * stretch
         """(P, K, n) g t."""
@@ -187,6 +187,11 @@ class Standing:
         first = self.base + self.transmission * self.torque_plate_side[0]
         self.phi_ends = first + np.concatenate([np.zeros((1, self.n)), np.cumsum(whole, axis=0)])
         self.phi = self.phi_ends[:-1, None] + self.h * (self.t.matrix @ turning)
+
+    @cached_property
+    def tip_tube(self) -> int:
+        """The tube that ends last, of several the innermost, on which a moment at the tip acts."""
+        return int(last_tube(self.problem.assembly.end))
 
     @cached_property
     def coupled(self) -> Array | None:
