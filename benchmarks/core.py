@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from tubeopt import (
+    ConcentricRobot,
     DesignTask,
     Equilibrium,
     IkSession,
@@ -111,11 +112,20 @@ def servo() -> Iterable[Call]:
     return [partial(session.solve, target) for target in circle((0.055, 0.02, 0.15), 0.03, 200)]
 
 
-def slopes(**asked: Any) -> Iterable[Call]:
-    """Jacobians of random configurations."""
-    one = robot()
-    poses = [forward_kinematics(one, a, d) for a, d in random_joints(one, 200)]
+def slopes(name: str = "thesis_ctr", load: Load | None = None, **asked: Any) -> Iterable[Call]:
+    """Jacobians of random configurations, of tubes off the centreline of random rotations."""
+    one = robot(name)
+    if isinstance(one, ConcentricRobot):
+        joints = random_joints(one, 200)
+    else:
+        joints = [(a, one.home_translations) for a in np.random.default_rng(7).uniform(-1, 1, (200, one.n_tubes))]
+    poses = [forward_kinematics(one, a, d, load=load) for a, d in joints]
     return [partial(pose.jacobian, **asked) for pose in poses]
+
+
+def of_slopes(found: Any) -> Array:
+    """Of the tip by the rotations, m/rad, and of the margin."""
+    return np.append(found.position[:, : found.position.shape[1] // 2].ravel(), found.margin[0])
 
 
 def every(name: str, times: int) -> Iterable[Call]:
@@ -168,6 +178,9 @@ QUESTIONS = {
         lambda: slopes(wrt=("rotations", "translations", *DIMENSIONS)),
         lambda j: np.append(j.position[:, :6:2], j.margin[0]),
     ),
+    "jacobian-pieces": Question("Jacobian of tubes made of pieces", partial(slopes, "example_pieces"), of_slopes),
+    "jacobian-loaded": Question("Jacobian under a force", partial(slopes, load=Load((0.02, 0.01, 0.0))), of_slopes),
+    "jacobian-eccentric": Question("Jacobian of an eccentric robot", partial(slopes, "thesis_etr"), of_slopes),
     "verify": Question("verify a trajectory", verifications, lambda proof: np.array([proof.least_margin])),
     "verify-loaded": Question(
         "verify a trajectory under a force",
