@@ -316,7 +316,7 @@ class Responsive(Standing):
         return self._along(state, q, wide, 1.0)
 
     def _whole(self, state: Array) -> Array:
-        """(P + 1, 2 n + 6, Q) states of the rows `kept`."""
+        """(P + 1, 2 n + 6, Q) states of (P + 1, 2 own, Q): without a load psi and m are 0."""
         out = np.zeros((len(state), self.size, state.shape[2]))
         out[:, self.kept] = state
         return out
@@ -444,13 +444,14 @@ MODE_STEPS = 4
 """How often a mode is sought at most, each time at the quotient of the one before."""
 
 MIXED = 3e-7
-"""Part of another mode that a mode may have."""
+"""Part of another mode that a mode may have; the margin's derivative is off by about as much."""
 
 SAME_MODE = 1e-6
 """Difference of the margin up to which a mode is that of the margin."""
 
 ASIDE = 1e-12
-"""By how much less than the margin an arm is softened to find how it buckles."""
+"""By how much less than the margin an arm is softened to find how it buckles: more than round-off of the matrix, and
+far less than DOUBLE."""
 
 DOUBLE = 1e-9
 """Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""

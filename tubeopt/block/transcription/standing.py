@@ -76,6 +76,7 @@ class Standing:
         self.mesh, self.t, self.length = problem.mesh, problem.mesh.tableau, problem.mesh.length
         self.n = problem.assembly.n_tubes
         self.pieces, self.degree = len(self.length), self.t.degree
+        # Without a load the frame and the moment follow, and the state is of rotations and torques.
         self.own = self.n if burden is None else self.n + 3
         self.kept = np.r_[: self.own, self.n + 3 : self.n + 3 + self.own]
         self.h = self.length[:, None, None]
