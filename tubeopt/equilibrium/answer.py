@@ -159,18 +159,16 @@ def built(
 
 
 def error_of(equilibrium: Equilibrium) -> float:
-    """Estimated error of theta(s), rad, or of the tip as a fraction of `measure`, under a load of the length of the
-    arm, whichever is larger."""
-    by = max(float(equilibrium.arc_length[-1]), 1e-300)
-    if by > SHORT and equilibrium.load is None and not is_even(equilibrium.robot):
-        by = SHORT
-    return max(equilibrium.mesh_error, equilibrium.tip_error / by)
+    """`largest_error` of an equilibrium; under a load by the whole length of the arm."""
+    even = equilibrium.load is not None or is_even(equilibrium.robot)
+    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, equilibrium.arc_length[-1], even=even))
 
 
-def measure(robot: Robot, length: ArrayLike) -> Array:
-    """By what the error of the tip is divided, m: the length of the arm, with tubes made of pieces at most SHORT."""
-    length = np.maximum(length, 1e-300)
-    return length if is_even(robot) else np.minimum(length, SHORT)
+def largest_error(theta: ArrayLike, tip: ArrayLike, length: ArrayLike, *, even: bool = True) -> Array:
+    """Estimated error of theta, rad, or of the tip, m, as a fraction of the arm's length, m, whichever is larger; where
+    tubes are not `even`, as a fraction of at most SHORT."""
+    by = np.maximum(length, 1e-300)
+    return np.asarray(np.maximum(theta, tip / (by if even else np.minimum(by, SHORT))))
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------

@@ -16,11 +16,11 @@ from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, check_robot
+from ..robots.robot import Robot, check_robot, is_even
 from ..solvers.compiled.binding import solve_many_compiled
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
-from .answer import measure
+from .answer import largest_error
 from .compiled import grow_many
 from .kinematics import forward_kinematics
 from .result import Equilibrium
@@ -260,8 +260,8 @@ def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Ar
 def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
     """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
-    length, n = measure(robot, (np.minimum(shift, straight) + curved).max(1)), robot.n_tubes
-    return np.asarray(np.maximum(found[:, n + 14], found[:, n + 15] / length) <= tolerance)
+    length, n = (np.minimum(shift, straight) + curved).max(1), robot.n_tubes
+    return largest_error(found[:, n + 14], found[:, n + 15], length, even=is_even(robot)) <= tolerance
 
 
 def _grow_rows(

@@ -23,7 +23,7 @@ from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compile
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.settings import CONTINUATION, NEWTON, Newton
 from ..typing import Array, Mask
-from .answer import answered, at_points, built, error_of, sample_arms, sample_rotation
+from .answer import answered, at_points, built, error_of, largest_error, sample_arms, sample_rotation
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
 from .member import Loaded, interpolate
 from .method import Asked
@@ -137,7 +137,8 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
 
 def _too_coarse(found: Found, problem: LoadedProblem, tolerance: float, settings: Newton) -> bool:
     theta, tip, margin = found.errors
-    return margin > settings.margin_tolerance or max(theta, tip / problem.torsion.assembly.total_length) > tolerance
+    error = float(largest_error(theta, tip, problem.torsion.assembly.total_length))
+    return margin > settings.margin_tolerance or error > tolerance
 
 
 def nearby(family: Family, guess: Equilibrium, t: float, asked: Asked) -> Equilibrium | None:
@@ -201,5 +202,5 @@ def grow_many(
     if found is None:
         return None
     table, compliance, declined = found
-    coarse = np.maximum(table[:, n + 14], table[:, n + 15] / length) > tolerance
+    coarse = largest_error(table[:, n + 14], table[:, n + 15], length) > tolerance
     return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
