@@ -5,7 +5,7 @@ it twists the outer tube alone, whose curve then lies in another direction.
 
 One learns: a moment across the arm moves the tip twice as far as the same moment along it, which turns the outer tube
 by 30 deg instead. Neither has an energy; the margin is the least real part of an eigenvalue. A moment along the tip
-makes the robot snap earlier as its inner tube turns.
+makes the robot snap earlier as its inner tube turns. A motion is planned, and proved, while the port holds the tube.
 """
 
 from __future__ import annotations
@@ -49,6 +49,12 @@ def main(out: Path) -> list[Path]:
         snap = tubeopt.find_snap(robot, (home, home), (np.radians([360.0, 0.0, 0.0]), home), load=twisted)
         turned = "nowhere" if snap is None else f"at {np.degrees(snap.rotations[0]):.1f} deg"
         print(f"{size * 1e3:2.0f} mN m at the tip: the robot snaps {turned}")
+    held = tubeopt.Load(points=(PointLoad(PORT, moment=tuple(5e-3 * across)),))
+    goal = (np.radians([90.0, 30.0, -20.0]), None)
+    plan = tubeopt.plan_trajectory(robot, (home, None), goal, load=held, options=tubeopt.PlanOptions(objective="none"))
+    word = "proved" if plan.proved else "not proved"
+    margin = f"its least margin is {plan.proof.least_margin:.3f}"
+    print(f"a plan of {plan.time[-1]:.1f} s while the port holds the tube with 5 mN m is {word}; {margin}")
     picture = out / "load_moment.png"
     plot_shape(arms[2], picture, ghosts=[free], remark="pale: without the moment")
     return [picture]

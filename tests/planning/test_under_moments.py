@@ -11,6 +11,7 @@ from tubeopt import (
     Equilibrium,
     Load,
     PlanOptions,
+    SolveError,
     Tube,
     find_snap,
     follow,
@@ -21,6 +22,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.answer import point_of, sure_margin
 from tubeopt.planning.cross_sections import Constants
+from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 
@@ -208,6 +210,17 @@ def test_what_has_no_positive_symmetric_part_is_refused_by_name() -> None:
     assert len(proof.faults) == 1
     assert proof.faults[0].startswith("not proved: at 0 % of the time the margin is 0.")
     assert f"symmetric part of the linearised equations is {1 - 4 / np.pi:.3g}; a proof" in proof.faults[0]
+
+
+def test_flutter_is_no_snap() -> None:
+    """A rod that is pushed along itself with less than what buckles it, under K/L along it, and gets longer."""
+    robot = rod(LENGTH, BENDING, 0.8 * BENDING)
+    load = Load((0, 0, -0.96 * np.pi**2 / 4 * BENDING / LENGTH**2), (0, 0, BENDING / LENGTH))
+    ends, effort = ([-LENGTH / 10], [0.0]), ProofSearch(equilibria=60)
+    proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load, effort=effort)
+    assert proof.faults[0].startswith("the robot begins to flutter: its equilibrium turns unstable after 92 % of")
+    with pytest.raises(SolveError, match=r"94\.575 % of the way the robot begins to flutter"):
+        find_snap(robot, ([0.0], ends[0]), ([0.0], ends[1]), load=load)
 
 
 def test_a_plan_under_a_moment_ends_where_its_loaded_tip_is_wanted() -> None:

@@ -106,6 +106,8 @@ class Follower:
     effort: ProofSearch
     load: Load | None = None
     count: int = 0
+    flutters: bool = False
+    """Whether what ends the branch is flutter, as loads without an energy make it."""
     _known: dict[int, tuple[Equilibrium, float]] = field(default_factory=dict, repr=False)
     """Equilibria by their `id`, with the least singular values of their linearised equations, or `sure_margin`."""
 
@@ -219,7 +221,8 @@ class Follower:
             rotations, translations = np.split(joints, 2)
             begin, end = (e.rotations, e.translations), (rotations, translations)
             snap = find_snap(self.robot, begin, end, equilibrium=e, load=self.load)
-        except SolveError:
+        except SolveError as error:
+            self.flutters = "flutter" in str(error)
             return None
         return None if snap is None else here.at + snap.fraction * (at - here.at)
 

@@ -304,7 +304,9 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
     """What is wrong with the branch, its margin and its clearance; and what of them is not shown."""
     faults, unproved, wanted = [], [], follower.wanted.clearance
     if passage.snap is not None:
-        faults.append(f"the robot snaps: the branch ends after {100 * passage.snap:.6g} % of the time")
+        after = f"{100 * passage.snap:.6g} % of the time"
+        flutter = f"the robot begins to flutter: its equilibrium turns unstable after {after} or a little later"
+        faults.append(flutter if follower.flutters else f"the robot snaps: the branch ends after {after}")
     elif passage.margin < min_margin:
         faults.append(f"the margin falls to {passage.margin:.4g}; it must be at least {min_margin:g}")
     reached = passage.steps[-1].at
