@@ -22,10 +22,15 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
+from tubeopt.block.transcription.responsive import Responsive
+from tubeopt.block.transcription.whole_arm import evaluate_arm
 from tubeopt.equilibrium.along import curvature_at
+from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
-from tubeopt.equilibrium.linearised import linearise
+from tubeopt.equilibrium.linearised import Linearised, linearise
+from tubeopt.equilibrium.member import Point, Unloaded
+from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly
 from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array
 
@@ -307,7 +312,9 @@ def test_under_a_load_of_nothing_it_is_that_without_load() -> None:
 def test_a_straight_tube_grows_a_curved_part(name: str, load: str | None) -> None:
     """With the curvature that is written for it, though it has no length; moved forward it stays straight."""
     tubes = [replace(_tube(0, 0.2, 0.0, 9.0), curvature=9.0), _tube(1, 0.06, 0.1, 7.0)]
-    e = forward_kinematics(ConcentricRobot(tuple(tubes)), ROTATIONS[:2], [0.09, -0.03], load=load and LOADS[load])
+    e = forward_kinematics(
+        ConcentricRobot(tuple(tubes)), ROTATIONS[:2], [0.09, -0.03], load=None if load is None else LOADS[load]
+    )
     for step in 2e-5 * np.eye(2):
         wanted, found = _one_sided(e, name, step), _columns(e, name, step)
         assert np.abs(found - wanted)[:-2].max() < 2e-9
@@ -421,3 +428,29 @@ def test_tubes_of_one_carriage_move_at_once(pieces: bool, side: int) -> None:
     expected = _towards(lambda step: _moved(e, "translations", step * direction).tip_position, side * 1e-4)
     assert np.abs(told.tip_position[:, 3:] @ direction - expected).max() < 1e-6
     assert np.array_equal(told.tip_position[:, 3], told.tip_position[:, 4])
+
+
+@pytest.mark.parametrize("name", ["curvature", "bending_stiffness", "torsional_stiffness"])
+def test_one_tube_off_the_centreline_may_change_alone(name: str) -> None:
+    """No robot has such tubes, but its bundle may."""
+    e = _eccentric("segments")
+    bundle, start = e.robot.assembly(e.translations), None
+    for tube in (0, 4, 8):
+        told = []
+        for k in (0, 1, 2, -1, -2):
+            values = getattr(bundle, name).copy()
+            values[tube] *= 1 + 2e-3 * k
+            problem = reduced_assembly(replace(bundle, **{name: values}))
+            member = Unloaded(e.robot, problem, e.rotations, tuple(e.translations.tolist()), DEFAULT_DISCRETISATION)
+            x = member.unknowns(sample_rotation(e, problem.arc_length)) if start is None else start
+            point = Point.near(member, x, "no equilibrium")
+            shape = evaluate_arm(problem, e.rotations, point.state, point.torsion)
+            told.append(np.array([*shape.position[-1], point.margin]))
+            if k == 0:
+                start = point.state.x
+                here = Responsive(problem, e.rotations, point.state.theta, shape)
+                of = Linearised(here, e.robot.tubes, point.margin, (name,))
+        wanted = (8 * (told[1] - told[3]) - (told[2] - told[4])) / 12
+        step = 2e-3 * getattr(bundle, name)[tube]
+        found = np.append(of.tip_position[:, tube], of.margin[tube]) * step
+        assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max(), tube
