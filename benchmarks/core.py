@@ -113,9 +113,9 @@ def servo() -> Iterable[Call]:
 
 
 def slopes(name: str = "thesis_ctr", load: Load | None = None, **asked: Any) -> Iterable[Call]:
-    """Jacobians of random configurations, of tubes off the centreline of random rotations."""
+    """Jacobians of random configurations; under a load and of tubes off the centreline, of random rotations."""
     one = robot(name)
-    if isinstance(one, ConcentricRobot):
+    if load is None and isinstance(one, ConcentricRobot):
         joints = random_joints(one, 200)
     else:
         joints = [(a, one.home_translations) for a in np.random.default_rng(7).uniform(-1, 1, (200, one.n_tubes))]
