@@ -31,7 +31,7 @@ from ..solvers.named_program import in_time
 from ..solvers.time_limit import check_time
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
-from .evaluation import Attempt, attempt, found_at, linear_rows, objective_value
+from .evaluation import Attempt, attempt, evaluated_at, linear_rows, objective_value
 from .layout import Via
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program
@@ -92,7 +92,7 @@ def collocate(program: Program, x: Array) -> Attempt:
         )
     for held in HELD:
         found, words = _Collocated(program, x, held).solved()
-        reached = attempt(program, np.clip(found, program.lower, program.upper), None)
+        reached = attempt(program, np.clip(found, program.lower, program.upper))
         if words or reached.feasible:
             break
     if not words:
@@ -105,7 +105,7 @@ class _Collocated:
 
     def __init__(self, program: Program, x: Array, held: float) -> None:
         self.program, self.opti, self.held = program, ca.Opti(), held
-        start = found_at(program, x)
+        start = evaluated_at(program, x)
         self.state = start.state
         scaled = self.opti.variable(len(x))
         self.opti.set_initial(scaled, x / program.scale)

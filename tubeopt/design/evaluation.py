@@ -17,7 +17,7 @@ from ..typing import Array
 from .layout import FreePose
 from .objectives import AnyObjective, key_of
 from .order import gaps_of, order_gaps
-from .program import BOUNDED, Program, built_in, slack_name
+from .program import BOUNDED, Program, slack_name
 from .state import State
 from .statements import Limit, Statement
 from .task import DesignTask
@@ -68,7 +68,7 @@ MoreRows = Callable[[State], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Evaluated:
     """A program at x: its state, the groups of rows that can be relaxed, and the fixed rows with their change."""
 
     program: Program
@@ -106,19 +106,19 @@ class Found:
         return np.concatenate(values), np.concatenate(changes)
 
 
-def evaluate(program: Program, x: Array) -> Found | None:
+def evaluate(program: Program, x: Array) -> Evaluated | None:
     """The program at x, SI; None where there is no such robot or no equilibrium."""
     check_time()
     try:
-        return found_at(program, x)
+        return evaluated_at(program, x)
     except (InputError, SolveError, np.linalg.LinAlgError, FloatingPointError):
         return None
 
 
-def found_at(program: Program, x: Array) -> Found:
+def evaluated_at(program: Program, x: Array) -> Evaluated:
     """The program at x, SI; raises SolveError where a pose has no equilibrium, InputError where there is no robot."""
     state = state_at(program, x)
-    return Found(program, state, groups(program, state), fixed_rows(program, state))
+    return Evaluated(program, state, groups(program, state), fixed_rows(program, state))
 
 
 def state_at(program: Program, x: Array) -> State:
@@ -167,12 +167,17 @@ class Attempt:
         """The robot."""
         return robot_at(self.program, self.x)
 
+    @property
+    def evaluated(self) -> Evaluated:
+        """The program there; raises as `evaluated_at`."""
+        return evaluated_at(self.program, self.x)
+
     def value(self, one: AnyObjective) -> float:
         """An objective in its own sign, SI."""
         return objective_value(self.program, state_at(self.program, self.x), one)[0]
 
 
-def attempt(program: Program, x: Array, optimum: Optimum | None) -> Attempt:
+def attempt(program: Program, x: Array, optimum: Optimum | None = None) -> Attempt:
     """What was reached at x."""
     found = evaluate(program, x)
     if found is None:
@@ -256,7 +261,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
     strain and margin."""
     values, change = linear_rows(state, program.task)
     parts, changes = [values], [change]
-    for one in built_in(program.task.objectives):
+    for one in program.task.built_in:
         if one.depth is not None and program.depth_pose is not None:
             place, slope = state.quantity(Quantity("tip_position", program.depth_pose))
             height = place[2] - one.depth

@@ -139,21 +139,16 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
             poses.extend(FixedPose(*pair) for pair in zip(one.rotations, one.translations, strict=True))
         else:
             own.append(free(len(points)))
-    deep = [one for one in built_in(task.objectives) if one.kind == "reach_radius"]
+    deep = [one for one in task.built_in if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
     certified = _certified(task, added)
     stated, aims = _recorded(task, added, own, (len(poses), depth_pose, certified))
     poses.extend(Via(*via) for via in added.vias)
-    kinds = [one.kind for one in built_in(task.objectives)]
+    kinds = [one.kind for one in task.built_in]
     auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
     layout = Layout(task.space, tuple(poses), certified, auxiliary)
     lower, upper, scale = _bounds(task, layout)
     return Program(task, added, layout, tuple(own), stated, aims, depth_pose, lower, upper, scale)
-
-
-def built_in(objectives: Sequence[AnyObjective]) -> list[Objective]:
-    """The objectives that are no own ones."""
-    return [one for one in objectives if isinstance(one, Objective)]
 
 
 def _recorded(

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import SolveError
 from ..solvers.time_limit import LateError
 from ..typing import Array
-from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, found_at, violation
+from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, evaluated_at, violation
 from .multistart import Ranking
 from .program import Program, elastic, recompiled
 from .shown import shown_infeasible
@@ -113,7 +113,7 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
     together = _apply(program, x, slack)
     out = [] if together is None else [together]
     moved = np.flatnonzero(slack > program.task.solver.relaxation.least_slack)
-    groups = found_at(program, x).groups
+    groups = evaluated_at(program, x).groups
     values = [float(group.values.min()) for group in groups]
     near = [k for k in np.argsort(values) if groups[k].limit.movable]
     candidates = moved if len(moved) > 1 else np.array([k for k in near if k not in moved], dtype=int)
@@ -126,7 +126,7 @@ def smallest_relaxations(failed: Sequence[Attempt]) -> list[Relaxation]:
 
 def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Array] | None:
     """x and slack of every group (steps) with the least sum; None where no slack of the allowed groups suffices."""
-    groups = found_at(program, start).groups
+    groups = evaluated_at(program, start).groups
     eased = elastic(program, may_move.tolist())
     slack = np.where(may_move, [max(0.0, -float(group.values.min())) + 1e-2 for group in groups], 0.0)
     begin = to_feasibility(eased, np.concatenate([start, slack]))
@@ -138,7 +138,7 @@ def _elastic(program: Program, start: Array, may_move: Array) -> tuple[Array, Ar
 
 def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
     """Move the limits, rounded outwards, and solve the relaxed task; None where it is not found feasible."""
-    groups = found_at(program, x).groups
+    groups = evaluated_at(program, x).groups
     # Enlarged until the relaxed task is found feasible; rounded a little to the demanding side, so that a limit of
     # 160 mm is told as such.
     for factor, inwards in ((1.0, 0.01), (1.0, 0.0), (1.02, 0.0), (1.04, 0.0), (1.06, 0.0)):
@@ -150,7 +150,7 @@ def _apply(program: Program, x: Array, slack: Array) -> Relaxation | None:
         if not moves:
             return None
         easier = recompiled(apply_changes(program.task, moves), program)
-        result = attempt(easier, x, None)
+        result = attempt(easier, x)
         if not result.feasible:
             result = improve(easier, to_feasibility(easier, x))
         if result.violation <= FEASIBLE:

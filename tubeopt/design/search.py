@@ -320,7 +320,7 @@ def without_derivatives(
     if search.best is None:  # the time was over before anything could be told
         search.best, (_, search.value) = search.place(first, zero), search.told(first, zero)
     designs, own = search.design(search.best)
-    found = [attempt(program, x, None) for program, x in zip(programs, designs, strict=True)]
+    found = [attempt(program, x) for program, x in zip(programs, designs, strict=True)]
     solutions = [solution_of(task, (rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)]
     spent = time.perf_counter() - began
     return solutions, (wanted.words, before, search.value, own, search.tried, spent)

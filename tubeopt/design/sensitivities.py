@@ -9,7 +9,7 @@ import scipy
 
 from ..typing import Array
 from .cells import cell_of, cell_rows
-from .evaluation import Attempt, found_at, prices
+from .evaluation import Attempt, prices
 from .parameters import UNITS
 from .statements import Limit
 
@@ -32,7 +32,7 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     multipliers = _multipliers(found)
     if multipliers is None:
         return ()
-    groups = found_at(found.program, found.x).groups
+    groups = found.evaluated.groups
     per_step = zip(groups, prices(groups, multipliers[0]), strict=True)
     costs = [(group.limit, price / group.limit.size) for group, price in per_step]
     costs += _bounds(found, multipliers[1])
@@ -49,7 +49,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
     program, x, pricing = found.program, found.x, found.program.task.solver.pricing
-    there = found_at(program, x)
+    there = found.evaluated
     values, jacobian = there.rows()
     sections = cell_rows(there.state, cell_of(there.state))
     near = np.flatnonzero(values < pricing.near)

@@ -16,17 +16,14 @@ from .collocation import collocate
 from .evaluation import (
     FEASIBLE,
     Attempt,
-    Found,
+    Evaluated,
     MoreRows,
     attempt,
     cubed,
     evaluate,
     folded,
-    found_at,
     prices,
     squared,
-    state_at,
-    violation,
 )
 from .objectives import KINDS
 from .program import BOUNDED, Program, Reached
@@ -42,24 +39,19 @@ METHODS = ("reduced", "collocation")
 
 def solve(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
     """The best design from a start (X,), SI, by one of METHODS."""
-    missed, x = _nearest(program, np.clip(start, program.lower, program.upper), report)
+    found = attempt(program, to_feasibility(program, np.clip(start, program.lower, program.upper), report))
     solver = program.task.solver
     near, restarts = solver.optimum.near, solver.starts.restarts if program.layout.free_poses else 0
     for kick in range(restarts):
-        if missed <= near:
+        if found.violation <= near:
             break
         random = np.random.default_rng([kick, program.layout.size])
-        begin = with_joints(program, x[: program.layout.designs], random)
-        missed, x = min((missed, x), _nearest(program, begin, report), key=lambda found: found[0])
-    if missed > near:
-        return attempt(program, x, None)
-    return _collocated(program, x, report) if method == "collocation" else best_from(program, x, report)
-
-
-def _nearest(program: Program, start: Array, report: Report | None) -> tuple[float, Array]:
-    """The violation that least squares leave from a start, in steps of its limit, and where."""
-    x = to_feasibility(program, start, report)
-    return violation(program, x), x
+        begin = with_joints(program, found.x[: program.layout.designs], random)
+        other = attempt(program, to_feasibility(program, begin, report))
+        found = min(found, other, key=lambda one: one.violation)
+    if found.violation > near:
+        return found
+    return _collocated(program, found.x, report) if method == "collocation" else best_from(program, found.x, report)
 
 
 def _collocated(program: Program, x: Array, report: Report | None) -> Attempt:
@@ -108,7 +100,7 @@ def _price_of_cubes(program: Program, found: Attempt) -> float:
     """Relative gain of the objective, to first order, were the cubes to hold the balls; without prices inf where a cube
     binds, and 0 where none does."""
     solver = program.task.solver
-    groups = found_at(program, found.x).groups
+    groups = found.evaluated.groups
     balls = [group for group in groups if group.vector is not None]
     near = any((cubed(one).values < solver.optimum.rim * one.limit.value / one.limit.size).any() for one in balls)
     if not near:
@@ -130,25 +122,25 @@ def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
     found = improve(program, x, report)
     if found.feasible and found.optimum is not None and found.optimum.success:
         return found
-    candidates = [found, attempt(program, x, None)]
+    candidates = [found, attempt(program, x)]
     if np.isfinite(found.violation) and not found.feasible:
         # IPOPT ended just outside.
-        candidates.append(attempt(program, to_feasibility(program, found.x, report), None))
+        candidates.append(attempt(program, to_feasibility(program, found.x, report)))
     best = min(candidates, key=_worse)
-    return min(best, improve_by_cells(program, best.x, report), key=_worse)
+    return min(best, _through_cells(best, report), key=_worse)
 
 
 def _worse(one: Attempt) -> tuple[bool, float]:
     return not one.feasible, one.objective if one.feasible else one.violation
 
 
-def improve_by_cells(program: Program, start: Array, report: Report | None = None) -> Attempt:
+def _through_cells(start: Attempt, report: Report | None) -> Attempt:
     """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
-    cell = cell_of(state_at(program, start))
-    best = _in_cell(program, start, cell, report)
+    program, cell = start.program, cell_of(start.evaluated.state)
+    best = _in_cell(program, start.x, cell, report)
     tried, orders = {cell}, program.task.solver.orders
     for _ in range(orders.most):
-        values, slopes, what = cell_rows(state_at(program, best.x), cell)
+        values, slopes, what = cell_rows(best.evaluated.state, cell)
         if not best.feasible or not what:
             break
         prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
@@ -172,8 +164,6 @@ def improve_by_cells(program: Program, start: Array, report: Report | None = Non
 
 def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) -> Attempt:
     """The optimum in one cell."""
-    if evaluate(program, start) is None:
-        return attempt(program, start, None)
 
     def rows(state: State) -> tuple[Array, Array]:
         return cell_rows(state, cell)[:2]
@@ -243,7 +233,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     return _settle_auxiliary(program, full(result.x))
 
 
-def _shortfall(found: Found, inside: float) -> tuple[Array, Array]:
+def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
     """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
     values, slopes = [], []
     for group in found.groups:
@@ -294,9 +284,9 @@ def improve(
     strategy: str = "quick",
     exact: bool = False,
 ) -> Attempt:
-    """The optimum from a start that is nearly feasible; `rows` are further values and their change, to be kept >= 0,
-    `strategy` one of `solvers.smooth.STRATEGIES`.
+    """The optimum from a start that is nearly feasible, or the start where it has no equilibrium.
 
+    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.smooth.STRATEGIES`.
     Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """
@@ -305,7 +295,7 @@ def improve(
     scale = program.scale
     known = evaluate(program, start)
     if known is None:
-        raise SolveError("no equilibrium was found at the start of a design")
+        return attempt(program, start)
     count, size = len(known.rows(form, rows)[0]), known.size
     seen: list[tuple[float, Array]] = []
 

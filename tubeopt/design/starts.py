@@ -12,7 +12,7 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .layout import FreePose
 from .pose import Pose, solve_pose
-from .program import Program, built_in, points_of
+from .program import Program, points_of
 from .requirements import Avoid
 
 
@@ -53,7 +53,7 @@ def _aims(program: Program) -> dict[int, tuple[float, ...]]:
     out: dict[int, tuple[float, ...]] = {}
     for own, points in zip(program.own, points_of(program.task.requirements, program.added), strict=True):
         out |= dict(zip(own, points, strict=False))
-    for aim in built_in(program.task.objectives):
+    for aim in program.task.built_in:
         if aim.depth is not None and program.depth_pose is not None:
             out[program.depth_pose] = (aim.depth,)
     return out

@@ -91,6 +91,11 @@ class DesignTask(Displayed):
         return (self.objective,) if isinstance(self.objective, AnyObjective) else tuple(self.objective)
 
     @property
+    def built_in(self) -> tuple[Objective, ...]:
+        """Those that are no own ones."""
+        return tuple(one for one in self.objectives if isinstance(one, Objective))
+
+    @property
     def places(self) -> tuple[Place, ...]:
         """Where the tubes must be in order."""
         return ordered_places(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
@@ -105,7 +110,7 @@ class DesignTask(Displayed):
         """Whether there are task poses."""
         kinds = (Reach, Poses, Coverage)
         posed = any(isinstance(one, kinds) for one in self.requirements)
-        return posed or any(one.kind == "reach_radius" for one in self.objectives if isinstance(one, Objective))
+        return posed or any(one.kind == "reach_radius" for one in self.built_in)
 
 
 def extreme_lengths(task: DesignTask, side: str) -> dict[str, Array]:
