@@ -168,13 +168,18 @@ class Attempt:
         return robot_at(self.program, self.x)
 
     @property
+    def state(self) -> State:
+        """Its tubes and poses, solved when asked for."""
+        return state_at(self.program, self.x)
+
+    @property
     def evaluated(self) -> Evaluated:
         """The program there; raises as `evaluated_at`."""
         return evaluated_at(self.program, self.x)
 
     def value(self, one: AnyObjective) -> float:
         """An objective in its own sign, SI."""
-        return objective_value(self.program, state_at(self.program, self.x), one)[0]
+        return objective_value(self.program, self.state, one)[0]
 
 
 def attempt(program: Program, x: Array, optimum: Optimum | None = None) -> Attempt:

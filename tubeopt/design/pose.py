@@ -46,7 +46,8 @@ class _Draft(ConcentricRobot):
 
 def _placed(tubes: Sequence[Tube], rotations: Array, translations: Array) -> Unloaded:
     """The problem of tubes at joint values, which is not kept: a design tries others every time."""
-    problem = reduced_assembly(assemble(tubes, translations))
+    assembly = assemble(tubes, translations)
+    problem = reduced_assembly(assembly)
     return Unloaded(_Draft(tuple(tubes)), problem, rotations, tuple(translations.tolist()))
 
 

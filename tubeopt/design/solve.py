@@ -136,11 +136,11 @@ def _worse(one: Attempt) -> tuple[bool, float]:
 
 def _through_cells(start: Attempt, report: Report | None) -> Attempt:
     """The optimum in the cell of a start, then in its neighbours for as long as they are better."""
-    program, cell = start.program, cell_of(start.evaluated.state)
+    program, cell = start.program, cell_of(start.state)
     best = _in_cell(program, start.x, cell, report)
     tried, orders = {cell}, program.task.solver.orders
     for _ in range(orders.most):
-        values, slopes, what = cell_rows(best.evaluated.state, cell)
+        values, slopes, what = cell_rows(best.state, cell)
         if not best.feasible or not what:
             break
         prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]

@@ -181,7 +181,8 @@ def point_of(equilibrium: Equilibrium, load: Load | None = None, discretisation:
         InputError: the equilibrium bears friction, or its robot no load.
         SolveError: Newton's method does not stay there: it is a fold.
     """
-    return Point.near(*unsolved(equilibrium, load, discretisation), FOLDED)
+    member, x = unsolved(equilibrium, load, discretisation)
+    return Point.near(member, x, FOLDED)
 
 
 def unsolved(

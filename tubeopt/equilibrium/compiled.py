@@ -51,6 +51,7 @@ def unloaded(
             return None
         if start is not None and answer["contraction"] > CONTINUATION.largest_ratio:
             return None
+        shape = _found(answer)
         statistics = Statistics(
             method="newton",
             iterations=int(answer["iterations"]),
@@ -61,7 +62,7 @@ def unloaded(
             refinement=refinement,
             loading=answer["loading"],
         )
-        found = built(robot, (rotations, shift), _found(answer), statistics)
+        found = built(robot, (rotations, shift), shape, statistics)
         if error_of(found) <= asked.tolerance:
             return found
     return None

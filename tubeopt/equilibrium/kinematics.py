@@ -42,7 +42,7 @@ from .continuation import (
     step_to,
 )
 from .member import Loaded, Member, Place, PlainPoint, Point, Unloaded
-from .method import TOLERANCE, Asked, Method, method_of, only_plain
+from .method import TOLERANCE, Asked, Method, method_of
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation, check_load
 from .result import Equilibrium, Status
 from .verification import verify_equilibrium
@@ -108,14 +108,13 @@ def forward_kinematics(  # noqa: PLR0913
     check_robot(robot)
     alpha, place = joint_values(robot, rotations, translations)
     shift = tuple(place.tolist())
-    by = method_of(method)
+    by = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     if guess is not None and guess.robot.n_tubes != robot.n_tubes:
         raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
     asked, found = Asked(by, tolerance, began), None
     if load is not None:
         check_load(robot, load, shift)
-        only_plain(by, load, discretisation)
         guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
@@ -123,7 +122,8 @@ def forward_kinematics(  # noqa: PLR0913
     elif asked.of_kernel(None, discretisation):
         found = unloaded(robot, alpha, shift, guess, asked)
     if found is None and guess is None:
-        found = _to_tolerance(*_descended(Unloaded.of(robot, alpha, shift, discretisation), by), asked)
+        point, start = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
+        found = _to_tolerance(point, start, asked)
     elif found is None:
         assert guess is not None
         own = np.concatenate([guess.rotations, guess.translations])
@@ -153,7 +153,8 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
             raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", found)
         there, before = point.member.on(refinement=level + 1), error
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = _by_method(Point.near(there, there.carried(point), failure, by.newton), by)
+        point = Point.near(there, there.carried(point), failure, by.newton)
+        point = _by_method(point, by)
     raise AssertionError("the finest mesh either holds the tolerance or raises")
 
 

@@ -44,17 +44,22 @@ class Asked:
         return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
 
 
-def method_of(given: str | Newton | Ipopt) -> Method:
-    """Behind a name or the settings of a solver; raises InputError where it is neither."""
+def method_of(given: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
+    """Behind a name or the settings of a solver; raises InputError where it is neither, or cannot solve under the
+    load."""
     if isinstance(given, Newton):
-        return Method("newton", newton=given)
-    if isinstance(given, Ipopt):
-        return Method("ipopt", ipopt=given)
-    return NAMED[choice("method", given, METHODS)]
+        by = Method("newton", newton=given)
+    elif isinstance(given, Ipopt):
+        by = Method("ipopt", ipopt=given)
+    else:
+        by = NAMED[choice("method", given, METHODS)]
+    if isinstance(load, Load):
+        _must_bear(by, load, discretisation)
+    return by
 
 
-def only_plain(by: Method, load: Load, discretisation: Discretisation) -> None:
-    """Raise InputError for what there is not under load."""
+def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
+    """Raise InputError for what there is not under a load."""
     own = {name: getattr(NEWTON, name) for name in ("loaded_refinements", "margin_tolerance")}
     if by.newton is not NEWTON and replace(by.newton, **own) != NEWTON:
         raise InputError(

@@ -67,8 +67,8 @@ def reduced_problem(robot: Robot, translations: tuple[float, ...], discretisatio
 def reduced_assembly(assembly: Assembly, discretisation: Discretisation = DEFAULT_DISCRETISATION) -> ReducedProblem:
     """The reduced torsion problem of tubes that are placed."""
     d = discretisation
-    pieces = piece_counts(assembly, d.refinement)
-    return reduce(assembly, make_mesh(assembly, pieces, family=d.family, degree=d.degree))
+    mesh = make_mesh(assembly, piece_counts(assembly, d.refinement), family=d.family, degree=d.degree)
+    return reduce(assembly, mesh)
 
 
 def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:

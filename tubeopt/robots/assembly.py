@@ -192,7 +192,9 @@ def assemble(
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
-    curvature = _numbers(tubes, "arc")
+    curvature, bending, torsional = (
+        _numbers(tubes, name) for name in ("arc", "bending_stiffness", "torsional_stiffness")
+    )
     table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
     cuts = merge([0.0, *(s for s in _breakpoints(transition, end, table, beta) if s > 0)])
     middle = (cuts[:-1] + cuts[1:])[:, None] / 2
@@ -203,8 +205,8 @@ def assemble(
         curved = present & table.bent[np.arange(n), table.panel(middle - beta)]
     zero = np.zeros(n)
     return Assembly(
-        bending_stiffness=_numbers(tubes, "bending_stiffness"),
-        torsional_stiffness=_numbers(tubes, "torsional_stiffness"),
+        bending_stiffness=bending,
+        torsional_stiffness=torsional,
         curvature=curvature,
         offset=zero if offset is None else offset,
         offset_angle=zero if offset_angle is None else offset_angle,
