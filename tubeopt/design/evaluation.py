@@ -17,7 +17,7 @@ from ..typing import Array
 from .layout import FreePose
 from .objectives import AnyObjective, key_of
 from .order import gaps_of, order_gaps
-from .program import BOUNDED, Program, slack_name
+from .program import BOUNDED, Program, Reached, slack_name
 from .state import State
 from .statements import Limit, Statement
 from .task import DesignTask
@@ -95,6 +95,17 @@ class Evaluated:
         worst = [(-float(group.values.min(initial=0.0)), group.limit.words) for group in self.groups]
         worst.append((-float(self.fixed[0].min(initial=0.0)), "limits of the joints and order of the tubes"))
         return max(worst)
+
+    def note(self) -> None:
+        """Keep the design where it is the best that the search passed: the answer, where time ends it."""
+        short, words = self.violation
+        if short <= FEASIBLE:
+            found = Reached(self.state.x, self.objective[0], 0.0, "")
+        else:
+            found = Reached(self.state.x, np.inf, short, words)
+        lately = self.program.lately
+        if lately.best is None or found.order < lately.best.order:
+            lately.best = found
 
     def rows(self, form: Callable[[Rows], Rows] | None = None, more: MoreRows | None = None) -> tuple[Array, Array]:
         """All rows and their change: the groups, each in a form, the fixed ones, and `more`."""

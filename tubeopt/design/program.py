@@ -73,11 +73,6 @@ class Lately:
         self.state: State | None = None
         self.best: Reached | None = None
 
-    def note(self, found: Reached) -> None:
-        """Keep a design where it is the best."""
-        if self.best is None or found.order < self.best.order:
-            self.best = found
-
     def __reduce__(self) -> tuple[type[Lately], tuple[()]]:
         return Lately, ()
 
@@ -97,6 +92,8 @@ class Program:
     """The objectives that are expressions."""
     depth_pose: int | None
     """That of the objective reach_radius."""
+    targets: dict[int, tuple[float, ...]]
+    """What the tip is to reach in every free pose: a point, or a height, m."""
     lower: Array
     """(X,) SI."""
     upper: Array
@@ -133,14 +130,18 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
         poses.extend(FreePose(first + k) for k in range(count))
         return numbers
 
+    targets: dict[int, tuple[float, ...]] = {}
     for one, points in zip(task.requirements, points_of(task.requirements, added), strict=True):
         if isinstance(one, Poses):
             own.append(tuple(range(len(poses), len(poses) + len(one.rotations))))
             poses.extend(FixedPose(*pair) for pair in zip(one.rotations, one.translations, strict=True))
         else:
             own.append(free(len(points)))
+            targets |= dict(zip(own[-1], points, strict=True))
     deep = [one for one in task.built_in if one.kind == "reach_radius"]
     depth_pose = free(1)[0] if deep else None
+    if depth_pose is not None:
+        targets[depth_pose] = (float(deep[0].depth or 0.0),)
     certified = _certified(task, added)
     stated, aims = _recorded(task, added, own, (len(poses), depth_pose, certified))
     poses.extend(Via(*via) for via in added.vias)
@@ -148,7 +149,7 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
     auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
     layout = Layout(task.space, tuple(poses), certified, auxiliary)
     lower, upper, scale = _bounds(task, layout)
-    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, lower, upper, scale)
+    return Program(task, added, layout, tuple(own), stated, aims, depth_pose, targets, lower, upper, scale)
 
 
 def _recorded(

@@ -26,7 +26,7 @@ from .evaluation import (
     squared,
 )
 from .objectives import KINDS
-from .program import BOUNDED, Program, Reached
+from .program import BOUNDED, Program
 from .starts import with_joints
 from .state import State
 
@@ -39,7 +39,8 @@ METHODS = ("reduced", "collocation")
 
 def solve(program: Program, start: Array, report: Report | None = None, method: str = "reduced") -> Attempt:
     """The best design from a start (X,), SI, by one of METHODS."""
-    found = attempt(program, to_feasibility(program, np.clip(start, program.lower, program.upper), report))
+    x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
+    found = attempt(program, x)
     solver = program.task.solver
     near, restarts = solver.optimum.near, solver.starts.restarts if program.layout.free_poses else 0
     for kick in range(restarts):
@@ -47,8 +48,8 @@ def solve(program: Program, start: Array, report: Report | None = None, method: 
             break
         random = np.random.default_rng([kick, program.layout.size])
         begin = with_joints(program, found.x[: program.layout.designs], random)
-        other = attempt(program, to_feasibility(program, begin, report))
-        found = min(found, other, key=lambda one: one.violation)
+        x = to_feasibility(program, begin, report)
+        found = min(found, attempt(program, x), key=lambda one: one.violation)
     if found.violation > near:
         return found
     return _collocated(program, found.x, report) if method == "collocation" else best_from(program, found.x, report)
@@ -125,7 +126,8 @@ def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
     candidates = [found, attempt(program, x)]
     if np.isfinite(found.violation) and not found.feasible:
         # IPOPT ended just outside.
-        candidates.append(attempt(program, to_feasibility(program, found.x, report)))
+        x = to_feasibility(program, found.x, report)
+        candidates.append(attempt(program, x))
     best = min(candidates, key=_worse)
     return min(best, _through_cells(best, report), key=_worse)
 
@@ -207,12 +209,9 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         rows_count = len(gap)
         slope.clear()
         slope[part.tobytes()] = jacobian[:, move] * scale[move]
-        short, words = found.violation
-        kept = short <= FEASIBLE
-        cost = found.objective[0] if kept else np.inf
-        program.lately.note(Reached(full(part), cost, 0.0 if kept else short, "" if kept else words))
+        found.note()
         if report is not None:
-            report("feasibility", short)
+            report("feasibility", found.violation[0])
         return gap
 
     def jacobian(part: Array) -> Array:
@@ -308,7 +307,7 @@ def improve(
         g, jacobian = found.rows(form, rows)
         if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
             seen[:] = [(f, x * scale)]
-            program.lately.note(Reached(x * scale, f, 0.0, ""))
+            found.note()
         return Values(f / size, slope * scale / size, g, jacobian * scale)
 
     optimum = minimise(

@@ -12,7 +12,7 @@ from ..robots.tubes import Tube
 from ..typing import Array
 from .layout import FreePose
 from .pose import Pose, solve_pose
-from .program import Program, points_of
+from .program import Program
 from .requirements import Avoid
 
 
@@ -33,30 +33,19 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
     tips = np.array([pose.arm.position[-1] for pose in poses])
     penalty = _outside(program, poses)
     turned = np.zeros(len(poses))
-    for index, aim in _aims(program).items():
+    for index, target in program.targets.items():
         pose = layout.poses[index]
         assert isinstance(pose, FreePose)
-        best = int(np.argmin(_gap(tips, aim) + penalty + program.task.solver.starts.pose_turn * turned))
+        best = int(np.argmin(_gap(tips, target) + penalty + program.task.solver.starts.pose_turn * turned))
         turned = np.array([np.abs((row - joints[best])[: layout.n]).max() for row in joints])
         x[layout.joints(pose)[0]], x[layout.joints(pose)[1]] = np.split(joints[best], 2)
         program.guesses[index] = poses[best].twist
     return np.clip(x, program.lower, program.upper)
 
 
-def _gap(tips: Array, aim: tuple[float, ...]) -> Array:
+def _gap(tips: Array, target: tuple[float, ...]) -> Array:
     """Distance of tips (N, 3) from a point, or from a height where that is all that is given."""
-    return np.abs(tips[:, 2] - aim[0]) if len(aim) == 1 else np.linalg.norm(tips - np.array(aim), axis=1)
-
-
-def _aims(program: Program) -> dict[int, tuple[float, ...]]:
-    """What the tip is to reach in every free pose: a point, or a height."""
-    out: dict[int, tuple[float, ...]] = {}
-    for own, points in zip(program.own, points_of(program.task.requirements, program.added), strict=True):
-        out |= dict(zip(own, points, strict=False))
-    for aim in program.task.built_in:
-        if aim.depth is not None and program.depth_pose is not None:
-            out[program.depth_pose] = (aim.depth,)
-    return out
+    return np.abs(tips[:, 2] - target[0]) if len(target) == 1 else np.linalg.norm(tips - np.array(target), axis=1)
 
 
 def _sample(

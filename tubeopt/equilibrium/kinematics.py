@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription import arm as arms
 from ..block.transcription.reduced import (
     Evaluation,
     ReducedProblem,
@@ -163,7 +162,7 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
     """A stable equilibrium, and from where energy descent led to it."""
     failure = ""
     try:
-        point = _resolved(member, _untwisted(member.problem, member.rotations), by)
+        point = _resolved(member, np.zeros(member.problem.size), by)
         if point.margin > 0:
             return point, "tubes without torsion"
     except SolveError as error:
@@ -175,30 +174,26 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
     return _by_method(point, by), "the way from home"
 
 
-def _untwisted(problem: ReducedProblem, rotations: Array) -> arms.Profile:
-    return arms.integrate(problem, rotations, np.zeros((len(problem.weight), problem.assembly.n_tubes)))
-
-
 def _by_method(point: Place, by: Method) -> Place:
     """A solved point, solved once more from there where the method is not Newton's."""
     if by.name == "newton":
         return point
     if isinstance(point.member, Unloaded):
-        return _resolved(point.member, point.torsion, by)
+        return _resolved(point.member, point.state.x, by)
     problem, rotations = point.member.problem, point.member.rotations
     return Point.of(point.member, solve_loaded_ipopt(problem, rotations, point.state, by.ipopt), point.t)
 
 
-def _resolved(member: Unloaded, guess: arms.Profile, by: Method) -> PlainPoint:
-    """Solved from a guess by a method; raises SolveError where it does not converge."""
+def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
+    """Solved from unknowns x (U,) by a method; raises SolveError where it does not converge."""
     problem, rotations = member.problem, member.rotations
     if by.name == "newton":
-        x = member.unknowns(arms.interpolate(problem, guess, problem.arc_length))
         solve = _by_centreline if problem.assembly.eccentric else descend
         result = solve(problem, rotations, x, settings=by.newton)
     elif by.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
+        guess = member.along(member.at(x))
         result = solve_ipopt(problem, rotations, guess, "energy" if by.name == "energy" else "equations", by.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")

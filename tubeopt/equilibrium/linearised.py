@@ -180,7 +180,6 @@ def linearise(
         InputError: friction acts on it.
         SolveError: it is a fold.
     """
-    check_wrt(wrt, side)
     refuse_friction(equilibrium)
     if abs(equilibrium.margin) < APART:
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")

@@ -16,27 +16,15 @@ from .goals import End
 from .motion import Motion
 from .proof import verify_trajectory
 from .question import PlanTask
-from .smooth import joint_curves, smooth, track, violated
+from .smooth import smooth
 from .timing import Limits, at_full_speed, stopping_at, through
+from .tracking import actuators, joint_curves, track, violated
 from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
 
 SHORT = 1e-9
 """Length of a way (joints' scales) on which nothing is smoothed."""
-
-
-def actuators(task: PlanTask, first: Equilibrium) -> Limits:
-    """What limits the speed of motions that begin at an equilibrium."""
-    rates = task.rates
-
-    def tips(q: Array) -> Array:
-        """Those of the branch of the equilibrium; where it ends, the last one of it."""
-        found = np.array([e.tip_position for e in track(task, first, q)])
-        return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
-
-    tip = None if rates.tip is None else (rates.tip, tips)
-    return Limits(*rates.of(task.chart.space), tip, task.effort.timing)
 
 
 def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:

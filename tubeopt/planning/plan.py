@@ -21,12 +21,12 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Faults, actuators, build, motions_near, no_time
+from .building import Faults, build, motions_near, no_time
 from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
-from .smooth import joint_curves
 from .timing import Limits, stopping_at
+from .tracking import actuators, joint_curves
 from .trajectory import PlanStatistics, Trajectory
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
+from ..block.transcription.mesh import needs
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.margin_change import STEP, beside, unit_of
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
@@ -22,7 +23,6 @@ from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import Loss
 from .load_limit import LoadLimit, find_load_limit, find_loss
-from .loaded_certificate import bundle_of
 
 
 @typed
@@ -76,8 +76,9 @@ def find_stroke_force(
 
 def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
     """A force against the tip, N, about that which buckles the weakest part as a column of the whole length."""
-    arm = bundle_of(first.robot, first.translations)
-    unit = min(up_to, 1.1 * float(arm.stiffness.min()) / arm.total_length**2)
+    arm = first.robot.assembly(first.translations)
+    weakest = float(needs(arm)[3].min())
+    unit = min(up_to, 1.1 * weakest / arm.total_length**2)
     return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
 
 
