@@ -264,17 +264,19 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
         if here.t == 1.0:
             return here.pose
     if grows:
-        assert family.load is not None
-        point, start = ramp(guess, family.load, d), "the load before, from none"
+        near, stable, shortest = point_of(guess, family.load, d), True, CONTINUATION.shortest_step
     else:
-        near = _start(family, here)
+        near, shortest = _start(family, here), CONTINUATION.sharpest_step
         # Without a load the branch of the guess is followed whether it stays stable or not.
         stable = family.load is not None and near.margin > 0
-        point, start = reach(family, near, stable=stable, shortest=CONTINUATION.sharpest_step), "guess"
-        if point.t < 1.0:
-            raise SolveError(
-                f"{Status.BRANCH_ENDED}: it ends {100 * point.t:.2f} % of the way from the guess to the goal", here.pose
-            )
+    point = reach(family, near, stable=stable, shortest=shortest)
+    if point.t < 1.0 and grows:
+        why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"
+        raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
+    if point.t < 1.0:
+        why = f"it ends {100 * point.t:.2f} % of the way from the guess to the goal"
+        raise SolveError(f"{Status.BRANCH_ENDED}: {why}", here.pose)
+    start = "the load before, from none" if grows else "guess"
     return _to_tolerance(_by_method(point, asked.method), start, asked)
 
 
@@ -283,23 +285,6 @@ def _start(family: Family, here: Milestone) -> Place:
     pose = here.pose
     member, x = unsolved(pose, family.load, family.path.discretisation)
     return Point(here.t, member, member.at(x), pose.margin)
-
-
-def ramp(unloaded: Equilibrium, load: Load, discretisation: Discretisation) -> Place:
-    """The point at full load on the branch of an equilibrium without a load.
-
-    Raises:
-        SolveError: the branch ends, or turns unstable, before the load is reached; the unloaded equilibrium is a fold.
-    """
-    start = point_of(unloaded, load, discretisation)
-    family = Family.growing(start.member)
-    point = reach(family, start)
-    if point.t < 1.0:
-        raise SolveError(
-            f"{Status.BRANCH_ENDED_UNDER_LOAD}: {_ending(family, point)} at {100 * point.t:.4g} % of the load",
-            to_equilibrium(point, "the load before"),
-        )
-    return point
 
 
 def _ending(family: Family, point: Place) -> str:

@@ -30,7 +30,7 @@ from ..physics.certificate import worst_function
 from ..typing import Array
 from .answer import discretisation_of, sample_rotation
 from .arm_change import ArmChange
-from .directions import Change, Directions, check_wrt
+from .directions import Change, Directions
 from .offset import offset_change
 from .problem import loaded_problem, reduced_problem
 from .result import Equilibrium, refuse_friction
