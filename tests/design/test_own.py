@@ -37,7 +37,7 @@ from tubeopt.design import (
     Target,
     Wall,
 )
-from tubeopt.design.evaluation import state_at
+from tubeopt.design.attempt import state_at
 from tubeopt.design.objectives import aim
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.rechecks import check_own, numbers_of

@@ -42,7 +42,7 @@ from tubeopt.design import (
     Target,
 )
 from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
-from tubeopt.design.evaluation import robot_at
+from tubeopt.design.attempt import robot_at
 from tubeopt.design.exchange import reachable
 from tubeopt.design.layout import FixedPose, FreePose, Layout
 from tubeopt.design.parameters import design_space

@@ -38,7 +38,7 @@ from tubeopt.design import (
     StrokeForce,
     Target,
 )
-from tubeopt.design.evaluation import evaluate, state_at
+from tubeopt.design.attempt import evaluate, state_at
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.rechecks import largest_strain
 from tubeopt.design.settings import OptimumSearch, OrderSearch

@@ -24,8 +24,8 @@ from tubeopt.design import (
     SnapFreeInUse,
     Strain,
 )
+from tubeopt.design.attempt import state_at
 from tubeopt.design.drawn import SHARES, drawn_back
-from tubeopt.design.evaluation import state_at
 from tubeopt.design.program import compile_task
 from tubeopt.design.rechecks import numbers_of
 from tubeopt.design.remarks import remarks

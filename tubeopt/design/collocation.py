@@ -31,11 +31,12 @@ from ..solvers.named_program import in_time
 from ..solvers.time_limit import check_time
 from ..stability.certificate import breakpoint_pattern
 from ..typing import Array
-from .evaluation import Attempt, attempt, evaluated_at, linear_rows, objective_value
+from .attempt import Attempt, attempt, evaluated_at, objective_value
 from .layout import Via
 from .objectives import AnyObjective, Objective, key_of
 from .program import BOUNDED, Program
 from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall
+from .rows import linear_rows
 from .task import DesignTask
 
 TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)

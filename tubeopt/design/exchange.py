@@ -16,13 +16,12 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
-from .evaluation import robot_at, state_at, violation
+from .attempt import robot_at, state_at, to_feasibility, violation
 from .layout import FreePose
 from .parameters import Free
 from .pose import Twist
 from .program import Added, Program, compile_task, corners
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
-from .solve import to_feasibility
 from .starts import with_joints
 from .task import DesignTask
 

@@ -14,9 +14,9 @@ from ..solvers.parallel.executors import executor, run_all
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import LateError
 from ..typing import Array, Progress
-from .evaluation import Attempt
+from .attempt import Attempt, Report
 from .program import Program
-from .solve import Report, solve
+from .solve import solve
 from .starts import with_joints
 
 NOTHING = "a first design, which time did not suffice for"

@@ -19,8 +19,8 @@ from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, Sentence
+from .attempt import Attempt, Report
 from .collocation import check_collocation
-from .evaluation import Attempt
 from .exchange import carry, certified_at, violations
 from .multistart import Ranking, multistart, rank, solve_from
 from .objectives import key_of
@@ -32,7 +32,7 @@ from .remarks import Dimension, remarks
 from .requirements import Avoid, SnapFree, of_kind
 from .sensitivities import Sensitivity, sensitivities
 from .settings import DesignSolver
-from .solve import METHODS, Report
+from .solve import METHODS
 from .task import DesignTask
 from .verify import Verification, solve_again, verify
 

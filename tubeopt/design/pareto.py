@@ -10,7 +10,7 @@ from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Progress
-from .evaluation import Attempt
+from .attempt import Attempt
 from .multistart import multistart, solve_from
 from .objectives import key_of
 from .optimize import settle

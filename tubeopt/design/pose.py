@@ -95,7 +95,7 @@ class Pose:
         along: Array | None = None,
     ) -> None:
         self.solved, self.problem, self.margin = solved, solved.member.problem, solved.margin
-        self._wrt, self._more, self._along = tuple(wrt), more, along
+        self.wrt, self.more, self.along = tuple(wrt), more, along
 
     @cached_property
     def arm(self) -> ArmShape:
@@ -113,7 +113,7 @@ class Pose:
     def derivatives(self) -> Linearised:
         """Derivatives at fixed arc lengths."""
         tubes = self.solved.member.robot.tubes
-        return Linearised(self._standing, tubes, self.margin, self._wrt, more=self._more, along=self._along)
+        return Linearised(self._standing, tubes, self.margin, self.wrt, more=self.more, along=self.along)
 
     @cached_property
     def by_joints(self) -> Linearised:
@@ -141,5 +141,5 @@ class Pose:
         value, mode, _ = worst_case(self.problem)
         worst = worst_of_pair(self.solved.member, value)
         if worst is not None:
-            return worst.margin, Pose(worst, self._wrt, self._more, self._along).derivatives.one_margin
+            return worst.margin, Pose(worst, self.wrt, self.more, self.along).derivatives.one_margin
         return value, self.derivatives.certificate(value, mode)

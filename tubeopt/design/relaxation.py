@@ -11,11 +11,12 @@ import numpy as np
 from ..errors import SolveError
 from ..solvers.time_limit import LateError
 from ..typing import Array
-from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, evaluated_at, violation
+from .attempt import FEASIBLE, Attempt, attempt, evaluate, evaluated_at, improve, to_feasibility, violation
 from .multistart import Ranking
 from .program import Program, elastic, recompiled
+from .rows import Rows
 from .shown import shown_infeasible
-from .solve import best_from, improve, to_feasibility
+from .solve import best_from
 from .statements import Limit, relaxed
 from .task import DesignTask
 

@@ -19,14 +19,13 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Of, Progress
-from .evaluation import FEASIBLE, attempt, robot_at, violation
+from .attempt import FEASIBLE, attempt, robot_at, to_feasibility, violation
 from .multistart import multistart, rank, start_values
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task
 from .relaxation import best_of
 from .requirements import SnapFree
-from .solve import to_feasibility
 from .task import DesignTask
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import scipy
 
 from ..typing import Array
+from .attempt import Attempt
 from .cells import cell_of, cell_rows
-from .evaluation import Attempt, prices
 from .parameters import UNITS
+from .rows import prices
 from .statements import Limit
 
 

@@ -1,37 +1,20 @@
-"""Solving a design program from one start: least squares to feasibility, IPOPT to the optimum, along its kinks."""
+"""Solving a design program from one start: to feasibility, to the optimum, to the rims of targets, along its kinks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from ..errors import SolveError
-from ..solvers.smooth import Values, minimise, nowhere
 from ..typing import Array
+from .attempt import Attempt, Report, attempt, improve, to_feasibility
 from .cells import Cell, cell_of, cell_rows, swapped
 from .collocation import collocate
-from .evaluation import (
-    FEASIBLE,
-    Attempt,
-    Evaluated,
-    MoreRows,
-    attempt,
-    cubed,
-    evaluate,
-    folded,
-    prices,
-    squared,
-)
-from .objectives import KINDS
-from .program import BOUNDED, Program
+from .program import Program
+from .rows import cubed, prices
 from .starts import with_joints
 from .state import State
-
-Report = Callable[[str, float], object]
-"""Told the stage of a solve ("feasibility" or "optimum") and its measure after every iteration."""
 
 METHODS = ("reduced", "collocation")
 """Ways to the optimum: with the equilibria solved inside, or as unknowns of one program of blocks."""
@@ -182,147 +165,3 @@ def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
     scaled = slope * program.scale
     step = -(value + program.task.solver.orders.opened_section / 1e-2) / float(scaled @ scaled)
     return np.clip(x + step * scaled * program.scale, program.lower, program.upper)
-
-
-def to_feasibility(program: Program, start: Array, report: Report | None = None) -> Array:
-    """Least squares of the violations from a start: Gauss and Newton in a trust region within the bounds."""
-    scale = program.scale
-    lower, upper = program.lower / scale, program.upper / scale
-    fixed = upper - lower < 1e-12
-    begin = _settle_auxiliary(program, start) / scale
-    move = np.flatnonzero(~fixed)
-    rows_count = 0
-    slope: dict[bytes, Array] = {}
-
-    def full(part: Array) -> Array:
-        x = begin.copy()
-        x[move] = part
-        return x * scale
-
-    def residual(part: Array) -> Array:
-        """(r,) what the free unknowns `part` violate; NaN where there is no equilibrium."""
-        nonlocal rows_count
-        found = evaluate(program, full(part))
-        if found is None:
-            return np.full(rows_count, np.nan)
-        gap, jacobian = _shortfall(found, program.task.solver.optimum.inside)
-        rows_count = len(gap)
-        slope.clear()
-        slope[part.tobytes()] = jacobian[:, move] * scale[move]
-        found.note()
-        if report is not None:
-            report("feasibility", found.violation[0])
-        return gap
-
-    def jacobian(part: Array) -> Array:
-        if part.tobytes() not in slope:
-            residual(part)
-        return slope[part.tobytes()]
-
-    if evaluate(program, full(begin[move])) is None:
-        return start
-    inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
-    missed = residual(inside)
-    if not np.isfinite(missed).all() or not missed.any():
-        return full(inside)
-    result = scipy.optimize.least_squares(
-        residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,
-        xtol=1e-10, gtol=1e-10,
-    )  # fmt: skip
-    return _settle_auxiliary(program, full(result.x))
-
-
-def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
-    """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
-    values, slopes = [], []
-    for group in found.groups:
-        short = np.minimum(group.values - inside, 0.0)
-        slope = group.jacobian * (short < 0)[:, None]
-        if group.vector is not None:
-            vector, change = group.vector
-            size = np.maximum(np.linalg.norm(vector, axis=1), 1e-12)[:, None]
-            along = vector / size
-            across = change - along[:, :, None] * np.einsum("kc,kcx->kx", along, change)[:, None]
-            slope = (along[:, :, None] * slope[:, None] + (short[:, None] / size)[:, :, None] * across).reshape(
-                -1, slope.shape[1]
-            )
-            short = (short[:, None] * along).ravel()
-        values.append(short)
-        slopes.append(slope)
-    fixed = np.minimum(found.fixed[0] - inside, 0.0)
-    return np.concatenate([*values, fixed]), np.concatenate([*slopes, found.fixed[1] * (fixed < 0)[:, None]])
-
-
-def _settle_auxiliary(program: Program, x: Array) -> Array:
-    """x with the auxiliary unknowns where the rows behind them are kept, and not more."""
-    x = x.copy()
-    names = [name for name in program.layout.auxiliary if name in BOUNDED]
-    for name in names:
-        column = program.layout.column(name)
-        x[column] = program.upper[column] if KINDS[name].sign > 0 else program.lower[column]
-    found = evaluate(program, x) if names else None
-    if found is None:
-        return x
-    values, slopes = found.fixed
-    for name in names:
-        column = program.layout.column(name)
-        mine = slopes[:, column] != 0
-        room = values[mine] / np.abs(slopes[mine, column])
-        step = float(room.min()) - 1e-3 * program.scale[column]
-        x[column] -= KINDS[name].sign * step
-    return np.clip(x, program.lower, program.upper)
-
-
-def improve(
-    program: Program,
-    start: Array,
-    report: Report | None = None,
-    iterations: int | None = None,
-    *,
-    rows: MoreRows | None = None,
-    strategy: str = "quick",
-    exact: bool = False,
-) -> Attempt:
-    """The optimum from a start that is nearly feasible, or the start where it has no equilibrium.
-
-    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.smooth.STRATEGIES`.
-    Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
-    optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
-    """
-    iterations = program.task.solver.optimum.iterations if iterations is None else iterations
-    form = squared if exact else cubed
-    scale = program.scale
-    known = evaluate(program, start)
-    if known is None:
-        return attempt(program, start)
-    count, size = len(known.rows(form, rows)[0]), known.size
-    seen: list[tuple[float, Array]] = []
-
-    def values(x: Array) -> Values:
-        """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
-        found = evaluate(program, x * scale)
-        if found is None:
-            return nowhere(count, len(x))
-        f, slope = found.objective
-        g, jacobian = found.rows(form, rows)
-        if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
-            seen[:] = [(f, x * scale)]
-            found.note()
-        return Values(f / size, slope * scale / size, g, jacobian * scale)
-
-    optimum = minimise(
-        values, start / scale, program.lower / scale, program.upper / scale, iterations=iterations,
-        strategy=strategy, report=None if report is None else lambda f: report("optimum", f * size),
-    )  # fmt: skip
-    optimum = replace(
-        optimum, x=optimum.x * scale, multipliers=optimum.multipliers * size,
-        bound_multipliers=optimum.bound_multipliers * size / scale,
-    )  # fmt: skip
-    if form is cubed:
-        optimum = folded(optimum, known.groups)
-    reached = attempt(program, optimum.x, optimum)
-    if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
-        return reached
-    # Going round in circles, it has passed something better.
-    inside = np.clip(seen[0][1], program.lower, program.upper)
-    return attempt(program, inside, replace(optimum, x=inside))

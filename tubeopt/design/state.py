@@ -247,11 +247,11 @@ def loaded(plain: Equilibrium, load: Load) -> Equilibrium:
 
 def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, Array]:
     """(3,) m and (3, X) of a load that grows on a pose; raises SolveError where the robot does not bear it there."""
-    plain, names, rows = _unloaded(state, index)
+    pose, chain = state.pose(index), state.chain(index)
+    plain = to_equilibrium(pose.solved, "guess")
     pushed = loaded(plain, load)
-    directions, chain = moving(np.concatenate([rows, np.eye(state.layout.size)[state.free_pieces]]))
-    of = linearise(pushed, names, more=state.piece_changes, along=directions)
-    change = of.tip_position @ chain - state.pose(index).derivatives.tip_position @ state.chain(index)
+    of = linearise(pushed, pose.wrt, more=pose.more, along=pose.along)
+    change = (of.tip_position - pose.derivatives.tip_position) @ chain
     return pushed.tip_position - plain.tip_position, change
 
 
@@ -261,8 +261,8 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
     plain, names, rows = _unloaded(state, index)
     pushed, pieces = loaded(plain, load), np.eye(state.layout.size)[state.free_pieces]
     if load.has_energy:
-        directions, chain = moving(np.concatenate([rows, pieces]))
-        slope = linearise(pushed, names, more=state.piece_changes, along=directions).one_margin @ chain
+        pose, chain = state.pose(index), state.chain(index)
+        slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
     else:
         free = [(step, robots) for _, step, robots in _free_pieces(state)]
         slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
@@ -300,9 +300,8 @@ def _free_pieces(state: State) -> list[tuple[int, float, tuple[ConcentricRobot, 
     for k in state.free_pieces:
         step = STEP * float(space.scale[k])
         row = step * np.eye(len(designs))[k]
-        out.append(
-            (k, step, (ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))))
-        )
+        robots = ConcentricRobot(space.tubes(designs + row)), ConcentricRobot(space.tubes(designs - row))
+        out.append((k, step, robots))
     return out
 
 

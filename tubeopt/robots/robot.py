@@ -132,7 +132,7 @@ def shifts(robot: Robot, translations: ArrayLike | None) -> Array:
 def joint_values(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
     """Rotations (n,), rad, and translations (n,), m, None for home; raises InputError naming what is wrong: not n
     finite numbers, or numbers in another unit."""
-    alpha, shift = vector("rotations", rotations, robot.n_tubes), shifts(robot, translations)
+    shift, alpha = shifts(robot, translations), vector("rotations", rotations, robot.n_tubes)
     check_turn(alpha)
     check_reach(robot.tubes, shift.tolist())
     return alpha, shift
