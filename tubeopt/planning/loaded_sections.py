@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
-from ..robots.order import twisted_tube
+from ..robots.order import last_tube, twisted_tube
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 from .cross_sections import Bending, Drift, Jet, turned
@@ -68,7 +68,8 @@ class Pull:
 
     def twisted(self, ends: Array) -> Index:
         """(E, Q + 1) tubes that those moments twist, where tubes end at (E, n)."""
-        return np.array([[twisted_tube(end, at) for at in self.couples[1]] for end in ends], dtype=np.intp)
+        at_points = [np.array([twisted_tube(end, at) for end in ends], dtype=np.intp) for at in self.at]
+        return np.stack([*at_points, last_tube(ends)], axis=1)
 
     def on(self, s: Array, ends: Array, inside: Array) -> Array:
         """(..., 6) force and moment of what is ahead of arc lengths s (...), on arms whose tubes end at (..., n); where
