@@ -572,3 +572,15 @@ def test_keys_of_a_file() -> None:
     assert entry.build() == Free("piece_bending_factor", (2,), 0.2, 1.0, torsion_share=0.5)
     entry = FreeEntry(tubes=[3], piece_bending_factor=[0.2, 1], slots={"share": 0.3, "one_sided": True})
     assert entry.build() == Free("piece_bending_factor", (2,), 0.2, 1.0, slots=Slots(0.3, one_sided=True))
+
+
+def test_errors_are_allowed_of_even_tubes_that_stay_so_however_they_are_written() -> None:
+    robust = SnapFree(0.05, curvature_error=0.02)
+    halves = tuple(
+        replace(tube, curvature=abs(tube.curvature), pieces=(Piece(tube.curved_length / 2, tube.curvature),) * 2)
+        for tube in THESIS.tubes
+    )
+    lengths = [Free("curved_length", (0, 1, 2), 0.01, 0.2)]
+    assert DesignTask(replace(THESIS, tubes=halves), lengths, [robust], Objective("change")).requirements == (robust,)
+    with pytest.raises(InputError, match=r"^snap_free names errors"):
+        DesignTask(THESIS, [Free("piece_curvature", (0, 1, 2), 0.5, 15.0)], [robust], Objective("change"))

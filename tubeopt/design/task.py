@@ -183,9 +183,8 @@ def _given_poses(task: DesignTask, what: str) -> None:
 
 def _check_pieces(task: DesignTask) -> None:
     """What a design of pieces cannot ask for: bounds for errors of tubes, and what one curvature gives."""
-    if not all(tube.even for tube in task.space.robot_tubes) and any(
-        isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements
-    ):
+    may_vary = any(one.pieces for one in task.space.unknowns) or not all(tube.even for tube in task.space.robot_tubes)
+    if may_vary and any(isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements):
         raise InputError(
             "snap_free names errors of curvature or stiffness; for tubes made of pieces nothing is proved of them: ask "
             "for a larger margin, and look at tolerances"
