@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import re
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 import tubeopt
-from tests.examples import THESIS
+from tests.examples import THESIS, TWO_TUBE
 from tests.public_calls import CALLS, CONSTRUCTORS, ONE, PAIR, home, wrong_values
 from tubeopt import InputError, SolveError
 from tubeopt.arguments import typed
@@ -21,6 +23,9 @@ from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.mirror import mirror_inverse
 from tubeopt.solvers.time_limit import LateError, within
+
+HOLDING_ITSELF: list[Any] = []
+HOLDING_ITSELF.append(HOLDING_ITSELF)
 
 ENOUGH = 0.02
 """s; what is not refused by then was not refused for its type."""
@@ -232,3 +237,20 @@ def test_given_stiffnesses_and_closed_forms_are_not_warned_of() -> None:
 def test_complex_joint_values_are_refused(rotations: object) -> None:
     with pytest.raises(InputError, match="rotations"):
         tubeopt.forward_kinematics(THESIS, rotations)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: tubeopt.RateLimits(translation={}), "translation of the rate limits is {}"),
+        (lambda: tubeopt.RateLimits(translation_acceleration=frozenset()), "at least one number"),
+        (lambda: tubeopt.Tube(1e308, 0.8e-3, 0.1, 0.1, 2.0), "outer_diameter is 1e"),
+        (lambda: tubeopt.forward_kinematics(TWO_TUBE, HOLDING_ITSELF), "rotations is"),
+        (lambda: tubeopt.find_equilibria(TWO_TUBE, [0.0, 0.0], time_limit=10**400), "must be a number"),
+        (lambda: tubeopt.evaluate_reach(TWO_TUBE, ([0.0, 0.0], None), [[0, 0, 0.1]], count=10**400), "a whole number"),
+    ],
+)
+def test_numbers_that_are_none_are_refused(call: Callable[[], object], words: str) -> None:
+    """Empty tables, integers that no float holds, and lists that hold themselves ended in errors of Python."""
+    with pytest.raises(InputError, match=re.escape(words)):
+        call()

@@ -170,12 +170,14 @@ def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> 
 
 def numbers(name: str, value: Any) -> tuple[float, ...]:
     """Return `value`, one number or several, as finite floats, else raise InputError naming it."""
-    if isinstance(value, str):
+    if isinstance(value, str | Mapping):
         raise InputError(f"{name} is {value!r}; it must be numbers")
     try:
         values = tuple(value)
     except TypeError:
         values = (value,)
+    if not values:
+        raise InputError(f"{name} is {value!r}; it must hold at least one number")
     return tuple(finite(name, number) for number in values)
 
 
@@ -183,7 +185,7 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
     """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
     try:
         array = np.array(_only_numbers(value), dtype=float)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise InputError(f"{name} is {value!r}; it must be {size} numbers ({what})") from None
     if array.shape != (size,):
         shape = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
@@ -198,7 +200,7 @@ def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.flo
     """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
     try:
         array = np.array(_only_numbers(value), dtype=float)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise InputError(f"{name} are not an array of numbers") from None
     if array.ndim != dimensions:
         raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")

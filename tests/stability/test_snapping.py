@@ -83,9 +83,9 @@ def test_none_where_the_branch_reaches_the_end() -> None:
     assert snap is not None
     assert snap.fraction == pytest.approx(214.222427 / 214.25, abs=1e-7)
     # A robot that is proved not to snap does not, whichever way it is turned.
-    assert find_snap(unit_pair(0.5, 0.2), ([0.0, 0.0], None), ([20.0, -20.0], None)) is None
+    assert find_snap(unit_pair(0.5, 0.2), ([0.0, 0.0], None), ([9.0, -9.0], None)) is None
     single = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.05, 0.1, 10.0),))
-    assert find_snap(single, ([0.0], [0.0]), ([20.0], [0.02])) is None
+    assert find_snap(single, ([0.0], [0.0]), ([9.0], [0.02])) is None
     assert find_snap(THESIS, ([1.0, 0.0, 0.0], None), ([1.0, 0.0, 0.0], None)) is None
 
 

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from ..typing import Array
 
@@ -43,11 +44,13 @@ class RegistrationError:
     """Spread of the points across the line that is nearest to them, over the spread along it."""
     mirrored: float | None = None
     """Root mean square distance to the best mirror image, m, where that is clearly smaller; else None."""
+    doubtful: float = 1.0
+    """Factor by which the standard errors may be larger (95 %), where few residuals tell them."""
 
     @property
     def too_large(self) -> bool:
         """Whether points near to a line leave the turn so open that a registration is refused."""
-        return self.turn > MOST and self.narrow <= NARROW
+        return self.turn * self.doubtful > MOST and self.narrow <= NARROW
 
 
 def turn_curvature(here: Array, there: Array, weight: Array, turns: Array) -> Array | None:
@@ -96,10 +99,12 @@ def landmark_error(here: Array, there: Array, noise: float | None = None) -> Reg
     the errors of landmarks are taken as independent and of one size, in all directions alike. An error that all of them
     share moves the plate and leaves no trace.
     """
-    count, centre = len(here), there.mean(0)
+    count, centre, doubtful = len(here), there.mean(0), 1.0
     narrow, rms = narrowness(here), math.sqrt(((here - there) ** 2).sum() / count)
     if noise is None:
-        noise = rms * math.sqrt(count / max(3 * count - 6, 1))
+        spare = max(3 * count - 6, 1)
+        noise = rms * math.sqrt(count / spare)
+        doubtful = math.sqrt(spare / scipy.stats.chi2.ppf(0.05, spare))
     hessian = turn_curvature(here - here.mean(0), there - centre, np.ones(count), np.eye(3))
     if hessian is None:
         return RegistrationError(math.inf, math.inf, narrow, mirrored(here, there, rms))
@@ -107,4 +112,4 @@ def landmark_error(here: Array, there: Array, noise: float | None = None) -> Reg
     covariance[:3, :3], covariance[3:, 3:] = np.linalg.inv(hessian), np.eye(3) / count
     length = float(np.linalg.norm(here, axis=1).max())
     turn, reach = standard_errors(noise**2 * covariance, np.eye(3), centre, length)
-    return RegistrationError(turn, reach, narrow, mirrored(here, there, rms))
+    return RegistrationError(turn, reach, narrow, mirrored(here, there, rms), doubtful)

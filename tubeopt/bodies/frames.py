@@ -125,8 +125,8 @@ class Registration:
         known, turn = self.known, math.degrees(self.known.turn)
         words = (
             f"registration by {len(self.errors)} landmarks leaves them {self.rms * 1e3:.2g} mm off (root of the mean "
-            f"square): the plate is known to {turn:.2g} deg, and to {known.reach * 1e3:.2g} mm as far away as the "
-            "farthest landmark (standard errors); no proof knows of this, so let the clearance cover it"
+            f"square): the plate is known to {turn:.2g} deg about every axis, and to {known.reach * 1e3:.2g} mm as far "
+            "away as the farthest landmark (standard errors); no proof knows of this, so let the clearance cover it"
         )
         if known.mirrored is not None:
             words += (
@@ -148,7 +148,7 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
 
     Raises:
         InputError: names that only one of both has, fewer than three landmarks, or all of them on a line, or so near
-            to one that the turn about it is known to more than 5 deg only (standard error).
+            to one that the standard error of the turn about it may be above 5 deg (95 %).
     """
     names = list(plate)
     missing = [name for name in names if name not in patient]
@@ -171,10 +171,12 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
     errors = dict(zip(names, off.tolist(), strict=True))
     found = Registration(frame, errors, landmark_error(here, seen), landmark_error(here, seen, DOUBT))
     if found.known.too_large:
-        known = "not at all" if math.isinf(found.known.turn) else f"to {math.degrees(found.known.turn):.0f} deg only"
+        turn = math.degrees(found.known.turn * found.known.doubtful)
+        known = "not at all" if math.isinf(turn) else f"to {turn:.0f} deg only"
         raise InputError(
-            f"the landmarks fix the plate's turn about the line near which they lie {known} (standard error; at most "
-            f"{math.degrees(MOST):g} deg), since they are {found.rms * 1e3:.2g} mm off (root of the mean square); "
+            f"the landmarks fix the plate's turn about the line near which they lie {known} (95 % limit of the "
+            f"standard error; it must be at most {math.degrees(MOST):g} deg), since they are {found.rms * 1e3:.2g} mm "
+            "off (root of the mean square); "
             "measure one that is farther off the line"
         )
     return found

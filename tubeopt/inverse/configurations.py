@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, vector
+from ..robots.limits import check_turn
 from ..robots.robot import Robot
 from ..typing import Array
 from .joints import JointSpace
@@ -36,6 +37,7 @@ def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
     alpha = vector(f"rotations of {name}", rotations, n)
     home = space.robot.home_translations if translations is None else translations
     shift = vector(f"translations of {name}", home, n)
+    check_turn(alpha)
     space.robot.assembly(shift)
     return space.join(alpha, shift, name)
 

@@ -124,7 +124,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     check_target(robot.tubes, "targets", places)
-    positive("tolerance", tolerance)
+    tolerance = positive("tolerance", tolerance)
     task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)

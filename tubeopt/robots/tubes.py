@@ -17,6 +17,9 @@ from .materials import NITINOL, Material, modulus_doubts
 from .pieces import TWIST, Piece
 from .series import Quantity, extremes
 
+LARGEST = 1e6
+"""m: no tube is so thick, and the fourth power of one that is may be no number."""
+
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
 
@@ -77,6 +80,8 @@ class Tube(Displayed):
         for name in ("inner_diameter", "straight_length", "curved_length"):
             set_field(self, name, positive(name, getattr(self, name), zero=True))
         set_field(self, "curvature", finite("curvature", self.curvature))
+        if self.outer_diameter >= LARGEST:
+            raise InputError(f"outer_diameter is {self.outer_diameter:g} m; it must be less than {LARGEST:g} m")
         if self.inner_diameter >= self.outer_diameter:
             raise InputError(
                 f"inner_diameter is {self.inner_diameter:g} m; it must be less than outer_diameter "

@@ -16,6 +16,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, positive, vector
+from ..robots.limits import check_turn
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
@@ -78,6 +79,7 @@ def trace_branch(
     """
     shift = shifts(robot, translations)
     alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
+    check_turn(np.stack([alpha, beta]))
     if np.allclose(alpha, beta, rtol=0, atol=1e-12):
         raise InputError("start and end are the same rotations; a branch needs a way")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)

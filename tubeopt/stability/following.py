@@ -21,6 +21,7 @@ from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
 from ..errors import InputError, SolveError, vector
 from ..robots.friction import Friction
+from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -267,6 +268,7 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
     home = robot.home_translations if translations is None else translations
     alpha = vector(f"rotations of {name}", rotations, robot.n_tubes)
     shift = vector(f"translations of {name}", home, robot.n_tubes)
+    check_turn(alpha)
     robot.assembly(shift)
     return np.concatenate([alpha, shift])
 

@@ -55,7 +55,7 @@ def choose_parameters(
         InputError: no name, a name that is unknown, given twice, or means nothing for this robot and these data;
             parameters that set the same numbers.
     """
-    if isinstance(names, str) or not names:
+    if isinstance(names, str) or not len(names):
         raise InputError(f"no parameters are named; choose from {', '.join(KINDS)}")
     context = Context(robot, measurements, Setup.of(robot))
     chosen = [_parameter(context, name, registration) for given in names for name in _spelled_out(context, given)]

@@ -11,7 +11,7 @@ import scipy
 from ..arguments import typed
 from ..bodies.frames import Frame, base_frame
 from ..display import Displayed
-from ..errors import InputError, positive
+from ..errors import InputError, finite, positive
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .table import Workspace, held, require_samples
@@ -64,7 +64,7 @@ def shared_workspace(
     """
     if len(workspaces) != 2 or len(bases) != 2:
         raise InputError(f"there are {len(workspaces)} workspaces and {len(bases)} bases; there must be two of each")
-    tips = [_tips(each, min_margin) for each in workspaces]
+    tips = [_tips(each, finite("min_margin", min_margin)) for each in workspaces]
     edge = max(default_size(each) for each in workspaces) if size is None else positive("size", size)
     return _shared(tips, (bases[0], bases[1]), edge)
 
@@ -115,7 +115,7 @@ def place_pair(
             "than 0, and no more than the most"
         )
     edge = shared_workspace(workspaces, (Frame(), Frame()), size=size, min_margin=min_margin).size
-    tips = [_tips(each, min_margin) for each in workspaces]
+    tips = [_tips(each, finite("min_margin", min_margin)) for each in workspaces]
     tilt = positive("most_tilt", most_tilt, zero=True)
 
     def bases(x: Array) -> tuple[Frame, Frame]:
