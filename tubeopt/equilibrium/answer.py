@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..block.transcription import arm as arms
 from ..block.transcription.arm import CollocationPoints, Found
@@ -161,14 +160,17 @@ def built(
 def error_of(equilibrium: Equilibrium) -> float:
     """`largest_error` of an equilibrium; under a load by the whole length of the arm."""
     even = equilibrium.load is not None or is_even(equilibrium.robot)
-    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, equilibrium.arc_length[-1], even=even))
+    length = float(equilibrium.arc_length[-1])
+    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
 
 
-def largest_error(theta: ArrayLike, tip: ArrayLike, length: ArrayLike, *, even: bool = True) -> Array:
+def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> Any:
     """Estimated error of theta, rad, or of the tip, m, as a fraction of the arm's length, m, whichever is larger; where
     tubes are not `even`, as a fraction of at most SHORT."""
-    by = np.maximum(length, 1e-300)
-    return np.asarray(np.maximum(theta, tip / (by if even else np.minimum(by, SHORT))))
+    # Numbers are compared by Python: NumPy takes longer for one than the kernel for a piece.
+    least, most = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
+    by = most(length, 1e-300)
+    return most(theta, tip / (by if even else least(by, SHORT)))
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------

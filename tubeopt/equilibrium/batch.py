@@ -261,7 +261,7 @@ def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
     """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     length, n = (np.minimum(shift, straight) + curved).max(1), robot.n_tubes
-    return largest_error(found[:, n + 14], found[:, n + 15], length, even=is_even(robot)) <= tolerance
+    return np.asarray(largest_error(found[:, n + 14], found[:, n + 15], length, even=is_even(robot)) <= tolerance)
 
 
 def _grow_rows(

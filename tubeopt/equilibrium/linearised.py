@@ -38,6 +38,9 @@ from .result import Equilibrium, refuse_friction
 FLAT = 1 - 1e-9
 """Margin above which nothing softens: the greatest value, 1, which does not change."""
 
+SOLVED = 1e-6
+"""Rotations (rad) at the points are off by less than this from what their torques make of those at the plate."""
+
 APART = 1e-7
 """Margins of either sign smaller than this are those of a fold."""
 
@@ -212,4 +215,9 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
         loaded = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
         problem, burden = loaded.torsion, Burden(loaded.load, loaded.force, loaded.couples)
     solved = sample_rotation(equilibrium, problem.arc_length)
-    return Responsive(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)
+    arm = Responsive(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)
+    unlike = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()
+    off = float(np.abs(unlike[problem.flat]).max(initial=0.0))
+    if off > SOLVED:
+        raise SolveError(f"the equilibrium is a fold or was not solved: its rotations are off by {off:.1e} rad")
+    return arm
