@@ -243,10 +243,13 @@ def test_complex_joint_values_are_refused(rotations: object) -> None:
     ("call", "words"),
     [
         (lambda: tubeopt.RateLimits(translation={}), "translation of the rate limits is {}"),
-        (lambda: tubeopt.RateLimits(translation_acceleration=frozenset()), "at least one number"),
+        (
+            lambda: tubeopt.RateLimits(translation_acceleration=frozenset()),
+            "is empty; it must hold at least one number",
+        ),
         (lambda: tubeopt.Tube(1e308, 0.8e-3, 0.1, 0.1, 2.0), "outer_diameter is 1e"),
         (lambda: tubeopt.forward_kinematics(TWO_TUBE, HOLDING_ITSELF), "rotations is"),
-        (lambda: tubeopt.find_equilibria(TWO_TUBE, [0.0, 0.0], time_limit=10**400), "must be a number"),
+        (lambda: tubeopt.find_equilibria(TWO_TUBE, [0.0, 0.0], time_limit=10**400), "time_limit is"),
         (lambda: tubeopt.evaluate_reach(TWO_TUBE, ([0.0, 0.0], None), [[0, 0, 0.1]], count=10**400), "a whole number"),
     ],
 )

@@ -220,19 +220,14 @@ def _of(wanted: type) -> Callable[[Any], bool]:
     return holds
 
 
-LARGEST = 10**300
-"""Integers that are given for a number are smaller, so that they can be converted."""
-
 MOST = 10**12
 """Whole numbers are smaller: they count, or begin a sequence of random numbers."""
 
 
 def _number(value: Any) -> bool:
     kind = type(value)
-    if kind is float:
+    if kind is float or kind is int:
         return True
-    if kind is int:
-        return -LARGEST < int(value) < LARGEST
     if isinstance(value, np.ndarray):
         return value.ndim == 0 and value.dtype.kind in "fiu"
     return isinstance(value, Real | Decimal) and not isinstance(value, bool | np.bool_)

@@ -15,6 +15,7 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from tests.load_reference import RefLoad, Shooting, of_robot
 from tubeopt import (
     ConcentricRobot,
+    Discretisation,
     Equilibrium,
     InputError,
     Load,
@@ -27,7 +28,8 @@ from tubeopt import (
     load_robot,
 )
 from tubeopt.block.transcription.loaded import evaluate, unknowns
-from tubeopt.equilibrium.answer import point_of
+from tubeopt.equilibrium.answer import point_of, to_equilibrium
+from tubeopt.equilibrium.continuation import Family, reach
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
@@ -372,31 +374,28 @@ def test_random_robots_against_shooting(seed: int) -> None:
     assert e.stable == bool((shooting.determinants(shot) > 0).all())
 
 
-def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -> None:
-    from tubeopt import Discretisation
-    from tubeopt.equilibrium.answer import to_equilibrium
-    from tubeopt.equilibrium.kinematics import ramp
+def under_load(plain: Equilibrium, load: Load, degree: int) -> Equilibrium:
+    """The equilibrium into which one grows with a load, on pieces of so many points."""
+    start = point_of(plain, load, Discretisation(degree=degree))
+    return to_equilibrium(reach(Family.growing(start.member), start), "the load before")
 
+
+def test_the_estimated_error_is_that_of_coarse_meshes(thesis: ConcentricRobot) -> None:
     load = Load((0.3, 0.1, -0.1))
     plain = forward_kinematics(thesis, ROTATIONS)
     exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-11)
     for degree in (2, 3, 4):
-        d = Discretisation(degree=degree)
-        e = to_equilibrium(ramp(plain, load, d), "the load before")
+        e = under_load(plain, load, degree)
         error = float(np.linalg.norm(e.tip_position - exact.tip_position))
         assert error / 2 < e.tip_error < 2 * error
 
 
 def test_the_estimated_error_of_rotations_is_not_below_the_true_one(thesis: ConcentricRobot) -> None:
-    from tubeopt import Discretisation
-    from tubeopt.equilibrium.answer import to_equilibrium
-    from tubeopt.equilibrium.kinematics import ramp
-
     plain = forward_kinematics(thesis, ROTATIONS)
     for load in (Load((0.3, 0.1, -0.1)), Load(gravity=(0.0, -9.81, 0.0))):
         exact = forward_kinematics(thesis, ROTATIONS, load=load, tolerance=1e-12)
         for degree in (2, 3, 4):
-            e = to_equilibrium(ramp(plain, load, Discretisation(degree=degree)), "the load before")
+            e = under_load(plain, load, degree)
             at = np.abs(exact.arc_length[:, None] - e.arc_length)
             mine, its = at.min(0) < 1e-12, at.argmin(0)
             true = np.abs(e.rotation[:, mine] - exact.rotation[:, its[mine]]).max()

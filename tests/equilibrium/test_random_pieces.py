@@ -73,7 +73,7 @@ def test_random_robots_are_where_shooting_puts_them() -> None:
         turned = random.uniform(-math.pi, math.pi, robot.n_tubes)
         found = forward_kinematics(robot, turned, shift)
         beta = shift - np.array([tube.straight_length for tube in robot.tubes])
-        torque = point_of(found, discretisation=discretisation_of(found)).torsion.twist[0]
+        torque = point_of(found, discretisation=discretisation_of(found)).torsion.torque[0]
         shot = shoot(bundle, turned.tolist(), beta.tolist(), torque.tolist())
         assert np.linalg.norm(shot.tip - found.tip_position) < 1e-10
         assert shot.stable == found.stable

@@ -113,7 +113,7 @@ def test_changes_of_pace_need_few_further_equilibria(load: Load | None) -> None:
 
 def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:
     moved = [[0.0, 0, 0], [0.2, 0, 0]]
-    uncovered = Load(force=(1e-3, 0, 0), points=((0.05, (1e-3, 0.0, 0.0)),))
+    uncovered = Load(force=(1e-3, 0, 0), frame="tip")
     proof = verify_trajectory(THESIS, [0, 1], moved, load=uncovered, rate_limits=RateLimits(tip=1.0))
     assert proof.largest_tip_rate == math.inf
     assert math.isfinite(proof.measured_tip_rate)

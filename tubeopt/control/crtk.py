@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, nearest, vector
+from ..errors import InputError, finite, nearest, vector
 from ..files.units import TO_MM
 from ..inverse.configurations import configuration
 from ..typing import Array
@@ -92,7 +92,7 @@ class CrtkRobot:
     """
 
     def __init__(self, servo: Led, *, watchdog: float = 0.1) -> None:
-        if not (math.isfinite(watchdog) and watchdog > 0):
+        if not finite("watchdog", watchdog) > 0:
             raise InputError(f"watchdog is {watchdog:g} s; it must be more than 0")
         self.servo, self.watchdog = servo, watchdog
         self.state = "DISABLED"

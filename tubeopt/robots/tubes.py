@@ -15,7 +15,7 @@ from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_size, check_usual
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
 from .pieces import TWIST, Piece
-from .series import Quantity, extremes
+from .series import Quantity, Series, extremes
 
 LARGEST = 1e6
 """m: no tube is so thick, and the fourth power of one that is may be no number."""
@@ -208,6 +208,8 @@ class Tube(Displayed):
         """Whether all of it has the same stiffnesses, and all of its curved part the same curvature, about x."""
         if not self.pieces:
             return True
+        if isinstance(self.arc, Series):  # it varies along a piece
+            return False
         own = float(self.bending_stiffness), float(self.torsional_stiffness)
         return all(
             precurvature == (self.arc, 0.0, 0.0) and (bending, torsional) == own

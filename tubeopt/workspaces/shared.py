@@ -109,7 +109,7 @@ def place_pair(
         InputError: as `shared_workspace`; distances that leave nothing.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
-    if not 0 < least_distance <= most_distance:
+    if not 0 < finite("least_distance", least_distance) <= finite("most_distance", most_distance):
         raise InputError(
             f"the plates stand {least_distance * 1e3:g} to {most_distance * 1e3:g} mm apart; the least must be greater "
             "than 0, and no more than the most"
