@@ -1,0 +1,295 @@
+"""The check that texts are plain technical English: words, sentence length, and how a description begins.
+
+    python .ci/prose.py                 check what is converted; exit code 1 with a list of faults
+    python .ci/prose.py --all           the same of everything
+    python .ci/prose.py --count         faults of every part, converted or not
+    python .ci/prose.py --catalogue     print every help text, message, key and status for a reviewer
+
+The words are those of the table in docs/style.md. `PENDING` names what is not converted yet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import fnmatch
+import functools
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+LONGEST = 30
+"""Words of a sentence; writers aim at 20."""
+
+PENDING = (
+    "help",
+    "key *",
+    "label *",
+    "message *",
+    "docstring *",
+    "[A-Z]*.md",
+    *(
+        f"docs/{page}.md"
+        for page in (
+            "anatomy",
+            "api",
+            "benchmark",
+            "command-line",
+            "comparison",
+            "control",
+            "data",
+            "design",
+            "eccentric",
+            "files",
+            "first-tube",
+            "heating",
+            "how-to-choose",
+            "index",
+            "install",
+            "inverse",
+            "json",
+            "loads",
+            "many",
+            "med-rad",
+            "model-error",
+            "mold",
+            "own-problem",
+            "planning",
+            "several-arms",
+            "stability",
+            "theory",
+            "tubes",
+            "tutorial",
+            "validation",
+            "view",
+        )
+    ),
+)
+"""Parts that are not converted, as patterns of their names. Remove a name when its part is rewritten."""
+
+STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b(?! (is|are)\b)")
+"""How a description must not begin: the noun or the verb comes first."""
+
+CALLS = re.compile(r"(Error|Exit|warn|warning|info|implausible|BadParameter)$")
+"""Functions and errors with a message for a user."""
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text that a user reads."""
+
+    part: str
+    """Page, or kind and module."""
+    where: str
+    text: str
+    description: bool = False
+    """It describes a thing: its noun or verb comes first."""
+
+
+@functools.cache
+def rules() -> tuple[re.Pattern[str], dict[str, str]]:
+    """Pattern of all that is not written, and for each phrase what is written instead, from the style guide."""
+    page = (ROOT / "docs" / "style.md").read_text(encoding="utf-8")
+    table = page.partition("## Words to avoid")[2]
+    rows = re.findall(r"^\| (`.*?) \| (.*?) \|", table, re.MULTILINE)
+    instead = {phrase: words for phrases, words in rows for phrase in re.findall("`(.*?)`", phrases)}
+    longest_first = sorted(instead, key=len, reverse=True)
+    any_of = "|".join(re.escape(phrase).replace("\\#", r"\d+") for phrase in longest_first)
+    return re.compile(rf"(?<![\w-])(?:{any_of})(?![\w-])", re.IGNORECASE), instead
+
+
+@functools.cache
+def allowed() -> re.Pattern[str]:
+    """Fixed phrases in which a word of the table is right."""
+    page = (ROOT / "docs" / "style.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^Allowed phrases: (.*)$", page, re.MULTILINE)
+    return re.compile("|".join(re.escape(phrase) for phrase in re.findall("`(.*?)`", line)), re.IGNORECASE)
+
+
+def faults(text: Text) -> Iterator[str]:
+    """What is against the style guide in a text."""
+    plain = allowed().sub("...", re.sub(r"`[^`]*`", "code", text.text))
+    pattern, instead = rules()
+    for found in pattern.finditer(plain):
+        yield f"{text.where}: '{found[0]}': {instead[re.sub(r'[0-9]+', '#', found[0].lower())]}"
+    if text.description and STARTS.match(plain):
+        yield f"{text.where}: begins with '{plain.split()[0]}': begin with the noun or the verb: {plain[:60]}"
+    for sentence in re.split(r"(?<=[.?!])[\"')*]* +(?=[A-Z`*\"(\[])|\n", plain):
+        count = len(re.findall(r"[A-Za-z]{2,}[\w'-]*|\ba\b", sentence))
+        if count > LONGEST:
+            yield f"{text.where}: a sentence of {count} words: {sentence.strip()[:70]}..."
+
+
+def texts() -> Iterator[Text]:
+    """All texts that users read."""
+    yield from _helps()
+    yield from _sources()
+    yield from _docstrings()
+    for page in [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]:
+        yield from _page(page)
+
+
+def _helps() -> Iterator[Text]:
+    from tubeopt.cli.app import program
+
+    def _of(group: Any, words: str) -> Iterator[Text]:
+        for name, command in group.commands.items():
+            full = f"{words} {name}"
+            if command.help:
+                yield Text("help", full, command.help, description=True)
+            if hasattr(command, "commands"):
+                yield from _of(command, full)
+                continue
+            made = command.command
+            for option in made.params:
+                if option.help:
+                    yield Text("help", f"{full} {option.opts[0]}", option.help, description=True)
+            if made.epilog:
+                yield Text("help", f"{full} (note)", made.epilog.partition("Example: ")[0].strip())
+
+    yield from _of(program(), "tubeopt")
+
+
+def _sources() -> Iterator[Text]:
+    """Messages of errors and warnings, sentences of status, labels of quantities and keys."""
+    for path in sorted((ROOT / "tubeopt").rglob("*.py")):
+        module = path.relative_to(ROOT).as_posix()
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            where = f"{module}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, ast.Call) and CALLS.search(_name(node.func)):
+                for part in node.args[:1]:
+                    if words := _words(part):
+                        yield Text(f"message {module}", where, words)
+            elif isinstance(node, ast.Call) and _name(node.func) == "Quantity":
+                for part in (*node.args[1:2], *(one.value for one in node.keywords if one.arg in ("label", "words"))):
+                    if words := _words(part):
+                        yield Text(f"label {module}", where, words)
+            elif isinstance(node, ast.Call):
+                for part in (one.value for one in node.keywords if one.arg == "description"):
+                    if words := _words(part):
+                        yield Text(f"key {module}", where, words, description=True)
+            elif isinstance(node, ast.ClassDef) and "Sentence" in {_name(base) for base in node.bases}:
+                for member in node.body:
+                    if isinstance(member, ast.Assign) and (words := _words(member.value)):
+                        yield Text(f"message {module}", f"{module}:{member.lineno}", words)
+            elif isinstance(node, ast.Subscript) and _name(node.value) == "Annotated":
+                for part in getattr(node.slice, "elts", ())[1:]:
+                    if isinstance(part, ast.Constant | ast.JoinedStr) and (words := _words(part)):
+                        yield Text(f"key {module}", where, words, description=True)
+
+
+def _docstrings() -> Iterator[Text]:
+    """Docstrings of public names, of their methods and of their fields."""
+    import tubeopt
+
+    homes = {getattr(getattr(tubeopt, name), "__module__", None): name for name in tubeopt.__all__}
+    for home in sorted(each for each in homes if each and each.startswith("tubeopt.")):
+        path = ROOT / f"{home.replace('.', '/')}.py"
+        if not path.exists():
+            path = ROOT / home.replace(".", "/") / "__init__.py"
+        module = path.relative_to(ROOT).as_posix()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if getattr(node, "name", None) in tubeopt.__all__:
+                yield from _documented(node, module)
+
+
+def _documented(node: Any, module: str) -> Iterator[Text]:
+    parts = [node, *(node.body if isinstance(node, ast.ClassDef) else ())]
+    for part, after in zip(parts, [*parts[1:], None], strict=True):
+        words, line = None, getattr(part, "lineno", 0)
+        if isinstance(part, ast.FunctionDef | ast.ClassDef) and not part.name.startswith("_"):
+            words = ast.get_docstring(part)
+        elif isinstance(part, ast.AnnAssign) and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            words = str(after.value.value)
+        if words:
+            prose = words.partition(">>>")[0]
+            flat = re.sub(r"(?<!\n)\n(?!\n| *[-\w*`, ]+: )", " ", prose)
+            yield Text(f"docstring {module}", f"{module}:{line}", flat, description=True)
+
+
+def _name(node: ast.expr) -> str:
+    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+
+
+def _words(node: ast.expr) -> str:
+    """The text of a literal; what is put into it stands as {}."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else ""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(_words(part) if isinstance(part, ast.Constant) else "{}" for part in node.values)
+    if isinstance(node, ast.BinOp):
+        return _words(node.left) + _words(node.right)
+    if isinstance(node, ast.IfExp):
+        return f"{_words(node.body)}\n{_words(node.orelse)}".strip()
+    return ""
+
+
+def _page(path: Path) -> Iterator[Text]:
+    """Paragraphs, items and cells of a page of Markdown, without code and formulas."""
+    name = path.relative_to(ROOT).as_posix()
+    text = path.read_text(encoding="utf-8")
+    if name == "docs/style.md":  # its table has the words on purpose
+        text = text.partition("## Words to avoid")[0]
+    hidden = re.compile(r"^```.*?^```|^    .*?$|\$\$.*?\$\$|<!--.*?-->", re.MULTILINE | re.DOTALL)
+    text = hidden.sub(lambda found: re.sub(r"[^\n]", "", found[0]), text)
+    text = re.sub(r"\$[^$\n]+\$", "x", text)
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    block: list[str] = []
+    first = 1
+    for number, line in enumerate([*text.split("\n"), ""], start=1):
+        if line.startswith("|"):
+            for cell in line.strip("|").split("|"):
+                yield Text(name, f"{name}:{number}", cell.strip())
+            continue
+        starts = re.match(r" *([-*]|\d+\.) |#|!!!", line)
+        if (starts or not line.strip()) and block:
+            yield Text(name, f"{name}:{first}", " ".join(block))
+            block = []
+        if line.strip():
+            first = first if block else number
+            block.append(line.strip())
+
+
+def _is_pending(part: str) -> bool:
+    return any(fnmatch.fnmatchcase(part, pattern) for pattern in PENDING)
+
+
+def main() -> int:
+    """Check, count or print the texts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for flag, words in (
+        ("--all", "check what is pending too"),
+        ("--count", "faults and words of every part"),
+        ("--catalogue", "print all texts but pages"),
+    ):
+        parser.add_argument(flag, action="store_true", help=words)
+    asked = parser.parse_args()
+    if asked.catalogue:
+        for text in texts():
+            if not text.part.endswith(".md"):
+                print(f"{text.where}\n    {text.text}")
+        return 0
+    found: dict[str, list[str]] = {}
+    for text in texts():
+        found.setdefault(text.part, []).extend(faults(text))
+    if asked.count:
+        for part, each in found.items():
+            print(f"{len(each):5d}  {part}{'  (pending)' if _is_pending(part) else ''}")
+        return 0
+    shown = [one for part, each in found.items() if asked.all or not _is_pending(part) for one in each]
+    print("\n".join(shown) if shown else "prose: no faults")
+    stale = [one for one in PENDING if not any(fnmatch.fnmatchcase(part, one) and each for part, each in found.items())]
+    if stale:
+        print(f"pending without a fault; remove from PENDING: {', '.join(stale)}")
+    return 1 if shown or stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
