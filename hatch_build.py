@@ -1,4 +1,4 @@
-"""The build of a wheel: the compiled kernels go into it where there is a C compiler."""
+"""The build of a wheel: `configs/` goes into it, and the compiled kernels where there is a C compiler."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ class KernelHook(BuildHookInterface):
         """Add them to the wheel, which then is for this platform; an editable install compiles at first use."""
         if version == "editable":
             return
+        # Robots, rigs and studies that are typed by their name: one source, in `configs/`.
+        build_data["force_include"]["configs"] = "tubeopt/configs"
         sys.path.insert(0, self.root)
         from tubeopt.solvers.compiled.wheel import package_kernels
 

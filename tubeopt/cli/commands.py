@@ -243,7 +243,9 @@ COMMANDS: dict[str, Asked | str] = {
         arguments={"robot": ("[ROBOT.yaml]", "Robot whose tube it is.")},
         example="tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1",
     ),
+    "robot list": "robot.list_robots",
     "robot show": "robot.show",
+    "list": "robot.list_files",
 }
 """What is typed after `tubeopt` -> the study that it asks, or the module of this package and function that it runs."""
 

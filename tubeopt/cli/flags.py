@@ -29,6 +29,7 @@ from pydantic.fields import FieldInfo
 from ..errors import InputError, SolveError
 from ..files.checked import Entry, check, check_kind
 from ..files.plausible import marks_in
+from ..files.shipped import found, resolved
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
@@ -36,6 +37,7 @@ from ..runs.base import Study
 from ..runs.study_file import STUDY_KINDS
 from ..show.progress import working
 from ..show.reports import report
+from . import completion
 from .commands import ROBOT, Asked, flowing
 from .failures import told_by_flag
 from .interruption import keeping
@@ -145,10 +147,10 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
 
     @contextmanager
     def _question(typed: Mapping[str, Any]) -> Iterator[F]:
-        path = typed["study"]
+        path = found(typed["study"], "studies")
         given = {
             # A file that is typed is relative to where one is, not to the study.
-            key: str(Path(value).absolute()) if isinstance(value, str) and _is_file(keys.fields[key]) else value
+            key: str(resolved(value).absolute()) if isinstance(value, str) and _is_file(keys.fields[key]) else value
             for key, value in keys.given(typed).items()
         }
         typed_sets = [one for one in study.either if not one.isdisjoint(given)]
@@ -255,7 +257,7 @@ def _parameter(key: str, kind: Any, option: Any, default: Any = inspect.Paramete
 
 
 def _argument(key: str, metavar: str, words: str, *, required: bool) -> inspect.Parameter:
-    option = typer.Argument(metavar=metavar, help=words, show_default=False)
+    option = typer.Argument(metavar=metavar, help=words, show_default=False, autocompletion=completion.files(key))
     return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
@@ -269,8 +271,23 @@ def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None) -
         metavar=None if kind is bool else _metavar(key, field),
         help=_sentence(field),
         show_default=default is not None,
+        autocompletion=_completion(key, field),
     )
     return _parameter(key, kind | None if default is None else kind, option, default)
+
+
+def _completion(key: str, field: FieldInfo) -> completion.Completion | None:
+    """What completes the value of a flag in the shell, where that is a file or a word."""
+    if _is_file(field):
+        return completion.files(key)
+    choices = _choices(field)
+    return completion.words(choices) if choices else None
+
+
+def _choices(field: FieldInfo) -> tuple[str, ...]:
+    """The words of which a key is one."""
+    kind = _plain(field.annotation)
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _usual(field: FieldInfo) -> str | bool | None:
@@ -334,7 +351,9 @@ def _metavar(key: str, field: FieldInfo) -> str:
         return "N"
     if kind is Decimal:
         return unit_of(key).upper() or "X"
-    return "FILE" if _is_file(field) else "WORD"
+    if _is_file(field):
+        return "FILE"
+    return f"[{'|'.join(_choices(field))}]" if _choices(field) else "WORD"
 
 
 def _plain(annotation: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`tubeopt robot`: what a robot is made of, and whether it can be built."""
+"""`tubeopt robot` and `tubeopt list`: what a robot is made of, whether it can be built, and which come with tubeopt."""
 
 from __future__ import annotations
 
@@ -6,17 +6,47 @@ from typing import Annotated
 
 import typer
 
+from ..errors import choice
 from ..robots.file import load_robot
+from ..runs.shipped_files import shipped_files, shipped_folders
 from ..show.reports import report
 from .commands import ROBOT
+from .completion import files, words
 from .flags import command
 from .output import Output, can_be_saved, present
 
 
 @command("tubeopt robot show configs/robots/thesis_ctr.yaml")
 def show(
-    robot: Annotated[str, typer.Argument(metavar=ROBOT[0], help=ROBOT[1], show_default=False)], output: Output
+    robot: Annotated[
+        str,
+        typer.Argument(metavar=ROBOT[0], help=ROBOT[1], show_default=False, autocompletion=files("robot")),
+    ],
+    output: Output,
 ) -> None:
     """Stiffness, strain and fit of every tube, with warnings."""
     can_be_saved(output.out)
     present(report(load_robot(robot)), output)
+
+
+@command("tubeopt robot list")
+def list_robots(output: Output) -> None:
+    """The robots that come with tubeopt and are typed by their name, as in `tubeopt fk thesis_ctr`."""
+    can_be_saved(output.out)
+    present(report(shipped_files("robots")), output)
+
+
+@command("tubeopt list rigs")
+def list_files(
+    output: Output,
+    folder: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[FOLDER]", help="Only robots, rigs, studies, ...", autocompletion=words(shipped_folders())
+        ),
+    ] = None,
+) -> None:
+    """The files that come with tubeopt and are typed by their name: robots, rigs, studies, targets, ..."""
+    can_be_saved(output.out)
+    chosen = "*" if folder is None else choice("FOLDER", folder, shipped_folders())
+    present(report(shipped_files(chosen)), output)

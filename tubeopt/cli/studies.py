@@ -14,6 +14,7 @@ from ..runs.sweeping import SWEEP_LIMIT, Sweep
 from ..runs.sweeping import sweep as run_sweep
 from ..show.progress import working
 from ..show.reports import report, to_dict
+from .completion import files
 from .flags import answer, command
 from .interruption import keeping
 from .output import Output, can_be_saved, present
@@ -21,7 +22,10 @@ from .output import Output, can_be_saved, present
 
 @command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
 def run(
-    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False)], output: Output
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False, autocompletion=files("study"))
+    ],
+    output: Output,
 ) -> None:
     """Run the study that a file describes. Ends as the command of its kind does."""
     answer(load_study(study), output)
@@ -29,7 +33,12 @@ def run(
 
 @command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")
 def sweep(
-    study: Annotated[str, typer.Argument(metavar="STUDY.yaml", help="Study of kind sweep.", show_default=False)],
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY.yaml", help="Study of kind sweep.", show_default=False, autocompletion=files("study")
+        ),
+    ],
     output: Output,
     workers: Annotated[
         int, typer.Option(metavar="N", help="Processes on this machine; 0 is one per core, 1 this one.")

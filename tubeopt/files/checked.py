@@ -22,6 +22,7 @@ from pydantic import (
 
 from ..errors import InputError, nearest, undoubted
 from .plausible import models, suspects
+from .shipped import resolved, shipped
 from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, meant, parted, shown, to_si, unit_of
 
 LOGGER = logging.getLogger(__name__)
@@ -90,7 +91,8 @@ def _in_si(value: Any, unit: str) -> Any:
 def in_file(
     read: Callable[..., Any], what: str, *, kind: Any = None, of: str = "", named: bool = False
 ) -> PlainValidator:
-    """Mark a key as the path of a file, relative to the one that it stands in; its value is what is read from there.
+    """Mark a key as the path of a file, relative to the one that it stands in, or as the name of one that comes with
+    tubeopt; its value is what is read from there.
 
     Args:
         read: path -> what the file holds.
@@ -105,9 +107,9 @@ def in_file(
             return value
         if not isinstance(value, str):
             raise ValueError(f"is {shown(value)}; it must be the path of {what}")
-        path = info.context["directory"] / value if info.context else value
+        path = resolved(value, info.context["directory"]) if info.context else resolved(value)
         if info.context:
-            info.context["files"][info.field_name] = str(path)
+            info.context["files"][info.field_name] = value if shipped().get(value) == path else str(path)
         if of and of not in info.data:  # it has problems itself; it is None where it was left out
             return None
         found = read(path, info.data[of]) if of else read(path)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, MissingExtraError
+from .shipped import NAME, alike, shipped
 
 LOGGER = logging.getLogger(__name__)
 
@@ -84,14 +85,20 @@ def save_arrays(path: str | PathLike[str], /, **arrays: Any) -> Path:
 
 
 def no_such_file(path: str | PathLike[str]) -> InputError:
-    """That a file is missing, and the one beside it that is called much the same."""
+    """That a file is missing, and which is called much the same, beside it or of those that come with tubeopt."""
     file = Path(path)
     try:
         others = [each.name for each in islice(file.parent.iterdir(), MANY)]
     except OSError:
         others = []
-    alike = difflib.get_close_matches(file.name, others, n=1, cutoff=ALIKE)
-    return InputError(f"{path}: there is no such file" + "".join(f"; did you mean {file.with_name(k)}?" for k in alike))
+    close = difflib.get_close_matches(file.name, others, n=1, cutoff=ALIKE)
+    hint = "".join(f"; did you mean {file.with_name(k)}?" for k in close)
+    named = shipped().get(file.stem)
+    if not hint and named is not None and file.name in (named.stem, named.name):
+        hint = f"; the one that comes with tubeopt is typed by its name alone, {file.stem}"
+    elif not hint and NAME.fullmatch(file.name):
+        hint = alike(path)
+    return InputError(f"{path}: there is no such file{hint}")
 
 
 def read_bytes(path: str | PathLike[str]) -> bytes:

@@ -16,6 +16,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.csv_file import read_csv, to_csv
 from ..files.files import read_text, write_text
+from ..files.shipped import resolved
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
 from ..robots.load import Load
@@ -146,7 +147,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     table = read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
         raise InputError(f"{path}: the file names no robot; give --robot ROBOT.yaml")
-    own = robot if robot is not None else load_robot(Path(path).parent / named[0])
+    own = robot if robot is not None else load_robot(resolved(named[0], Path(path).parent))
     turns, shifts = joint_columns(own.n_tubes)
     moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)

@@ -21,6 +21,7 @@ from ..files.checked import NotNegative, Number, Positive, check_kind
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.files import write_text
 from ..files.marks import Usual
+from ..files.shipped import found
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, to_yaml
 from .calibration import TABLES, Calibration
@@ -232,17 +233,20 @@ ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[Segme
 
 @typed
 def load_robot(path: str | PathLike[str]) -> AnyRobot:
-    """The robot in a YAML file.
+    """The robot in a YAML file, or the one of this name that comes with tubeopt (`tubeopt robot list` shows them).
+
+    A file of exactly this path goes first.
 
     Raises:
-        InputError: no such file, not YAML, or keys or values that make no robot: one line for every problem.
+        InputError: no such file or name, not YAML, or keys or values that make no robot: one line for every problem.
 
     Examples:
         >>> import tubeopt
-        >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
+        >>> robot = tubeopt.load_robot("two_tube")
         >>> robot.n_tubes
         2
     """
+    path = found(path, "robots")
     return robot_from_dict(load_yaml(path), path)
 
 

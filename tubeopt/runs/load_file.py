@@ -10,6 +10,7 @@ from pydantic import Field, PlainValidator, ValidationInfo
 from ..errors import InputError
 from ..files.checked import Entry, Triple, check
 from ..files.fields import EntryOf, Part, asking, described, extended, values
+from ..files.shipped import resolved
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
 from .base import Study
@@ -49,7 +50,7 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     if value is None or isinstance(value, LoadEntry):
         return value
     if isinstance(value, str):
-        return load_entry(info.context["directory"] / value if info.context else value)
+        return load_entry(resolved(value, info.context["directory"]) if info.context else resolved(value))
     return check(LoadEntry, value, "")
 
 

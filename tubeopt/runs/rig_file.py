@@ -16,6 +16,7 @@ from ..errors import InputError, nearest
 from ..files.checked import Positive, check_kind
 from ..files.csv_file import CsvTable, read_csv, refuse
 from ..files.fields import Part, asking, entry_of, to_data
+from ..files.shipped import found
 from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
@@ -53,17 +54,18 @@ RIG_KINDS: dict[str, type[Part]] = {"rig": RigEntry}
 
 @typed
 def load_rig(path: str | PathLike[str]) -> Rig:
-    """The rig in a YAML file.
+    """The rig in a YAML file, or the one of this name that comes with tubeopt; a file of exactly this path goes first.
 
     Raises:
-        InputError: no such file, not YAML, or keys or values that make no rig: one line for every problem.
+        InputError: no such file or name, not YAML, or keys or values that make no rig: one line for every problem.
 
     Examples:
         >>> import tubeopt
-        >>> rig = tubeopt.load_rig("configs/rigs/thesis_steel.yaml")
+        >>> rig = tubeopt.load_rig("thesis_steel")
         >>> rig.mold.material.name
         'steel'
     """
+    path = found(path, "rigs")
     return rig_from_dict(load_yaml(path), path)
 
 

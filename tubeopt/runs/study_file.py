@@ -10,6 +10,7 @@ from typing import cast
 
 from ..errors import InputError
 from ..files.checked import check_kind
+from ..files.shipped import found
 from ..files.yaml_file import load_yaml
 from .base import Kinds, Study
 
@@ -48,11 +49,12 @@ STUDY_KINDS = Kinds(
 
 
 def load_study(path: str | PathLike[str]) -> Study:
-    """The study in a YAML file, its robot loaded; call its `run` for the answer.
+    """The study in a YAML file, or of this name, its robot loaded; call its `run` for the answer.
 
     Raises:
-        InputError: no such file, not YAML, or keys or values that make no study: one line for every problem.
+        InputError: no such file or name, not YAML, or keys or values that make no study: one line for every problem.
     """
+    path = found(path, "studies")
     data = load_yaml(path)
     if data.get("kind") == "sweep":
         raise InputError(f"{path}: kind is 'sweep'; that is run by `tubeopt sweep`")

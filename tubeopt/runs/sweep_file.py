@@ -27,6 +27,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ..errors import InputError, nearest
 from ..files.checked import Entry, Number, Whole, check, check_kind, path_of
+from ..files.shipped import found, resolved
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
@@ -156,6 +157,7 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         InputError: no such file, not YAML, keys or values that make no sweep or no study, a key to vary that the study
             does not have. Values that make no robot are the failure of their own points.
     """
+    path = found(path, "studies")
     source, typed = load_yaml(path), str(path)
     entry = check(SweepEntry, source, path)
     path = Path(path).absolute()
@@ -181,7 +183,7 @@ def _study(study: str | Data, path: Path) -> tuple[Data, Path]:
     """Data of the study and the file that they are from, checked as they stand."""
     where = path
     if isinstance(study, str):
-        where = path.parent / study
+        where = resolved(study, path.parent)
         study = load_yaml(where)
     check_kind(STUDY_KINDS, study, where)
     return dict(study), where
@@ -191,7 +193,7 @@ def _with_file(name: str, data: Data, where: Path, keys: tuple[str, ...]) -> Dat
     """The study with what is in a file that it names: as data where keys go into it, else built."""
     if not isinstance(data.get(name), str) or name in keys:
         return data
-    file = where.parent / data[name]
+    file = resolved(data[name], where.parent)
     content = _anchored(load_yaml(file), file.parent)
     inside = any(key.startswith(f"{name}.") for key in keys)
     return {**data, name: content if inside else FILES[name](content, data[name])}
@@ -255,7 +257,7 @@ def _fingerprint(data: Data, where: Path, source: Data) -> str:
 def _named(data: object, directory: Path, seen: set[Path]) -> Iterator[bytes]:
     """Contents of the files that are named in data, and in those files."""
     for text in _texts(data):
-        file = (directory / text).resolve() if len(text) < 1024 and "\0" not in text else directory
+        file = resolved(text, directory).resolve() if len(text) < 1024 and "\0" not in text else directory
         if file.is_file() and file not in seen:
             seen.add(file)
             yield file.read_bytes()

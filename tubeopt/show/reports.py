@@ -37,6 +37,7 @@ MODULES = {
     "rig_page": ("HeatingRun",),
     "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
     "served_report": ("Viewed", "Served"),
+    "shipped_report": ("ShippedFiles",),
     "snap_report": ("Equilibria", "Way", "Path", "RobotMap"),
     "sweep_report": ("Sweep",),
     "validation_report": ("Comparison", "Validation", "Fit"),

@@ -1,0 +1,100 @@
+"""Commands in a folder without files: robots, rigs and studies by their names, in the shell too."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import Run, answer, refused
+from tubeopt.files.shipped import shipped
+
+
+@pytest.fixture(autouse=True)
+def _empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_fk_by_name_draws_its_picture(run: Run, tmp_path: Path) -> None:
+    told = answer(run("fk", "thesis_ctr", "--rotations-deg", "0,90,180", "--out", "results", "--json"))
+    assert told["tip_position_mm"] == pytest.approx([70.75080462, -4.22996685, 177.38526469], abs=1e-7)
+    assert {path.name for path in (tmp_path / "results").iterdir()} >= {"result.json", "shape.png", "torsion.png"}
+
+
+@pytest.mark.parametrize(
+    ("typed", "key"),
+    [
+        (("run", "thesis_snap"), "snap"),
+        (("ik", "thesis_ctr", "--targets", "arc"), "targets"),
+        (("follow", "thesis_ctr", "turn_and_back"), "snaps"),
+        (("verify", "turn_and_back", "--robot", "two_tube"), "error"),
+        (("mold", "thesis_etr", "--mold", "calcium_silicate"), "thickness_mm"),
+        (("robot", "show", "timc_ctr"), "tubes"),
+    ],
+)
+def test_other_commands_by_name(run: Run, typed: tuple[str, ...], key: str) -> None:
+    assert key in json.loads(run(*typed, "--json").out)
+
+
+def test_a_study_by_name_takes_another_robot_by_name(run: Run) -> None:
+    lines = refused(run("plan", "plan_thesis_turn", "--robot", "two_tube"))
+    assert lines[0].endswith("start_deg has 3 numbers; it must be 2 (one per tube)")
+
+
+def test_a_certificate_names_the_robot_as_typed(run: Run) -> None:
+    told = run("certify", "two_tube")
+    assert told.code == 3
+    assert "tubeopt snap two_tube --" in told.out
+
+
+def test_a_name_of_nothing_is_one_sentence(run: Run) -> None:
+    (line,) = refused(run("fk", "thesis_crt"))
+    assert line.startswith(
+        "thesis_crt: there is no such file, and no robot of this name comes with tubeopt; did you mean thesis_ctr"
+    )
+    (line,) = refused(run("fk", "configs/robots/thesis_ctr.yaml"))
+    assert line.endswith("the one that comes with tubeopt is typed by its name alone, thesis_ctr")
+
+
+def test_lists(run: Run) -> None:
+    told = answer(run("robot", "list", "--json"))["shipped"]
+    assert [robot["name"] for robot in told] == list(shipped("robots"))
+    (thesis,) = (robot for robot in told if robot["name"] == "thesis_ctr")
+    assert thesis == {
+        "name": "thesis_ctr",
+        "folder": "robots",
+        "kind": "concentric",
+        "tubes": 3,
+        "about": "The three-tube concentric tube robot of the thesis",
+    }
+    lines = run("robot", "list").out.splitlines()
+    assert lines[0].split() == ["name", "kind", "tubes"]
+    assert len(lines) == 1 + len(told)
+    assert len(answer(run("list", "--json"))["shipped"]) == len(shipped())
+    assert [line.split()[0] for line in run("list", "rigs").out.splitlines()[1:]] == list(shipped("rigs"))
+    (line,) = refused(run("list", "rig"))
+    assert line.endswith("; did you mean 'rigs'?")
+
+
+def completed(*words: str) -> list[str]:
+    """What bash proposes for the last word."""
+    typed = {"_TUBEOPT_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    script = "from tubeopt.cli.start import main; main([])"
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=os.environ | typed, capture_output=True, text=True, check=False)
+    return done.stdout.split()
+
+
+def test_the_shell_completes_names_files_and_words(tmp_path: Path) -> None:
+    shutil.copy(shipped()["two_tube"], "those.yaml")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "text.txt").write_text("")
+    assert completed("tubeopt", "fk", "th") == ["thamo_ctr", "thesis_ctr", "thesis_etr", "there/", "those.yaml"]
+    assert completed("tubeopt", "fk", "thesis_ctr", "--method", "i") == ["ipopt"]
+    assert completed("tubeopt", "heat", "plan", "thesis_s") == ["thesis_steel"]
+    assert completed("tubeopt", "run", "plan_two") == ["plan_two_arms"]

@@ -1,0 +1,33 @@
+"""What is said about the files that come with tubeopt."""
+
+from __future__ import annotations
+
+from ..runs.shipped_files import ShippedFile, ShippedFiles
+from .quantities import Quantity
+from .report import Report
+
+FILE: tuple[Quantity[ShippedFile], ...] = (
+    Quantity("name", "what is typed"),
+    Quantity("folder", "what it is one of: robots, rigs, studies, ..."),
+    Quantity("kind", "what its key kind says; null where it has none"),
+    Quantity("tubes", "number of tubes of a robot", lambda file: file.n_tubes),
+    Quantity("about", "what it is"),
+)
+
+
+class ShippedReport(Report[ShippedFiles]):
+    command = "list"
+    quantities = (Quantity("shipped", "the files", lambda a: a.files, of=FILE),)
+    file = "shipped.json"
+
+    def table(self) -> str:
+        """A line per file, however long, so that it can be searched; of robots with their tubes, not the folder."""
+        files = self.answer.files
+        if {file.folder for file in files} == {"robots"}:
+            rows = [("name", "kind", "tubes"), *((f.name, f.kind or "", str(f.n_tubes)) for f in files)]
+        else:
+            rows = [("name", "folder", "kind"), *((f.name, f.folder, f.kind or "") for f in files)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        said = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
+        lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in zip(rows, said, strict=True))
+        return "\n".join(line.rstrip() for line in lines)
