@@ -159,7 +159,7 @@ def test_a_command_and_its_study_are_one(run: Run, tmp_path: Path) -> None:
     ("command", "words"),
     [
         (["measure", "configs/robots/crl_ctr.yaml"], "--fit is missing"),
-        (["export", "configs/robots/crl_ctr.yaml"], "--c is missing: write the C library into this directory"),
+        (["export", "configs/robots/crl_ctr.yaml"], "--c is missing: directory"),
         (["fabricate", "configs/robots/thesis_etr.yaml"], "--rig is missing: path of the rig file"),
         (["heat", "calibrate", "configs/experiments/heating_log.csv"], "--rig is missing"),
     ],

@@ -52,7 +52,9 @@ class Corridor:
     """
 
     centreline: Annotated[tuple[Point3, ...], unit("mm"), "at least two points"]
-    radius: Annotated[float | tuple[float, ...], unit("mm"), POSITIVE, THICK, "one, or one for every point"]
+    radius: Annotated[
+        float | tuple[float, ...], unit("mm"), POSITIVE, THICK, "one number for all points, or one per point"
+    ]
 
     def __post_init__(self) -> None:
         try:

@@ -235,7 +235,7 @@ class Capsule(Axial):
     """
 
     start: Annotated[Point3, unit("mm"), AWAY]
-    end: Annotated[Point3, unit("mm"), AWAY, "where it is the start, the body is a ball"]
+    end: Annotated[Point3, unit("mm"), AWAY, "end point; equal to the start for a ball"]
     radius: Annotated[float, unit("mm"), POSITIVE, THICK]
 
     CALLED = "capsule"
@@ -277,8 +277,8 @@ class HalfSpace:
         InputError: a number that is not finite, a normal without length.
     """
 
-    point: Annotated[Point3, unit("mm"), AWAY, "any of the plane"]
-    normal: Annotated[Point3, "out of the body, towards where the arm may be; of any length"]
+    point: Annotated[Point3, unit("mm"), AWAY, "any point of the plane"]
+    normal: Annotated[Point3, "outward normal, towards the free side; any length"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", triple("point of the half-space", self.point))
@@ -313,8 +313,8 @@ class Box(Measured):
         InputError: a number that is not finite, a corner `low` that is not below `high` along every axis.
     """
 
-    low: Annotated[Point3, unit("mm"), AWAY, "corner with the least coordinates"]
-    high: Annotated[Point3, unit("mm"), AWAY, "corner with the greatest coordinates"]
+    low: Annotated[Point3, unit("mm"), AWAY, "corner with the smallest coordinates"]
+    high: Annotated[Point3, unit("mm"), AWAY, "corner with the largest coordinates"]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "low", triple("low corner of the box", self.low))

@@ -77,9 +77,9 @@ class PlanByDefault(TyperGroup):
 
 
 GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
-    "heat": (PlanByDefault, "Heating schedules for setting the shape of tubes."),
-    "mold": (PlanByDefault, "Molds for setting the shape of tubes."),
-    "robot": (TyperGroup, "What a robot is made of."),
+    "heat": (PlanByDefault, "Plan, control, run and calibrate the heating that sets the shape of tubes."),
+    "mold": (PlanByDefault, "Design and calibrate molds that set the shape of tubes."),
+    "robot": (TyperGroup, "Inspect a robot file."),
 }
 """Words that several commands begin with, and what their help says."""
 
@@ -95,7 +95,10 @@ def _options(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
     log: Annotated[
-        str, typer.Option(metavar="LEVEL", callback=log_level, help=f"Least that is logged: {', '.join(LEVELS)}.")
+        str,
+        typer.Option(
+            metavar="LEVEL", callback=log_level, help=f"Lowest level of log messages to show: {', '.join(LEVELS)}."
+        ),
     ] = "warning",
 ) -> None:
     pass
@@ -105,7 +108,7 @@ def _options(
 def program() -> TyperGroup:
     """The command `tubeopt` with all that are under it."""
     root = typer.Typer(
-        help="Concentric tube robots: where they go, whether they snap, how to build them.", no_args_is_help=True
+        help="Kinematics, stability, planning, design and fabrication of concentric tube robots.", no_args_is_help=True
     )
     root.callback()(_options)
     group: Any = get_command(root)

@@ -31,22 +31,21 @@ class Asked:
     """The study is read from a file, whose keys the flags override."""
 
 
-ROBOT = ("ROBOT.yaml", "Robot file.")
+ROBOT = ("ROBOT.yaml", "Robot file, or the name of a built-in robot such as thesis_ctr.")
 """Metavar and help of the robot as an argument."""
 
-RIG = ("RIG.yaml", "Rig file.")
+RIG = ("RIG.yaml", "Rig file, or the name of a built-in rig such as thesis_steel.")
 
 PATH = (
-    "Waypoints, with the columns rotation_1_deg, rotation_2_deg, ... in deg and, where tubes slide, translation_1_mm, "
-    "... in mm; a row per waypoint."
+    "Waypoints, one per row: columns rotation_1_deg, rotation_2_deg, ... and, if tubes translate, translation_1_mm, ..."
 )
 
 LOG = (
-    "time_s, duty, and any of temperature_degC, voltage_V, current_A; or trials: duty, time_s, ramp_s, and result or "
-    "spring_back_percent."
+    "Log: columns time_s, duty and any of temperature_degC, voltage_V, current_A. With --trials: columns duty, time_s, "
+    "ramp_s and result or spring_back_percent."
 )
 
-TRAJECTORY = "Columns time_s, rotation_1_deg, ... and, where tubes slide, translation_1_mm, ..."
+TRAJECTORY = "Trajectory: columns time_s, rotation_1_deg, ... and, if tubes translate, translation_1_mm, ..."
 
 CHARGES = "100,90,80,70,60"
 """States of charge, percent, for which a command writes tables."""
@@ -54,127 +53,131 @@ CHARGES = "100,90,80,70,60"
 COMMANDS: dict[str, Asked | str] = {
     "fk": Asked(
         "forward_kinematics",
-        "Forward kinematics: the stable shape at given joint values, with its margin to snapping.",
+        "Forward kinematics: compute the stable shape at given joint values, and its stability margin.",
         flags={"tolerance_rad": "--tolerance-rad,--tolerance"},
         example="tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0",
     ),
     "ik": Asked(
         "inverse_kinematics",
-        """Inverse kinematics: stable joint values that bring the tip to a target, and point it there.
+        """Inverse kinematics: find stable joint values for a position and direction of the tip.
 
-        Ends with 3 where the target, or every one of a table, is missed, with --closest as well; misses within a table
-        are named in it. With --follow, targets are put between those of the table where the robot would leap.""",
+        Give one target (--target-mm) or a table (--targets). With --follow, targets are inserted between two targets of
+        the table if the robot would jump to another branch. Exit code 3: no target was reached; the output names every
+        missed target.""",
         flags={"start": "--from"},
         example="tubeopt ik configs/robots/thesis_ctr.yaml --target-mm 50,30,150 --all --out results",
     ),
     "equilibria": Asked(
         "equilibria",
-        "Every equilibrium at given joint values, stable and unstable, the lowest energy first.",
+        "Find all equilibria at given joint values, stable and unstable, lowest energy first.",
         example="tubeopt equilibria configs/robots/two_tube.yaml --rotations-deg 190,0",
     ),
     "snap": Asked(
         "snap",
-        "The first snap on the straight way from one set of joint values to another, computed exactly.",
+        "Find the first snap on the straight joint path between two configurations, and the jump of the tip.",
         example="tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results",
     ),
     "follow": Asked(
         "follow",
-        "Slow motion through waypoints, with its history: where the robot snaps and where it lands.",
+        "Simulate slow motion through waypoints, with history: snaps, and the equilibria after them.",
         arguments={"robot": ROBOT, "path": ("PATH.csv", PATH)},
         example="tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv",
     ),
     "load-limit": Asked(
         "load_limit",
-        "How many times a load the robot bears before it snaps or buckles, computed exactly, and where it lands.",
+        "Find the load factor at which the robot snaps or buckles, and the equilibrium after it.",
         example="tubeopt load-limit configs/robots/thesis_ctr.yaml --from-deg 0,0,0 --rotations-deg 200,0,0 "
         "--tip-force-mN=-10,0,0",
     ),
     "force": Asked(
         "force",
-        "The force on the tip in every row of a recording, how sure it is, and what cannot be told.",
-        arguments={"robot": ROBOT, "measurements": ("MEASURED.csv", "Measured positions of the arm.")},
+        "Estimate the tip force in every row of a recording, with its uncertainty and undetermined directions.",
+        arguments={
+            "robot": ROBOT,
+            "measurements": ("MEASURED.csv", "Measured positions of the arm and joint readings (CSV or YAML)."),
+        },
         example="tubeopt force configs/robots/thesis_ctr.yaml configs/experiments/synthetic_forces.csv --noise-mm 0.1",
     ),
     "certify": Asked(
         "certify",
-        """Whether the robot can snap at any rotation: what is proved, and what search finds.
+        """Prove for all rotations that the robot cannot snap, or search for a snap.
 
-        Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known; with a box, at the translations of its least
-        certificate that was found. With a force, 0 is only for what is proved under it.""",
+        Exit code 0: proved that it cannot snap. 3: a snap was found. 4: undecided. With --box, the search runs at the
+        translations with the smallest certificate found. With --max-tip-force-mN, exit code 0 means proved under that
+        force.""",
         example="tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0",
     ),
     "stability-map": Asked(
         "stability_map",
-        "The margin over the rotations of two tubes turned together from home, and where the robot snaps.",
+        "Map the margin over the rotations of two tubes, started at home, and the snap boundary.",
         example="tubeopt stability-map configs/robots/crl_ctr.yaml --out results",
     ),
     "run": "studies.run",
     "validate": Asked(
         "validation",
-        "Measured tips against the model: errors, residuals, and a calibrated robot.",
-        arguments={"robot": ROBOT, "measurements": ("MEASURED.csv", "Measured tips.")},
+        "Compare the model with measured tips, and calibrate it: errors, residuals, fitted parameters.",
+        arguments={
+            "robot": ROBOT,
+            "measurements": ("MEASURED.csv", "Measured tip positions and joint readings (CSV or YAML)."),
+        },
         example="tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv --fit curvature",
     ),
     "measure": Asked(
         "measure",
-        "Where to measure: configurations that determine parameters best, and a way through them without a snap.",
+        "Choose the configurations to measure that determine parameters best, and a snap-free path through them.",
         example="tubeopt measure configs/robots/crl_ctr.yaml --fit rotation_2,rotation_3,curvature_1 --count 12 "
         "--out results",
     ),
     "design": Asked(
         "design",
-        "Design the tubes of a robot: what may change, what must hold and what is wanted stand in a file.",
+        "Optimise tube dimensions. Free parameters, constraints and objective come from a study file.",
         example="tubeopt design configs/studies/design_thesis_snap_free.yaml --out results",
         from_file=True,
     ),
     "design-pair": Asked(
         "design_pair",
-        """Design two robots together, so that both tips hold as many pairs of places of a region as can be found.
+        """Optimise two robots together for the number of point pairs of a region that both tips reach.
 
-        What may change, what must hold, where the plates stand and the region stand in a file.""",
+        Free parameters, constraints, base poses and region come from a study file.""",
         example="tubeopt design-pair configs/studies/design_pair.yaml --out results",
         from_file=True,
     ),
     "sweep": "studies.sweep",
     "workspace": Asked(
         "workspace",
-        """Where the tip reaches within the robot's limits: volume, directions, margin, and the part lost to snapping.
+        """Compute the workspace within the joint limits: volume, directions, margin, and the part lost to snapping.
 
-        With --out the samples are saved as they come, so that memory does not grow with them, and a run that was
-        stopped goes on.""",
+        With --out, samples are saved during the run, memory stays constant, and an interrupted run resumes.""",
         example="tubeopt workspace configs/robots/crl_ctr.yaml --samples 20000 --out results",
     ),
     "fabricate": Asked(
         "fabrication",
-        """Molds and schedules for every tube of a robot: drawings, G-code, duties by the battery's voltage, pictures.
+        """Prepare molds and heating for every tube of a robot: drawings, G-code, duty-cycle tables, plots.
 
-        The mold is drawn for the rig, and the heating planned on the rig with the mold as drawn. Ends with 3 where the
-        window is not held within limit, ramp and currents for one of them, where fewer than half of uncertain rigs
-        keep it and no sensor closes the loop, or where mold and heating do not agree; everything is shown and saved all
-        the same.""",
+        Molds are drawn for the rig, and the heating is planned with these molds. Exit code 3: a tube violates
+        window, limit, ramp or current limits, or fewer than half of the random rigs succeed without a sensor. Also if
+        mold and heating do not match. All results are still shown and saved.""",
         defaults={"charges_percent": CHARGES},
         example="tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
         "--sensor thermocouple --out results",
     ),
     "heat plan": Asked(
         "heating",
-        """The heating schedule that holds the curved part of a tube in the window: duties, temperatures, files.
+        """Plan the duty cycle over time that heats the curved part of a tube into its temperature window.
 
-        Ends with 3 where no schedule is found that holds the window within limit, ramp and currents, or where fewer
-        than half of uncertain rigs keep it and no sensor closes the loop; the best schedule and what would help are
-        shown and saved all the same.""",
+        Exit code 3: no plan satisfies window, limit, ramp and current limits, or fewer than half of the random rigs
+        succeed without a sensor. The best plan and possible remedies are still shown and saved.""",
         arguments={"rig": RIG},
         defaults={"charges_percent": CHARGES},
         example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --sensor thermocouple --out results",
     ),
     "heat firmware": Asked(
         "led_heating",
-        """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch for a
-        board.
+        """Design closed-loop heating: controller gains, success probability on random rigs, and firmware for a board.
 
-        The schedule is that of `tubeopt heat plan`; the law corrects it by what the sensor reads; its gains follow from
-        the model. Ends with 3 where the schedule does not keep window, limit, ramp and currents on the rig as filed, or
-        most uncertain rigs do not keep the window; everything is shown and saved all the same.""",
+        The plan is that of `tubeopt heat plan`; the controller corrects the duty cycle from the sensor reading. Exit
+        code 3: the plan violates window, limit, ramp or current limits, or most random rigs leave the window. All
+        results are still shown and saved.""",
         arguments={"rig": RIG},
         defaults={"objective": "margin"},
         example="tubeopt heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno --out results",
@@ -182,7 +185,7 @@ COMMANDS: dict[str, Asked | str] = {
     "heat run": "heat.run",
     "heat calibrate": Asked(
         "heating_calibration",
-        "Loss and contacts of a rig from a logged heating, or from trials without a thermometer.",
+        "Estimate heat loss and contacts of a rig from a heating log, or from trials without a thermometer.",
         arguments={"log": ("LOG.csv", LOG)},
         example="tubeopt heat calibrate configs/experiments/heating_log.csv "
         "--rig configs/rigs/thesis_calcium_silicate.yaml --out results",
@@ -190,26 +193,24 @@ COMMANDS: dict[str, Asked | str] = {
     "view": "view.view",
     "plan": Asked(
         "plan",
-        """Plan a motion that stays on one stable branch, around obstacles and within rates, and prove it.
+        """Plan a snap-free trajectory around obstacles and within rate limits, and prove it.
 
-        Ends with 0 if it is proved, 3 where none was found, and 4 where one was found, shown and saved, but the time
-        limit was reached before its proof was finished.""",
+        Exit code 0: proved. 3: no trajectory found. 4: a trajectory was found and saved, but its proof did not finish
+        within the time limit.""",
         example="tubeopt plan configs/studies/plan_thesis_turn.yaml --out results",
         from_file=True,
     ),
     "plan-arms": Asked(
         "plan_arms",
-        """Plan motions of several robots beside each other, none of which snaps or touches another, and prove them.
+        """Plan snap-free trajectories of several robots that do not touch each other, and prove them.
 
-        Ends with 0 if they are proved, 3 where none were found, and 4 where some were found, shown and saved, but are
-        not proved.""",
+        Exit code 0: proved. 3: no trajectories found. 4: trajectories were found and saved, but not proved.""",
         example="tubeopt plan-arms configs/studies/plan_two_arms.yaml --out results",
         from_file=True,
     ),
     "verify": Asked(
         "verify",
-        "Follow a trajectory, of whatever origin, and say whether it snaps, collides or is too fast. "
-        "Ends with 3 if so.",
+        "Check any trajectory for snaps, collisions and excessive speed. Exit code 3: a check failed.",
         arguments={"trajectory": ("TRAJECTORY.csv", TRAJECTORY)},
         example="tubeopt verify results/trajectory.csv --min-margin 0.05",
     ),
@@ -218,29 +219,29 @@ COMMANDS: dict[str, Asked | str] = {
     "doctor": "doctor.doctor",
     "mold plan": Asked(
         "mold_plan",
-        "The mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet.",
+        "Design a mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet.",
         example="tubeopt mold plan configs/robots/thesis_etr.yaml --out results",
     ),
     "mold mandrel": Asked(
         "mandrel",
-        "The mandrel for a helix or another space curve: STL, table of rotation and feed, G-code for a 4th axis.",
+        "Design a mandrel for a helix or another space curve: STL, rotation and feed table, G-code for a 4th axis.",
         example="tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results",
     ),
     "mold pegs": Asked(
         "pegs",
-        "An adjustable mold: where pegs go on a board that is drilled once; table, DXF, SVG, G-code of the board.",
+        "Place the pegs of an adjustable mold on a reusable board: table, DXF, SVG, G-code of the board.",
         example="tubeopt mold pegs configs/robots/thesis_etr.yaml --out results",
     ),
     "mold calibrate": Asked(
         "mold_calibration",
-        "Spring-back from trials: how much of the mold's curvature tubes lose.",
-        arguments={"trials": ("TRIALS.csv", "Columns mold_radius_mm and obtained_radius_mm.")},
+        "Estimate spring-back from trials: the fraction of the mold's curvature that tubes lose.",
+        arguments={"trials": ("TRIALS.csv", "Trials, one per row: columns mold_radius_mm and obtained_radius_mm.")},
         example="tubeopt mold calibrate configs/molds/example_trials.csv --out results",
     ),
     "mold materials": Asked(
         "mold_materials",
-        "Mold materials for a tube, best first: heat drawn, limit temperature, current that leaks, and why.",
-        arguments={"robot": ("[ROBOT.yaml]", "Robot whose tube it is.")},
+        "Rank mold materials for a tube: heat loss, limit temperature, leakage current, and reasons.",
+        arguments={"robot": ("[ROBOT.yaml]", "Robot file with the tube; default a tube with the given sizes.")},
         example="tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1",
     ),
     "robot list": "robot.list_robots",

@@ -10,5 +10,5 @@ from .output import Output, present
 
 @command("tubeopt doctor")
 def doctor(output: Output) -> None:
-    """Versions, compiled kernel, threads, cache, extras, and a self-test with its timing."""
+    """Show versions, compiled kernel, threads, cache and extras, and run a timed self-test."""
     present(report(examine()), output)

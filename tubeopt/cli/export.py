@@ -18,9 +18,15 @@ class ExportEntry(Entry):
     """A robot to be written in C."""
 
     robot: RobotPath
-    c: str = Field(description="write the C library into this directory", examples=["DIR"])
-    prefix: str = Field("tubeopt", description="with which all its names begin: two robots need two", examples=["NAME"])
-    loads: bool = Field(False, description="it can bear a force at its tip, and its weight")
+    c: str = Field(description="directory to write the C library to", examples=["DIR"])
+    prefix: str = Field(
+        "tubeopt",
+        description="prefix of all C names; use a different one for each robot of a program",
+        examples=["NAME"],
+    )
+    loads: bool = Field(
+        False, description="include tip force and weight; required for the compliance of tubes made of pieces"
+    )
 
 
 @asks(
@@ -29,11 +35,10 @@ class ExportEntry(Entry):
     note="Build and test it: cmake -B build -S thesis_in_c && cmake --build build && ctest --test-dir build",
 )
 def export(study: ExportEntry, output: Output, robot: str) -> None:
-    """The robot as a C library of its own: forward kinematics, derivatives, margin, compliance, servo, snap guard.
+    """Write a C99 library of the robot: forward kinematics, derivatives, margin, compliance, servo, snap guard.
 
-    It is the compiled kernel of this program with the numbers of the robot, in C99: nothing is allocated, nothing is
-    global, and every call takes bounded time. For up to six tubes, concentric or not, of one arc or made of pieces;
-    concentric ones by --loads under load too, which tubes made of pieces need for their compliance.
+    It allocates no memory, has no global state, and every call takes bounded time. It supports up to six tubes,
+    concentric or eccentric, with one arc or made of pieces. --loads adds loads for concentric robots.
     """
     folder = Path(study.c)
     can_be_saved(output.out)

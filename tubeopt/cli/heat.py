@@ -16,17 +16,17 @@ from .output import Output, can_be_saved, present
     example="tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results",
 )
 def run(study: HeatingRunStudy, output: Output) -> None:
-    """Heat a tube: start the rig, show what it does, and log it for `tubeopt heat calibrate`.
+    """Heat a tube on a rig or a simulated rig: start it, show it live, and log it for `tubeopt heat calibrate`.
 
-    Ctrl-C stops the rig and ends with 130. Ends with 3 where the rig stopped before it was done, or where
-    the sensor's reading missed the window in the hold.
+    Ctrl-C stops the rig (exit code 130). Exit code 3: the rig stopped early, or the sensor reading left the window
+    during the hold time.
     """
     can_be_saved(output.out)
     log = None if output.out is None else output.out / LOG_FILE
 
     def _kept() -> str:
-        saved = f"{log} holds what was reported so far" if log is not None and log.exists() else "nothing was saved"
-        return f"the rig is told to stop; {saved}"
+        saved = f"{log} has the log up to now" if log is not None and log.exists() else "nothing was saved"
+        return f"the rig stops; {saved}"
 
     with keeping(_kept):
         found = with_live_page(study, output.out, shown=not output.quiet)

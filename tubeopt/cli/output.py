@@ -35,26 +35,41 @@ class Output:
     """
 
     plot: Annotated[
-        bool, typer.Option("--plot", help="Save pictures (into DIR, or here), and open them where there is a display.")
+        bool,
+        typer.Option(
+            "--plot", help="Save plots in DIR (default: current directory), and open them if there is a display."
+        ),
     ] = False
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Save the results into this directory.", show_default=False),
+        typer.Option(
+            "--out", metavar="DIR", help="Directory to save results in; created if missing.", show_default=False
+        ),
     ] = None
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout instead of the table.")] = (
+        False
+    )
     quiet: Annotated[
         bool,
-        typer.Option("--quiet", help="Print nothing but errors; with --json the object, of a server its address."),
+        typer.Option("--quiet", help="Print errors only, besides the JSON object (--json) or the address of a server."),
     ] = False
     formats: Annotated[
         str,
         typer.Option(
-            "--format", metavar="F,..", help="To save in: png, pdf or svg for pictures; parquet; stl, glb, urdf, mjcf."
+            "--format",
+            metavar="F,..",
+            help="File formats to save, separated by commas: "
+            "png, pdf or svg for plots; parquet for "
+            "tables; stl, glb, urdf or mjcf for the robot.",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[
         str | None,
-        typer.Option("--width-mm", metavar="MM", help="Lay pictures out for a page: a column has some 88, a page 180."),
+        typer.Option(
+            "--width-mm",
+            metavar="MM",
+            help="Width of saved plots in mm, 60 to 400; a journal column has about 88, a page 180.",
+        ),
     ] = None
 
     def __post_init__(self) -> None:

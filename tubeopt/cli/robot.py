@@ -24,14 +24,14 @@ def show(
     ],
     output: Output,
 ) -> None:
-    """Stiffness, strain and fit of every tube, with warnings."""
+    """Show stiffness, strain, fit and home position of every tube, with warnings."""
     can_be_saved(output.out)
     present(report(load_robot(robot)), output)
 
 
 @command("tubeopt robot list")
 def list_robots(output: Output) -> None:
-    """The robots that come with tubeopt and are typed by their name, as in `tubeopt fk thesis_ctr`."""
+    """List the built-in robots. Use them by name, as in `tubeopt fk thesis_ctr`."""
     can_be_saved(output.out)
     present(report(shipped_files("robots")), output)
 
@@ -42,11 +42,13 @@ def list_files(
     folder: Annotated[
         str | None,
         typer.Argument(
-            metavar="[FOLDER]", help="Only robots, rigs, studies, ...", autocompletion=words(shipped_folders())
+            metavar="[FOLDER]",
+            help="Show only this kind: robots, rigs, studies, ...",
+            autocompletion=words(shipped_folders()),
         ),
     ] = None,
 ) -> None:
-    """The files that come with tubeopt and are typed by their name: robots, rigs, studies, targets, ..."""
+    """List the built-in files, to use by name: robots, rigs, studies, targets, ..."""
     can_be_saved(output.out)
     chosen = "*" if folder is None else choice("FOLDER", folder, shipped_folders())
     present(report(shipped_files(chosen)), output)

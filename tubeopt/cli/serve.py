@@ -30,33 +30,40 @@ from .output import Output, can_be_saved, told
 class ServeEntry(Posed):
     """A robot to be served, where it begins, and how it may move."""
 
-    obstacles: Bodies = Field((), description="bodies to keep clear of", examples=["OBSTACLES.yaml"])
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(Decimal(0), description="to be kept of obstacles")
-    min_margin: Positive = Field(Decimal("0.1"), description="floor of the stability margin")
-    speed_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(
-        Decimal(50), description="most that the tip is asked to move"
+    obstacles: Bodies = Field((), description="obstacles: a YAML file or a list of bodies", examples=["OBSTACLES.yaml"])
+    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+        Decimal(0), description="smallest allowed distance between arm and obstacles"
     )
+    min_margin: Positive = Field(Decimal("0.1"), description="smallest allowed stability margin")
+    speed_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(Decimal(50), description="largest tip speed")
     turn_rate_deg_per_s: Annotated[Positive, Usual(0.03, 40.0)] = Field(
-        Decimal(170), description="most that a tube turns"
+        Decimal(170), description="largest rotation speed of a tube"
     )
     shift_rate_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(
-        Decimal(50), description="most that a tube slides"
+        Decimal(50), description="largest translation speed of a tube"
     )
     objective: str | None = Field(
-        None, description=f"to which goes what the tip leaves free: {', '.join(OBJECTIVES)}", examples=["WORD"]
+        None,
+        description="null-space objective, for joint motion that does not move the "
+        f"tip: {', '.join(OBJECTIVES)}; default none",
+        examples=["WORD"],
     )
-    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8765, description="where to listen; 0 takes any that is free")
+    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(
+        8765, description="TCP port of the server; 0 selects a free port"
+    )
     token: str | None = Field(
         None,
         min_length=1,
-        description="what clients must know; by default a new one, which is printed",
+        description="password that clients must send; by default a new random one, which is printed",
         examples=["WORD"],
     )
     watchdog_s: Annotated[Positive, Usual(2e-3, 10.0)] = Field(
-        Decimal("0.1"), description="after which a stream of commands that ended is held"
+        Decimal("0.1"), description="time without a command after which the robot stops"
     )
-    period_s: Annotated[Positive, Usual(1e-5, 0.2)] = Field(Decimal("0.001"), le=1, description="of the loop")
-    publish_Hz: Positive = Field(Decimal(40), description="states per second")
+    period_s: Annotated[Positive, Usual(1e-5, 0.2)] = Field(
+        Decimal("0.001"), le=1, description="period of the control loop"
+    )
+    publish_Hz: Positive = Field(Decimal(40), description="rate of published states")
 
 
 @asks(
@@ -64,10 +71,11 @@ class ServeEntry(Posed):
     example="tubeopt serve configs/robots/thesis_ctr.yaml --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
 )
 def serve(study: ServeEntry, output: Output) -> None:
-    """The robot over WebSocket on this machine: servo_cp, move_cp, servo_jp ... as CRTK names them, with its margin.
+    """Serve the robot over WebSocket on this machine, with CRTK commands (servo_cp, move_cp, servo_jp, ...).
 
-    One client commands and many watch; all must know the token. A stream of commands that ends is held. Ends on Ctrl-C,
-    with exit code 0. With --json one object with address and token is printed. It needs the extra `control`.
+    One controller, many observers, protected against snapping. All clients need the token. The robot stops if
+    commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with address and token. It needs the
+    extra `control`.
     """
     can_be_saved(output.out)
     robot = study.robot

@@ -23,11 +23,17 @@ from .output import Output, can_be_saved, present
 @command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
 def run(
     study: Annotated[
-        str, typer.Argument(metavar="STUDY.yaml", help="Study file.", show_default=False, autocompletion=files("study"))
+        str,
+        typer.Argument(
+            metavar="STUDY.yaml",
+            help="Study file of any kind, or the name of a built-in study.",
+            show_default=False,
+            autocompletion=files("study"),
+        ),
     ],
     output: Output,
 ) -> None:
-    """Run the study that a file describes. Ends as the command of its kind does."""
+    """Run a study file of any kind. Exit codes are those of the command of that kind."""
     answer(load_study(study), output)
 
 
@@ -41,20 +47,28 @@ def sweep(
     ],
     output: Output,
     workers: Annotated[
-        int, typer.Option(metavar="N", help="Processes on this machine; 0 is one per core, 1 this one.")
+        int,
+        typer.Option(metavar="N", help="Number of worker processes; 0 for one per core, 1 for none besides this one."),
     ] = 0,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A Dask cluster in their place, as tcp://host:8786.", show_default=False),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a Dask cluster that replaces the worker processes, such as tcp://host:8786.",
+            show_default=False,
+        ),
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Compute failed points again.")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Compute points again that failed in an earlier run.")
+    ] = False,
     time_limit_s: Annotated[
-        float, typer.Option("--time-limit-s", metavar="S", help="On the clock, for all points that are left.")
+        float, typer.Option("--time-limit-s", metavar="S", help="Time limit for all remaining points, s.")
     ] = SWEEP_LIMIT,
 ) -> None:
-    """Run a study over a grid or a sample of its parameters: with --out, the same command goes on with a stopped run.
+    """Run a study over a grid or random samples of its parameters.
 
-    Without --out the table is printed, as CSV, and nothing is kept.
+    With --out, the same command resumes an interrupted run. Without --out, the table is printed as CSV, and nothing is
+    saved.
     """
     question = load_sweep(study)
     can_be_saved(output.out)
@@ -74,7 +88,7 @@ def sweep(
             )
 
     if output.out is not None:
-        with keeping(f"the points so far are in {output.out}; the same command goes on from there"):
+        with keeping(f"finished points are in {output.out}; the same command resumes the run"):
             present(report(_into(output.out)), output)
         return
     with tempfile.TemporaryDirectory() as directory:

@@ -1,4 +1,4 @@
-"""`tubeopt view`: the robot under your hands, in a browser."""
+"""`tubeopt view`: the interactive viewer in a browser."""
 
 from __future__ import annotations
 
@@ -35,19 +35,28 @@ class ViewEntry(Pushed):
 
     robot: RobotPath
     study: Annotated[tuple[str, Study], in_file(load_study, "a study file", named=True)] | None = Field(
-        None, description="begin at the joint values of a study, or play its path", examples=["STUDY.yaml"]
+        None, description="study file; start at its joint values, or play its path", examples=["STUDY.yaml"]
     )
     trajectory: Annotated[Waypoints, in_file(load_waypoints, "a CSV file", of="robot")] | None = Field(
-        None, description="to be played: rotation_1_deg, ..., translation_1_mm, ..., time_s", examples=["PATH.csv"]
+        None,
+        description="CSV file of a trajectory to play, with columns rotation_1_deg, ..., translation_1_mm, ..., time_s",
+        examples=["PATH.csv"],
     )
     obstacles: Bodies = Field(
-        (), description="bodies to draw, and to keep away from when led", examples=["OBSTACLES.yaml"]
+        (),
+        description="obstacles to draw and to avoid when the tip is dragged: a YAML file or a list of bodies",
+        examples=["OBSTACLES.yaml"],
     )
-    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(8080, description="where to listen; 0 takes any that is free")
+    port: Annotated[Whole, Field(ge=0, le=65535)] = Field(
+        8080, description="TCP port of the server; 0 selects a free port"
+    )
     host: str = Field(
-        LOCAL, description="listen on another address: others can then move the robot", examples=["ADDRESS"]
+        LOCAL,
+        description="network address of the server; with another one than the "
+        "default, other computers can move the robot",
+        examples=["ADDRESS"],
     )
-    open: bool = Field(True, description="open the page where there is a display")
+    open: bool = Field(True, description="open the page in a browser if there is a display")
 
 
 @asks(
@@ -55,10 +64,10 @@ class ViewEntry(Pushed):
     example="tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv",
 )
 def view(study: ViewEntry, output: Output, robot: str) -> None:
-    """The robot in a browser: turn and slide its tubes, lead its tip, watch it snap, change its design.
+    """Move the robot in a browser: joints, tip, snaps, design changes, playback.
 
-    Every tab of the browser has a robot of its own. Ends on Ctrl-C. With --json one object with the address of the page
-    is printed; with --out whatever is saved in the browser goes into that directory too.
+    Each browser tab has its own robot. Ctrl-C ends the server. --json prints one object with the address of the page.
+    With --out, files saved in the browser are also written to DIR.
     """
     asked = study
     given: dict[str, Any] = {"load": asked.pushing(), "waypoints": asked.trajectory}

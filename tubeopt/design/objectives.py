@@ -106,16 +106,18 @@ class Objective:
     """
 
     kind: Annotated[str, OneOf(tuple(KINDS))]
-    weight: Annotated[float, POSITIVE, "of the value in SI, where there are several"] = 1.0
-    depth: Annotated[float | None, unit("mm"), "for reach_radius: height of the tip"] = None
+    weight: Annotated[float, POSITIVE, "factor on the value in SI units, if there are several objectives"] = 1.0
+    depth: Annotated[float | None, unit("mm"), "height of the tip, for reach_radius"] = None
     translations: Annotated[
-        tuple[float, ...] | None, unit("mm"), "for tip_curvature and turning_radius; all 0 if not given"
+        tuple[float, ...] | None, unit("mm"), "translations for tip_curvature and turning_radius; default all 0"
     ] = None
     tip_force: Annotated[
-        tuple[float, float, float] | None, unit("mN"), "for tip_deflection and tip_stiffness, in axes of the plate"
+        tuple[float, float, float] | None,
+        unit("mN"),
+        "tip force for tip_deflection and tip_stiffness, in the base frame",
     ] = None
     tip_moment: Annotated[
-        tuple[float, float, float] | None, unit("mN_m"), "for tip_deflection, with or without a force, in these axes"
+        tuple[float, float, float] | None, unit("mN_m"), "tip moment for tip_deflection, in the base frame"
     ] = None
 
     def __post_init__(self) -> None:

@@ -46,13 +46,13 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
         case Strain(limits=limits):
             found = largest_strain(one, robot, equilibria)
             worst = int(np.argmax(found / np.array(limits)))
-            where = ["held straight"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
+            where = ["straightened"] * one.straightened + ["at the task poses"] * (one.in_poses and bool(equilibria))
             words = f"largest strain {' and '.join(where)}, in tube {worst + 1}"
             kept = bool((found <= np.array(limits) * (1 + MISSED)).all())
             return [Check(words, f"{found[worst] * 100:.4f} %", kept)]
         case Wall(thickness=limit):
             least = min((tube.outer_diameter - tube.inner_diameter) / 2 for tube in robot.tubes)
-            return [Check("least wall thickness", _mm(least), least >= limit * (1 - MISSED))]
+            return [Check("smallest wall thickness", _mm(least), least >= limit * (1 - MISSED))]
         case Nesting(clearance=limit) if robot.n_tubes > 1:
             least = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
             return [Check("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]

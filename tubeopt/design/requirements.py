@@ -34,23 +34,28 @@ class SnapFree:
     Over a box the worst case counts, found by exchange.
     """
 
-    margin: Annotated[float, "of the certificate, less than 1"] = 0.05
-    translations: Annotated[Rows | None, unit("mm"), "rows at which it must hold; by default all 0"] = None
-    box: Annotated[
-        tuple[tuple[float, ...], tuple[float, ...]] | None, unit("mm"), "least and greatest translations"
+    margin: Annotated[float, "required certificate, below 1"] = 0.05
+    translations: Annotated[
+        Rows | None, unit("mm"), "translations with the required certificate, one row per configuration; default all 0"
     ] = None
-    tolerance: Annotated[float, POSITIVE, "by which the margin may fall short anywhere in the box"] = 1e-4
+    box: Annotated[
+        tuple[tuple[float, ...], tuple[float, ...]] | None, unit("mm"), "smallest and largest translations"
+    ] = None
+    tolerance: Annotated[float, POSITIVE, "tolerance on the required margin inside the box"] = 1e-4
     max_force: Annotated[
         float,
         key("max_tip_force_mN"),
         NOT_NEGATIVE,
-        "the margin is kept whatever pushes on the tip with up to this force, in any direction that it keeps",
+        "the margin is certified for every dead tip force up to this size, in any direction",
     ] = 0.0
     curvature_error: Annotated[
-        float, unit("percent"), NOT_NEGATIVE, "the margin is kept by tubes whose curvatures are off by up to this"
+        float, unit("percent"), NOT_NEGATIVE, "the margin is certified for relative curvature errors up to this"
     ] = 0.0
     stiffness_error: Annotated[
-        float, unit("percent"), NOT_NEGATIVE, "and whose bending and torsional stiffnesses are off by up to this"
+        float,
+        unit("percent"),
+        NOT_NEGATIVE,
+        "the margin is certified for relative errors of bending and torsional stiffness up to this",
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -102,10 +107,10 @@ class SnapFree:
 class SnapFreeInUse:
     """No snap where the robot works: at every task pose and, with `paths`, on the way between them."""
 
-    margin: Annotated[float, POSITIVE, "least of the poses and paths"] = 0.05
-    paths: Annotated[bool, "whether it is kept on the straight joint path from each pose to the next"] = True
-    deployed: Annotated[bool, "whether it is kept by arms on their way out to the poses, drawn back straight"] = False
-    tolerance: Annotated[float, POSITIVE, "to which it is kept on paths"] = 1e-3
+    margin: Annotated[float, POSITIVE, "smallest allowed margin at poses and on paths"] = 0.05
+    paths: Annotated[bool, "check the straight joint path from each pose to the next"] = True
+    deployed: Annotated[bool, "check the arm while it is deployed along a straight line to each pose"] = False
+    tolerance: Annotated[float, POSITIVE, "tolerance on the required margin on paths"] = 1e-3
 
     def __post_init__(self) -> None:
         check_fields(self, "the robot in use")
@@ -121,10 +126,10 @@ class Strain:
     """
 
     limits: Annotated[
-        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 1.0), "one per tube, or one for all"
+        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 1.0), "one limit per tube, or one for all"
     ] = (0.01,)
-    straightened: Annotated[bool, "held straight"] = True
-    in_poses: Annotated[bool, "at every task pose"] = True
+    straightened: Annotated[bool, "limit the strain of straightened tubes"] = True
+    in_poses: Annotated[bool, "limit the strain at every task pose"] = True
 
     def __post_init__(self) -> None:
         limits = numbers("limits of the strain", self.limits)
@@ -139,7 +144,11 @@ class Nesting(Checked):
     """Every tube fits into the next with at least this difference of diameters, m."""
 
     clearance: Annotated[
-        float, key("clearance_mm"), NOT_NEGATIVE, Usual(1e-6, 0.01), "least difference of diameters of nested tubes"
+        float,
+        key("clearance_mm"),
+        NOT_NEGATIVE,
+        Usual(1e-6, 0.01),
+        "smallest difference between the inner diameter of a tube and the outer diameter of the tube inside it",
     ] = 0.0
     _owner = "nested tubes"
 
@@ -148,7 +157,7 @@ class Nesting(Checked):
 class Wall(Checked):
     """Every tube has at least this wall thickness, m."""
 
-    thickness: Annotated[float, key("wall_mm"), POSITIVE, Usual(1e-5, 0.01), "least wall thickness"]
+    thickness: Annotated[float, key("wall_mm"), POSITIVE, Usual(1e-5, 0.01), "smallest wall thickness"]
     _owner = "a wall"
 
 
@@ -176,7 +185,7 @@ class Stroke(Checked):
     """No carriage travels more than this between any two task poses, m."""
 
     limit: Annotated[
-        float, key("stroke_mm"), POSITIVE, Usual(1e-4, 5.0), "longest travel of a carriage between task poses"
+        float, key("stroke_mm"), POSITIVE, Usual(1e-4, 5.0), "largest travel of a carriage between task poses"
     ]
     _owner = "a stroke"
 
@@ -186,7 +195,7 @@ class StrokeForce:
     """At every task pose, all of which have given joint values, the tip can push along itself with this force, N,
     before the arm buckles or snaps."""
 
-    limit: Annotated[float, key("stroke_force_mN"), POSITIVE, "least push along the tip that poses bear"]
+    limit: Annotated[float, key("stroke_force_mN"), POSITIVE, "smallest axial tip force that every pose must withstand"]
 
     def __post_init__(self) -> None:
         if positive("stroke force", self.limit) > 10:
@@ -198,9 +207,15 @@ class Target:
     """Where the tip must get, and along which direction it must point there."""
 
     position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0)]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance of the tip"] = 1e-4
-    direction: Annotated[tuple[float, float, float] | None, "of any length; by default any direction"] = None
-    direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle to the direction"] = np.radians(2.0)
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance between tip and target"] = (
+        1e-4
+    )
+    direction: Annotated[
+        tuple[float, float, float] | None, "direction of the tip, any length; default any direction"
+    ] = None
+    direction_tolerance: Annotated[float, unit("deg"), POSITIVE, "largest angle between tip and direction"] = (
+        np.radians(2.0)
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", triple("position of a target", self.position))
@@ -234,10 +249,12 @@ class Coverage:
     """The tip reaches every point of a box: the corners, and of Sobol points within those that exchange finds to be out
     of reach."""
 
-    lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the least coordinates"]
-    upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the greatest coordinates"]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance of the tip"] = 1e-3
-    samples: Annotated[int, NOT_NEGATIVE, "Sobol points within the box"] = 32
+    lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the smallest coordinates"]
+    upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the largest coordinates"]
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance between tip and target"] = (
+        1e-3
+    )
+    samples: Annotated[int, NOT_NEGATIVE, "number of Sobol points inside the box"] = 32
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
@@ -284,7 +301,7 @@ class Deployment(Checked, OwnRequirement):
         key("deployment_mm"),
         POSITIVE,
         Usual(1e-6, 0.2),
-        "largest distance of arms on their way out to the task poses from the whole arm",
+        "largest distance between the deploying arm and the fully deployed arm",
     ]
     words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True
     _owner = words

@@ -38,10 +38,10 @@ BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
 class StockTube:
     """A size that can be bought."""
 
-    name: Annotated[str, "by which it is ordered"]
+    name: Annotated[str, "order number"]
     outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
     inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1)]
-    source: Annotated[str, "where it was used, or is sold"] = ""
+    source: Annotated[str, "supplier or publication"] = ""
     material: Material = NITINOL
     """Of which it is."""
 

@@ -30,9 +30,15 @@ class Tolerances:
     transmission, and no longer arm. Of tubes made of pieces all are bent, stiffened and stretched alike.
     """
 
-    curvature: Annotated[float, unit("percent"), NOT_NEGATIVE, Usual(1e-4, 0.5), "relative error"] = 0.0
+    curvature: Annotated[float, unit("percent"), NOT_NEGATIVE, Usual(1e-4, 0.5), "relative error of the curvature"] = (
+        0.0
+    )
     stiffness: Annotated[
-        float, unit("percent"), NOT_NEGATIVE, Usual(1e-4, 0.5), "relative error, bending and torsional together"
+        float,
+        unit("percent"),
+        NOT_NEGATIVE,
+        Usual(1e-4, 0.5),
+        "relative error of bending and torsional stiffness, the same for both",
     ] = 0.0
     straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-6, 0.05)] = 0.0
     curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-6, 0.05)] = 0.0

@@ -248,25 +248,27 @@ class InverseOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    objective: Annotated[str | None, OneOf(OBJECTIVES), "what is best: nearest (to the start), margin or curvature"] = (
-        None
-    )
+    objective: Annotated[
+        str | None, OneOf(OBJECTIVES), "objective: nearest (to the start or reference), margin or curvature"
+    ] = None
     """Among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least int |u|^2 ds), or None:
     "nearest" where a seed or a reference is given, else any answer."""
-    direction_weight: Annotated[float | None, POSITIVE, "make the direction a cost of this weight"] = None
+    direction_weight: Annotated[
+        float | None, POSITIVE, "weight of the direction as a cost; by default it is a constraint"
+    ] = None
     """None holds the tip to the direction; a number makes (half the square of) the difference of the unit vectors a
     cost of that weight beside the objective."""
     clearance: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "least distance of the arm from obstacles"
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
     """Of its surface."""
     carriage_gap: float = 0.0
     """Least distance of neighbouring carriages, m."""
     section_length: float = 0.0
     """Least length by which a tube ends beyond the one around it, m."""
-    method: Annotated[str, OneOf(METHODS), "how to solve: auto, gauss_newton or nlp"] = "auto"
+    method: Annotated[str, OneOf(METHODS), "solver: auto, gauss_newton or nlp"] = "auto"
     """"auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone."""
-    starts: Annotated[int, Range(least=1), "most starting configurations"] = 48
+    starts: Annotated[int, Range(least=1), "largest number of starting configurations"] = 48
     distinct: float = 0.05
     """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
     time_limit: float = TIME_LIMIT

@@ -51,7 +51,7 @@ class RateLimits(Displayed):
     translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), EACH] = 0.04
     """m/s^2."""
     tip: Annotated[
-        float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "greatest speed of the tip; by default any"
+        float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "largest tip speed; default no limit"
     ] = None
     """m/s; None where it does not matter."""
 

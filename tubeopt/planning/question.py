@@ -50,36 +50,36 @@ class PlanOptions(Displayed):
         InputError: a value that is not allowed.
     """
 
-    search: Annotated[str, OneOf(SEARCHES), "how a way is looked for: auto, rrt_connect or optimal"] = "auto"
+    search: Annotated[str, OneOf(SEARCHES), "search algorithm: auto, rrt_connect or optimal"] = "auto"
     """"auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or "optimal":
     what "auto" finds, after which BIT* (OMPL) has `search_seconds` to find a shorter way."""
-    objective: Annotated[str, OneOf((*WEIGHTS, "none")), "of the smoothing: length, time, effort, margin or none"] = (
-        "length"
-    )
+    objective: Annotated[
+        str, OneOf((*WEIGHTS, "none")), "objective of the smoothing: length, time, effort, margin or none"
+    ] = "length"
     """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
     "margin" (largest least margin), or "none"."""
-    time_limit: Annotated[float, unit("s"), POSITIVE, "for search and smoothing"] = 60.0
+    time_limit: Annotated[float, unit("s"), POSITIVE, "time limit for search and smoothing"] = 60.0
     """For the proof too."""
     search_seconds: float = 5.0
     """Of "optimal", s."""
     clearance: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "least distance of the arm from obstacles"
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
     """Of its surface."""
     max_force: Annotated[
         float,
         key("max_tip_force_mN"),
         NOT_NEGATIVE,
-        "margin and clearance under any force on the tip of up to this size, in any direction",
+        "prove margin and clearance for any tip force up to this size, in any direction",
     ] = 0.0
     """Forces that keep their direction."""
     carriage_gap: float = 0.0
     """As in `InverseOptions`, m."""
     section_length: float = 0.0
     """As in `InverseOptions`, m."""
-    modulo_turns: Annotated[bool, "goal rotations may be reached with any number of whole turns"] = False
+    modulo_turns: Annotated[bool, "accept goal rotations plus any number of full turns"] = False
     """The plan tells how many."""
-    seed: Annotated[int, NOT_NEGATIVE, "of the search"] = 0
+    seed: Annotated[int, NOT_NEGATIVE, "random seed of the search"] = 0
     extra_cost: OwnObjective | None = None
     """Of smoothing, an own objective of the joint values and the tip of one pose, `q.poses[0]`: its mean along the
     path, times its weight, is added to the objective, in which the length counts relative to that of the way that was

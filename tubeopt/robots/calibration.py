@@ -35,10 +35,10 @@ class SavedRegistration:
         InputError: a rotation that is no rotation matrix, or a translation that is not three finite numbers.
     """
 
-    recording: Annotated[str, "mark of the positions that it belongs to"]
-    method: Annotated[str, "by which it was found: rigid, base-axis, none or saved"]
-    rotation: Annotated[tuple[Vector, ...], "3 rows of the rotation matrix, device to plate"]
-    translation: Annotated[Vector, unit("mm"), "device to plate"]
+    recording: Annotated[str, "checksum of the recorded positions"]
+    method: Annotated[str, "method of the registration: rigid, base-axis, none or saved"]
+    rotation: Annotated[tuple[Vector, ...], "three rows of the rotation matrix from device frame to base frame"]
+    translation: Annotated[Vector, unit("mm"), "translation from device frame to base frame"]
 
     def __post_init__(self) -> None:
         matrix = np.array([vector("a row of rotation", row, 3, "x, y, z") for row in self.rotation])
@@ -64,19 +64,23 @@ class Calibration:
             or compliance below 0.
     """
 
-    rotation_offsets: Annotated[Numbers, unit("deg"), LEFT_OUT, "added to the rotations; 0 where not given"]
-    translation_offsets: Annotated[Numbers, unit("mm"), LEFT_OUT, "added to the translations; 0 where not given"]
-    rotation_gains: Annotated[Numbers, LEFT_OUT, "factors on the rotations; 1 is a drive that reads true"]
-    translation_gains: Annotated[Numbers, LEFT_OUT, "factors on the translations; 1 where not given"]
-    rotation_play: Annotated[Numbers, unit("deg"), LEFT_OUT, "half widths of the backlash; known, not applied"]
+    rotation_offsets: Annotated[Numbers, unit("deg"), LEFT_OUT, "added to the rotations; default 0"]
+    translation_offsets: Annotated[Numbers, unit("mm"), LEFT_OUT, "added to the translations; default 0"]
+    rotation_gains: Annotated[Numbers, LEFT_OUT, "factors on the rotations; default 1"]
+    translation_gains: Annotated[Numbers, LEFT_OUT, "factors on the translations; default 1"]
+    rotation_play: Annotated[
+        Numbers, unit("deg"), LEFT_OUT, "half widths of the rotational backlash, for information; not applied"
+    ]
     """The tube follows its drive once it has turned by as much: it depends on the way, so `to_model` leaves it out."""
 
-    latency: Annotated[float, unit("s"), "by which measured tips come later than readings with the same time"] = 0.0
-    found_by: Annotated[str, "the data that it was found by"] = ""
+    latency: Annotated[float, unit("s"), "delay of measured tips behind joint readings with the same time"] = 0.0
+    found_by: Annotated[str, "data of the calibration"] = ""
     translation_play: Annotated[
-        Numbers, unit("mm"), LEFT_OUT, "half widths of the carriages' backlash; known, not applied"
+        Numbers, unit("mm"), LEFT_OUT, "half widths of the carriage backlash, for information; not applied"
     ] = ()
-    translation_compliance: Annotated[Numbers, unit("mm_per_N"), LEFT_OUT, "by which carriages yield to the tubes"] = ()
+    translation_compliance: Annotated[
+        Numbers, unit("mm_per_N"), LEFT_OUT, "compliance of the carriages along the tubes"
+    ] = ()
     """Of concentric robots. The force is that of the tubes at the equilibrium, so it takes the mechanics:
     `tubeopt.equilibrium.readings` applies it, `to_model` of this class leaves it out."""
 
@@ -84,16 +88,18 @@ class Calibration:
         Numbers,
         unit("deg"),
         LEFT_OUT,
-        "readings in the middle of the calibrated motion; gains act about the full turn next to it; default 0",
+        "rotation readings in the middle of the calibrated motion; gains act about the nearest full turn; default 0",
     ] = ()
     """A reading that is a turn larger is another joint value, where the gain is not 1."""
 
-    sensor_offset: Annotated[Vector, unit("mm"), "of the tip's sensor from the tip, in the frame of the tip"] = NONE3
-    sensor_tilt: Annotated[Vector, unit("deg"), "of the sensor's axis about x and y of the frame of the tip"] = NONE2
-    sensor_axis: Annotated[Vector, LEFT_OUT, "direction along the tube in the frame of the tip's sensor"] = ()
-    plate_shift: Annotated[Vector, unit("mm"), "of the plate from where a registration puts it"] = NONE3
-    plate_tilt: Annotated[Vector, unit("deg"), "of the plate about x and y, from where a registration puts it"] = NONE2
-    registration: Annotated[SavedRegistration | None, "that was found with one recording"] = None
+    sensor_offset: Annotated[Vector, unit("mm"), "position of the tip sensor in the tip frame"] = NONE3
+    sensor_tilt: Annotated[Vector, unit("deg"), "tilt of the sensor axis about x and y of the tip frame"] = NONE2
+    sensor_axis: Annotated[Vector, LEFT_OUT, "tube direction in the frame of the tip sensor"] = ()
+    plate_shift: Annotated[Vector, unit("mm"), "shift of the base plate relative to the registration"] = NONE3
+    plate_tilt: Annotated[Vector, unit("deg"), "tilt of the base plate about x and y relative to the registration"] = (
+        NONE2
+    )
+    registration: Annotated[SavedRegistration | None, "registration of one recording"] = None
 
     def __post_init__(self) -> None:
         count = len(self.rotation_offsets)

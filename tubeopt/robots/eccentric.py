@@ -110,10 +110,13 @@ class EccentricRobot(SheathedRobot):
     tube: Tube
     """Each of the three."""
     offset: Annotated[
-        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the tubes touch"
+        float | None,
+        unit("mm"),
+        NOT_NEGATIVE,
+        "distance of the tube axes from the centreline; by default the tubes touch",
     ] = None
     """m; None is OD / sqrt(3); 0 is the equivalent concentric robot, which no hand can build."""
-    transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight tube behind the plate"] = 0.0
+    transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight length behind the base plate"] = 0.0
     """m, between where a tube is held and its straight_length."""
     name: str = ""
     """What to call it in tables and pictures."""
@@ -164,7 +167,10 @@ class SegmentedEccentricRobot(SheathedRobot):
     segments: tuple[Tube, ...]
     """The tube of each segment, inner (which reaches furthest) to outer."""
     offset: Annotated[
-        float | None, unit("mm"), NOT_NEGATIVE, "from the centreline; by default where the outermost tubes touch"
+        float | None,
+        unit("mm"),
+        NOT_NEGATIVE,
+        "distance of the tube axes from the centreline; by default the outermost tubes touch",
     ] = None
     """Of the three places, m; None is OD / sqrt(3) of the outermost tube."""
     name: str = ""

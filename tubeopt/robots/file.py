@@ -47,7 +47,7 @@ def _one_of(key: str, other: str, *, both: bool) -> str:
 class MaterialEntry(Part):
     """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
 
-    shear_modulus_GPa: Positive | None = Field(None, description="or Poisson's ratio in its place")
+    shear_modulus_GPa: Positive | None = Field(None, description="shear modulus; alternatively Poisson's ratio")
     poisson_ratio: NotNegative | None = None
 
     def build(self) -> Material:
@@ -79,15 +79,15 @@ class TubeEntry(Part):
     """A tube: a straight part, then a curved part whose curvature or radius is given, or pieces."""
 
     pieces: list[PieceEntry] | None = Field(
-        None, min_length=1, description="what the tube is made of behind its straight part"
+        None, min_length=1, description="pieces of the tube after its straight part, in order"
     )
     curved_length_mm: Annotated[NotNegative | None, Usual(1e-3, 10.0)] = Field(
-        None, validate_default=True, description="length of the curved part; with pieces it may be left out"
+        None, validate_default=True, description="length of the curved part; optional with pieces"
     )
     curvature_per_m: Annotated[Number | None, Usual(0.1, 2000.0)] = Field(
-        None, description="precurvature; 0 for a straight tube, negative to the other side"
+        None, description="precurvature; 0 for a straight tube, negative for the opposite direction"
     )
-    radius_mm: Positive | None = Field(None, description="radius of the precurvature, in place of curvature_per_m")
+    radius_mm: Positive | None = Field(None, description="radius of the precurvature, instead of curvature_per_m")
     material: MaterialChoice = "nitinol"
 
     @field_validator("curved_length_mm")
@@ -164,9 +164,9 @@ class RobotEntry(Part):
     kind: str
     name: str = ""
     limits: EntryOf[JointLimits] | None = Field(
-        None, description="what the actuators allow; by default what the lengths allow"
+        None, description="joint limits of the actuators; by default the range given by the tube lengths"
     )
-    calibration: CalibrationEntry | None = Field(None, description="how joint readings become joint values")
+    calibration: CalibrationEntry | None = Field(None, description="conversion of joint readings to joint values")
 
     def common(self) -> dict[str, Any]:
         """Name, limits and calibration in SI."""
@@ -182,10 +182,10 @@ class ConcentricEntry(RobotEntry):
 
     kind: Literal["concentric"]
     tubes: list[TubeEntry] = Field(min_length=1)
-    friction: EntryOf[Friction] | None = Field(None, description="between neighbouring tubes; none where not given")
+    friction: EntryOf[Friction] | None = Field(None, description="friction between neighbouring tubes; default none")
     clearance_mm: list[NotNegative] | None = Field(
         None,
-        description="radial, a list: of every tube in the next one, or one for all; it does not count where not given",
+        description="radial gap of every tube inside the next one: a list, or one number for all; default 0",
     )
 
     def build(self) -> ConcentricRobot:

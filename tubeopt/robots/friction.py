@@ -32,35 +32,38 @@ class Friction(Displayed):
         unit("mN_m_per_m"),
         NOT_NEGATIVE,
         Usual(1e-5, 1.0),
-        "per length, wherever both tubes of a pair are, in front of the plate",
+        "friction torque per length, in front of the base plate where both tubes of a pair are present",
     ] = 0.0
     plate: Annotated[
         float | tuple[float, ...],
         unit("mN_m"),
         NOT_NEGATIVE,
         Usual(1e-6, 0.1),
-        "at the plate, for all that rubs behind it",
+        "friction torque at the base plate, for all friction behind it",
     ] = 0.0
     jumps: Annotated[
         float | tuple[float, ...],
         unit("mN_m"),
         NOT_NEGATIVE,
         Usual(1e-6, 0.1),
-        "where the precurvature of one of the two jumps",
+        "friction torque where the precurvature of one of the two tubes changes abruptly",
     ] = 0.0
     ends: Annotated[
-        float | tuple[float, ...], unit("mN_m"), NOT_NEGATIVE, Usual(1e-6, 0.1), "where the outer tube of a pair ends"
+        float | tuple[float, ...],
+        unit("mN_m"),
+        NOT_NEGATIVE,
+        Usual(1e-6, 0.1),
+        "friction torque at the end of the outer tube of a pair",
     ] = 0.0
     sliding: Annotated[
         bool,
-        "whether sliding along the axis uses up friction, so that what slips fast along it bears less torque about it; "
-        "it rubs at the radius of the inner tube's outside",
+        "axial sliding reduces the friction torque; the friction radius is the outer radius of the inner tube",
     ] = False
     refinement: Annotated[
         int,
         Range(least=-2, most=4),
-        "how often the pieces of the mesh are halved, for a sharper front between what slips and what sticks; -1 and "
-        "-2 make it coarser, for answers in less time",
+        "number of mesh bisections, for a sharper boundary between slip and stick; -1 and "
+        "-2 coarsen the mesh and save time",
     ] = 0
 
     def __post_init__(self) -> None:

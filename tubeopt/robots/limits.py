@@ -41,8 +41,8 @@ class JointLimits(Displayed):
         InputError: a range is not two finite numbers in order, or the two tables differ in length.
     """
 
-    rotations: Annotated[Ranges, unit("deg"), "least and greatest rotation of every tube"]
-    translations: Annotated[Ranges, unit("mm"), "least and greatest translation of every tube"]
+    rotations: Annotated[Ranges, unit("deg"), "smallest and largest rotation of every tube"]
+    translations: Annotated[Ranges, unit("mm"), "smallest and largest translation of every tube"]
 
     def __post_init__(self) -> None:
         for name in ("rotations", "translations"):

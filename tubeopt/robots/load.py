@@ -30,20 +30,24 @@ ZERO = (0.0, 0.0, 0.0)
 class Stretch:
     """A constant load per length on a stretch of the arm, in world axes."""
 
-    start: Annotated[float, key("from_mm"), NOT_NEGATIVE, "arc length from the plate"]
-    end: Annotated[float, key("to_mm"), "arc length from the plate"]
+    start: Annotated[float, key("from_mm"), NOT_NEGATIVE, "arc length from the base plate"]
+    end: Annotated[float, key("to_mm"), "arc length from the base plate"]
     force: Annotated[Vector, unit("mN_per_m")] = ZERO
-    moment: Annotated[Vector, unit("mN_m_per_m"), "its part along the arm turns the outermost tube"] = ZERO
+    moment: Annotated[
+        Vector, unit("mN_m_per_m"), "moment per length; its axial component acts on the outermost tube"
+    ] = ZERO
 
 
 @dataclass(frozen=True)
 class PointLoad:
     """A force and a moment at one place of the arm, in world axes."""
 
-    at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the plate"]
+    at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the base plate"]
     force: Annotated[Vector, unit("mN")] = ZERO
     moment: Annotated[
-        Vector, unit("mN_m"), "its part along the arm turns the outermost tube, at the arm's end the innermost"
+        Vector,
+        unit("mN_m"),
+        "moment; its axial component acts on the outermost tube, at the end of the arm on the innermost",
     ] = ZERO
 
 
@@ -55,13 +59,13 @@ class Load(Displayed):
         InputError: a vector that is not three finite numbers, an unknown frame, a stretch or point behind the plate.
     """
 
-    force: Annotated[Vector, key("tip_force_mN"), "force on the tip in axes of the plate"] = ZERO
+    force: Annotated[Vector, key("tip_force_mN"), "force on the tip in the base frame"] = ZERO
     """N."""
-    moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in axes of the plate"] = ZERO
+    moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in the base frame"] = ZERO
     """N m; its part along the tip turns the tube that ends last, of several the innermost: it holds the tool."""
     _: KW_ONLY
     frame: Annotated[
-        str, OneOf(FRAMES), "of tip force and moment: world keeps their direction, tip turns them with the tip"
+        str, OneOf(FRAMES), "frame of tip force and moment: world (constant direction) or tip (they turn with the tip)"
     ] = "world"
     """Dead loads are those of the "world"; following ones turn with the Bishop frame of the tip, the `tip_rotation` of
     an equilibrium."""
@@ -69,10 +73,12 @@ class Load(Displayed):
     """Per length in world axes: a force (3,), N/m, all along the arm; a function of arc length (m from the plate)
     -> (3,), or (6,) with a moment, N; or stretches (start, end, force (3,)) or (start, end, force (3,), moment (3,)),
     constant on each. A moment's part along the arm turns the outermost tube there."""
-    points: Annotated[tuple[PointLoad, ...], "forces and moments at places of the arm, in world axes"] = ()
+    points: Annotated[tuple[PointLoad, ...], "forces and moments at points of the arm, in the base frame"] = ()
     """(arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m; the part of a moment along
     the arm turns the outermost tube there, at the arm's end the one that a moment at the tip turns."""
-    gravity: Annotated[Vector | None, unit("m_per_s2"), "gravity, which acts on the mass of the tubes"] = None
+    gravity: Annotated[
+        Vector | None, unit("m_per_s2"), "gravity vector in the base frame; acts on the mass of the tubes"
+    ] = None
     """m/s^2; the tubes are those in front of the plate."""
 
     def __post_init__(self) -> None:

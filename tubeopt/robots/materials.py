@@ -25,15 +25,15 @@ class ThermalData:
 
     density: Annotated[float, unit("kg_per_m3"), Range(least=100.0, most=23000.0)]
     heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0)]
-    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "of heat"]
-    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Usual(1e-9, 1e-4), "to electric current"]
-    expansion: Annotated[float, unit("per_K"), POSITIVE, Usual(1e-7, 1e-3), "of its length"]
-    emissivity: Annotated[float, Range(above=0.0, most=1.0), "over all wavelengths"]
-    heat_capacity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
-    conductivity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
-    resistivity_slope: Annotated[float, unit("per_K"), "relative change per K"] = 0.0
+    conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal conductivity"]
+    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Usual(1e-9, 1e-4), "electrical resistivity"]
+    expansion: Annotated[float, unit("per_K"), POSITIVE, Usual(1e-7, 1e-3), "coefficient of thermal expansion"]
+    emissivity: Annotated[float, Range(above=0.0, most=1.0), "total emissivity"]
+    heat_capacity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
+    conductivity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
+    resistivity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
     reference_temperature: Annotated[
-        float, key("reference_degC"), POSITIVE, "temperature at which the properties are those given"
+        float, key("reference_degC"), POSITIVE, "reference temperature of the properties"
     ] = 25.0 + ZERO_CELSIUS
 
     def __post_init__(self) -> None:
@@ -103,19 +103,17 @@ class Material(Displayed):
         InputError: a modulus or strain is not positive, or Poisson's ratio lies outside [0, 1/2).
     """
 
-    name: Annotated[str, "what to call it"]
+    name: Annotated[str, "name of the material"]
     youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(1e8, 5e11), "E"]
-    shear_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(3e7, 2e11), "G; or Poisson's ratio in its place"]
-    working_strain: Annotated[
-        float, unit("percent"), POSITIVE, STRAIN, "strain up to which a tube may be cycled without thought"
-    ] = 0.01
-    superelastic_strain: Annotated[
-        float, unit("percent"), POSITIVE, STRAIN, "strain beyond which a tube does not spring back"
-    ] = 0.06
+    shear_modulus: Annotated[
+        float, unit("GPa"), POSITIVE, Usual(3e7, 2e11), "shear modulus G; alternatively Poisson's ratio"
+    ]
+    working_strain: Annotated[float, unit("percent"), POSITIVE, STRAIN, "strain limit for unlimited cycles"] = 0.01
+    superelastic_strain: Annotated[float, unit("percent"), POSITIVE, STRAIN, "strain limit of superelasticity"] = 0.06
     thermal: Annotated[
         ThermalData | None,
         Named(THERMAL_DATA),
-        "constants for heating, or the name of the metal whose they are",
+        "thermal constants, or the name of the metal",
     ] = None
 
     def __post_init__(self) -> None:

@@ -39,8 +39,8 @@ COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
 class SeriesEntry(Entry):
     """A quantity that varies along the piece: Chebyshev coefficients on panels, as `save_robot` writes it."""
 
-    breaks_mm: list[Number] = Field(min_length=2, description="arc lengths at which the panels meet, from 0")
-    coefficients: list[list[Number]] = Field(min_length=1, description="of the Chebyshev polynomials of every panel")
+    breaks_mm: list[Number] = Field(min_length=2, description="arc lengths of the panel boundaries, starting at 0")
+    coefficients: list[list[Number]] = Field(min_length=1, description="Chebyshev coefficients of every panel")
 
     def series(self, unit: Decimal) -> Series:
         """The quantity in SI."""
@@ -72,7 +72,7 @@ class HelixEntry(Entry):
     """A helix in space."""
 
     radius_mm: Annotated[Positive, RADIUS]
-    pitch_mm: Annotated[Positive, PITCH] = Field(description="advance along its axis per turn")
+    pitch_mm: Annotated[Positive, PITCH] = Field(description="advance along the helix axis per turn")
     handed: Literal["left", "right"] = "right"
 
 
@@ -84,7 +84,9 @@ class PatternEntry(Entry):
 
     bending_factor: Factor
     torsion_factor: Factor
-    source: str = Field(min_length=1, description="where the factors are from: a measurement, a model of slotted tubes")
+    source: str = Field(
+        min_length=1, description="source of the factors, such as a measurement or a model of slotted tubes"
+    )
 
 
 def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
@@ -118,24 +120,32 @@ def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
 Table = Annotated[
     Any,
     in_file(_load_table, "a CSV file"),
-    Field(description=f"path of a CSV file, relative to this file, with {', '.join(COLUMNS)} and twist_deg_per_mm"),
+    Field(
+        description=f"path of a CSV file, relative to this file, with columns {', '.join(COLUMNS)} and twist_deg_per_mm"
+    ),
 ]
 
 
 class PieceEntry(Entry):
     """A piece of a tube: its length, its precurvature in one of several ways, and stiffnesses of its own."""
 
-    length_mm: Annotated[Positive | None, LENGTH] = Field(None, description="may be left out with a table")
+    length_mm: Annotated[Positive | None, LENGTH] = Field(
+        None, description="length of the piece; optional with a table"
+    )
     radius_mm: Annotated[Positive | None, RADIUS] = None
-    curvature_per_m: Annotated[Curvature | None, BEND] = Field(None, description="about x, or [x, y]")
-    twist_deg_per_mm: Along | None = Field(None, description="natural twist: how fast the bend direction turns")
+    curvature_per_m: Annotated[Curvature | None, BEND] = Field(None, description="precurvature about x, or [x, y]")
+    twist_deg_per_mm: Along | None = Field(
+        None, description="natural twist: rotation of the bending direction per length"
+    )
     helix: HelixEntry | None = None
     table: Table | None = None
-    plane_deg: Number | None = Field(None, description="by how much the bend direction is turned about the tube's axis")
+    plane_deg: Number | None = Field(None, description="rotation of the bending direction about the tube axis")
     bending_stiffness_N_mm2: Stiffness | None = None
     torsional_stiffness_N_mm2: Stiffness | None = None
     pattern: PatternEntry | None = None
-    slots: EntryOf[Slots] | None = Field(None, description="where they are cut, for the strain of what they leave")
+    slots: EntryOf[Slots] | None = Field(
+        None, description="position of the slots, for the strain of the remaining material"
+    )
 
     def build(self, tube: Tube) -> Piece:
         """The piece in SI, of a tube with these diameters and stiffnesses."""

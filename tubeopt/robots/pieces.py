@@ -36,8 +36,8 @@ class Slots(Displayed):
         InputError: a share that is not in (0, 1].
     """
 
-    share: Annotated[float, REQUIRED, POSITIVE, "of the piece's length along which there are slots, at most 1"] = 1.0
-    one_sided: Annotated[bool, "cut from one side of the bend only, which shifts the neutral axis"] = False
+    share: Annotated[float, REQUIRED, POSITIVE, "slotted fraction of the length of the piece, at most 1"] = 1.0
+    one_sided: Annotated[bool, "slots on one side of the bend only, which shifts the neutral axis"] = False
 
     def __post_init__(self) -> None:
         instance("one_sided of the slots", self.one_sided, bool)

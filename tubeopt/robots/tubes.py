@@ -49,26 +49,33 @@ class Tube(Displayed):
     """
 
     outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
-    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1), "less than the outer diameter"]
-    straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "from the held end"]
-    curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "behind the straight part"]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1), "smaller than the outer diameter"]
+    straight_length: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "length of the straight part, from the clamped end"
+    ]
+    curved_length: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "length of the curved part, after the straight part"
+    ]
     curvature: Annotated[
-        float, unit("per_m"), Usual(0.1, 2000.0), "precurvature; 0 for a straight tube, negative to the other side"
+        float,
+        unit("per_m"),
+        Usual(0.1, 2000.0),
+        "precurvature; 0 for a straight tube, negative for the opposite direction",
     ]
     material: Material = NITINOL
     """Of which stiffnesses and mass follow, where they are not given."""
     # None only on the way in: a tube that exists has its stiffnesses.
-    bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "as measured; by default E I"] = field(
+    bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "measured value; default E I"] = field(
         default=None,  # type: ignore[assignment]
         kw_only=True,
     )
-    torsional_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "as measured; by default G J"] = field(
+    torsional_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "measured value; default G J"] = field(
         default=None,  # type: ignore[assignment]
         kw_only=True,
     )
-    mass_per_length: Annotated[float | None, unit("g_per_m"), POSITIVE, Usual(1e-6, 1.0), "for its weight"] = field(
-        default=None, kw_only=True
-    )
+    mass_per_length: Annotated[
+        float | None, unit("g_per_m"), POSITIVE, Usual(1e-6, 1.0), "mass per length, for weight"
+    ] = field(default=None, kw_only=True)
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
     """Behind the straight part, from there to the tip; none of a tube of one radius."""
 

@@ -133,7 +133,7 @@ class StructurePart(Entry):
     axes: Axes | None = Field(None, description=OF_VOXELS)
     file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file", of="axes")]
     keep: Literal["in", "out", "target"] = Field(
-        "out", description="in: the arm stays within it; out: outside of it; target: it is a region for the tip"
+        "out", description="in: the arm stays inside; out: the arm stays outside; target: region for the tip"
     )
 
     def build(self) -> DistanceField:
@@ -149,13 +149,13 @@ class MeshPart(Entry):
     file: Annotated[Path, in_file(Path, "a mesh file")]
     keep: Literal["in", "out"] = Field(
         "out",
-        description="in: the arm stays within the closed surface; out: outside of it, or clear of the triangles of an "
-        "open one",
+        description="in: the arm stays inside the closed surface; out: the arm stays "
+        "outside it, or clear of an open surface",
     )
-    unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
+    unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
     axes: Axes | None = Field(None, description=OF_FILE)
     cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
-        None, description="size of the cells of its distance field; 0.5 where that can be"
+        None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
     def build(self) -> DistanceField:
@@ -171,13 +171,13 @@ class PointsPart(Entry):
 
     file: Annotated[Path, in_file(Path, "a PLY or CSV file")]
     radius_mm: Positive = Field(
-        description="of the balls: no less than half of how far apart the points are; of faces, how thick they count "
-        "to either side"
+        description="radius of the balls, at least half the distance between points; for "
+        "faces, their thickness on each side"
     )
-    unit: Literal["mm", "cm", "m"] = Field("mm", description="of the numbers in the file")
+    unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
     axes: Axes | None = Field(None, description=OF_FILE)
     cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
-        None, description="size of the cells of its distance field; 0.5 where that can be"
+        None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
     def build(self) -> DistanceField:
@@ -203,17 +203,17 @@ class LandmarksPart(Entry):
 class BasePart(Entry):
     """Where the plate stands in the patient, and along what the arm leaves it."""
 
-    position_mm: Triple | None = Field(None, description="in the patient")
-    direction: Triple | None = Field(None, description="along which the arm leaves the plate, of any length")
+    position_mm: Triple | None = Field(None, description="position in the patient")
+    direction: Triple | None = Field(None, description="direction of the arm at the base plate, any length")
     axes: Axes | None = Field(
-        None, description="of position_mm and direction, RAS where not given; of pose, needed where it states none"
+        None, description="axes: RAS (default) or LPS; required for a pose file that does not state them"
     )
     pose: Annotated[Any, in_file(load_pose, "a text file with a 4 x 4 matrix, mm", of="axes")] = Field(
-        None, description="position and direction as a matrix: its third column is the direction, its fourth the place"
+        None, description="file with a 4 by 4 matrix; its third column is the direction, its fourth the position"
     )
-    at: str | None = Field(None, description="a landmark in place of position_mm")
-    towards: str | None = Field(None, description="a landmark in place of direction")
-    roll_deg: Number = Field(Decimal(0), description="turn of the plate about that direction")
+    at: str | None = Field(None, description="landmark, instead of position_mm")
+    towards: str | None = Field(None, description="landmark to point at, instead of direction")
+    roll_deg: Number = Field(Decimal(0), description="rotation of the base plate about the direction")
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
@@ -241,10 +241,8 @@ class BasePart(Entry):
 class RegistrationPart(Entry):
     """Landmarks as they are measured from the plate, by which the plate is found in the patient."""
 
-    landmarks_mm: dict[str, Triple] = Field(description="names of landmarks, and where each is from the plate")
-    most_error_mm: Annotated[Positive, Usual(1e-5, 0.05)] = Field(
-        Decimal(3), description="largest root of the mean square error that is allowed"
-    )
+    landmarks_mm: dict[str, Triple] = Field(description="landmark names and their positions in the base frame")
+    most_error_mm: Annotated[Positive, Usual(1e-5, 0.05)] = Field(Decimal(3), description="largest allowed RMS error")
 
 
 class AnatomyPart(Entry):
@@ -254,14 +252,14 @@ class AnatomyPart(Entry):
     image: (
         Annotated[LabelImage, in_file(read_image, "a NIfTI or NRRD file", kind=LabelImage, of="image_axes")] | None
     ) = None
-    lumen: list[Whole] = Field([], description="labels of the image within which the arm stays")
-    lumen_between: Pair | None = Field(None, description="in place of labels: least and greatest value of voxels")
-    forbidden: list[Whole] = Field([], description="labels that the arm keeps out of")
-    forbidden_between: Pair | None = Field(None, description="in place of labels: least and greatest value of voxels")
-    target: list[Whole] = Field([], description="labels of the region for the tip")
+    lumen: list[Whole] = Field([], description="image labels that the arm must stay inside")
+    lumen_between: Pair | None = Field(None, description="smallest and largest voxel value, instead of labels")
+    forbidden: list[Whole] = Field([], description="image labels that the arm must avoid")
+    forbidden_between: Pair | None = Field(None, description="smallest and largest voxel value, instead of labels")
+    target: list[Whole] = Field([], description="image labels of the target region for the tip")
     region_mm: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = Field(
         None,
-        description="least and greatest corner (RAS) of the part of the image that counts; beyond all is forbidden",
+        description="smallest and largest corner (RAS) of the used part of the image; everything outside is forbidden",
     )
     structures: list[StructurePart] = Field([])
     meshes: list[MeshPart] = Field([])

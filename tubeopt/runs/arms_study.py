@@ -24,8 +24,8 @@ from .plan_study import Aimed, RatesEntry, check_rates
 class PlacedPart(Started):
     """One of several robots: where it stands, and from where it begins."""
 
-    name: str = Field("", description="what messages and pictures call it; by default the robot's name")
-    base: BasePart | None = Field(None, description="where its plate stands in the frame that all share")
+    name: str = Field("", description="name in messages and plots; default the name of the robot")
+    base: BasePart | None = Field(None, description="base plate in the common frame")
 
     def placed(self, anatomy: Anatomy) -> PlacedRobot:
         """The robot where it stands; landmarks are those of an anatomy."""
@@ -44,7 +44,7 @@ def shared(anatomy: Anatomy | None) -> Anatomy:
 class ArmPart(Aimed, PlacedPart):
     """One of the robots, and its goal; without one it stays where it is."""
 
-    tip_mm: Place | None = Field(None, description="goal as a position of the tip, in the frame that all share")
+    tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:
@@ -59,19 +59,21 @@ class ArmsStudy(Surrounded, Study):
     """Motions of several robots on one plate or endoscope, each on one stable branch, none touching another."""
 
     doing = "planning"
-    assuming = "All is said assuming no friction, and no load or weight."
+    assuming = "Results assume no friction, load or weight."
 
     kind: Literal["plan_arms"]
-    arms: Annotated[list[ArmPart], Field(min_length=2)] = Field(description="the robots, two at least")
+    arms: Annotated[list[ArmPart], Field(min_length=2)] = Field(description="the robots, at least two")
     obstacles: Bodies = Field(
-        (), description="bodies that all arms keep away from, in the frame that they share: a list, or a YAML file"
+        (), description="obstacles for all arms, in the common frame: a YAML file or a list of bodies"
     )
     clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
-        Decimal("0.5"), description="least distance of every arm from bodies, and from all others"
+        Decimal("0.5"), description="smallest allowed distance of every arm from obstacles and other arms"
     )
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
-    time_limit_s: Positive = Field(Decimal(120), description="for all of it")
+    min_margin: NotNegative = Field(
+        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
+    )
+    rates: RatesEntry = Field(default_factory=RatesEntry, description="rate and acceleration limits of the actuators")
+    time_limit_s: Positive = Field(Decimal(120), description="time limit of the command")
 
     @model_validator(mode="after")
     def _landmarks(self) -> Self:

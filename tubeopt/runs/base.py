@@ -51,11 +51,11 @@ OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
 """A number for every tube of the study's robot, inner to outer."""
 
 
-HOME = "home: 0, or as near to it as limits and the order of the tubes allow"
+HOME = "home (0, or the nearest value that limits and tube order allow)"
 """What the word means, for helps."""
 
 
-SHIFTED = Field(None, description=f"translation of every tube, inner to outer; by default {HOME}")
+SHIFTED = Field(None, description=f"translation of every tube, inner to outer; default {HOME}")
 
 
 def _of_the_robot(tube: int, info: ValidationInfo) -> int:
@@ -69,7 +69,9 @@ Count = Annotated[Whole, Field(ge=1)]
 """A whole number, at least 1."""
 
 
-TubeNumber = Annotated[Count, AfterValidator(_of_the_robot), Field(description="which tube of the robot, from 1")]
+TubeNumber = Annotated[
+    Count, AfterValidator(_of_the_robot), Field(description="number of the tube, 1 for the innermost")
+]
 """One of the tubes of the study's robot."""
 
 
@@ -134,7 +136,7 @@ class Posed(Entry):
 
     robot: RobotPath
     rotations_deg: OnePerTube | None = Field(
-        None, description="rotation of every tube, inner to outer; by default 0, or as near as limits allow"
+        None, description="rotation of every tube, inner to outer; default 0, or the nearest allowed value"
     )
     translations_mm: OnePerTube | None = SHIFTED
 
@@ -149,9 +151,9 @@ class Started(Entry):
 
     robot: RobotPath
     start_deg: OnePerTube | None = Field(
-        None, description="rotations at the start; by default 0, or as near as limits allow"
+        None, description="rotations at the start; default 0, or the nearest allowed value"
     )
-    start_mm: OnePerTube | None = Field(None, description=f"translations at the start; by default {HOME}")
+    start_mm: OnePerTube | None = Field(None, description=f"translations at the start; default {HOME}")
 
     @property
     def start(self) -> tuple[Array, Array]:
@@ -194,7 +196,7 @@ class Study(Entry):
 class Timed(Study):
     """A study whose answer takes long: its time limit."""
 
-    time_limit_s: Positive = Field(Decimal(int(LONG_TIME_LIMIT)), description="on the clock, for all of it")
+    time_limit_s: Positive = Field(Decimal(int(LONG_TIME_LIMIT)), description="time limit of the command")
 
     def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
         """The answer, as `run_in` gives it, within the time limit.

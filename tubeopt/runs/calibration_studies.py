@@ -32,31 +32,36 @@ class HeatingCalibrationStudy(TubeOnRig):
 
     kind: Literal["heating_calibration"]
     log: Annotated[Path, in_file(Path, "a CSV file")] = Field(
-        description="path of the CSV file: time_s, duty, and any of temperature_degC, voltage_V, current_A; "
-        "or trials: duty, time_s, ramp_s, and result or spring_back_percent"
+        description="path of a CSV file. Log: columns time_s, duty and any of "
+        "temperature_degC, voltage_V, current_A. Trials: columns duty, time_s, "
+        "ramp_s and result or spring_back_percent"
     )
-    trials: bool = Field(False, description="the file holds outcomes of trials, not a log")
+    trials: bool = Field(False, description="read the file as results of trials, not as a log")
     fit: list[str] = Field(
         ["loss", "gap", "contact_resistance", "resistivity"],
-        description=f"of {', '.join((*FACTORS, BIAS))}; trials tell the loss alone",
+        description=f"parameters to estimate, from {', '.join((*FACTORS, BIAS))}; trials determine only the loss",
         examples=["NAME,.."],
     )
     camera: Annotated[CameraView, in_file(load_camera, "a CSV file")] | None = Field(
         None,
-        description="what a thermal camera saw beside the log: a CSV file of time_s and a column of temperatures in "
-        "degC for every place, called by it in mm from the middle of the curved part",
+        description="CSV file of a thermal camera, recorded with the log: time_s, and "
+        "temperatures in degC at points of the tube. The name of a column is "
+        "its distance from the middle of the curved part, mm",
         examples=["FILE.csv"],
     )
     colours: Annotated[ColourTable, in_file(load_colours, "a file of colours")] | None = Field(
         None,
-        description="of the oxide by temperature, for trials that tell its colour: a YAML file; by default wide ones",
+        description="YAML file with oxide colours by temperature, for trials that report a "
+        "colour; by default wide ranges",
         examples=["FILE.yaml"],
     )
-    noise_K: Positive | None = Field(None, description="stated noise of the thermometers, which residuals are held to")
+    noise_K: Positive | None = Field(None, description="stated noise of the thermometers, compared with the residuals")
     noise_V: Positive | None = Field(None, description="stated noise of the voltage")
     noise_A: Positive | None = Field(None, description="stated noise of the current")
-    position_mm: Number = Field(Decimal(0), description="of the thermometer from the middle of the curved part")
-    lag_s: NotNegative = Field(Decimal(0), description="time constant with which the thermometers follow the tube")
+    position_mm: Number = Field(
+        Decimal(0), description="position of the thermometer, from the middle of the curved part"
+    )
+    lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
 
     @functools.cached_property
     def _read(self) -> HeatingLog | tuple[Trial, ...]:
@@ -94,7 +99,9 @@ class MoldCalibrationStudy(Study):
         description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"
     )
     model: Literal["auto", "constant", "linear"] = Field(
-        "auto", description="of the lost fraction: constant, linear (it grows with curvature), or auto (as trials tell)"
+        "auto",
+        description="model of the lost curvature fraction: constant, linear "
+        "(increases with curvature) or auto (selected from the trials)",
     )
 
     def run(self, progress: Progress | None = None) -> Calibration:

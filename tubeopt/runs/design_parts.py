@@ -86,18 +86,19 @@ class FreeEntry(Part):
     """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
 
     tubes: Annotated[list[Whole], Field(min_length=1)]
-    equal: bool = Field(False, description="one value for all these tubes, or pieces, in place of one for each")
+    equal: bool = Field(False, description="one common value for all these tubes or pieces, instead of one each")
     pieces: list[Whole] = Field(
         [],
-        description="of the tubes, from the straight part to the tip, for the keys of pieces; all if not given",
+        description="numbers of the pieces, counted from the straight part to the tip; default all",
     )
-    coefficients: Annotated[Whole, Field(ge=1)] = Field(1, description="of a piece_shape")
+    coefficients: Annotated[Whole, Field(ge=1)] = Field(1, description="number of coefficients of a piece_shape")
     torsion_share: NotNegative | None = Field(
-        None, description="torsional stiffness that is lost per bending stiffness, with a piece_bending_factor; 0 to 1"
+        None,
+        description="loss of torsional stiffness per loss of bending stiffness, with a piece_bending_factor; 0 to 1",
     )
 
     slots: EntryOf[Slots] | None = Field(
-        None, description="where they are cut, for a strain, with a piece_bending_factor"
+        None, description="position of the slots, for a strain limit with a piece_bending_factor"
     )
 
     def build(self) -> Free:
@@ -210,12 +211,12 @@ def _built(*entries: Part | None) -> list[Requirement]:
 class Designed(Entry):
     """A robot that is designed: what may change, and what must hold."""
 
-    name: str = Field("", description="of the design")
+    name: str = Field("", description="name of the design")
     robot: RobotPath
     free: Annotated[list[FreeEntry], Field(min_length=1)]
     requirements: Requirements
     ordered: bool = Field(
-        True, description="whether the tubes are in order at translations 0 and at all translations that the task names"
+        True, description="require the tube order at translations 0 and at all translations of the task"
     )
 
     def task_for(self, *aims: Objective) -> DesignTask:
@@ -229,10 +230,10 @@ class Designed(Entry):
 class Tried(Entry):
     """How many designs a search begins with."""
 
-    starts: Count = Field(1, description="dimensions from which to start: those that are given, and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random starts, turns and samples")
+    starts: Count = Field(1, description="number of starting points: the given dimensions and random ones")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="random seed of starts, turns and samples")
     turns: Annotated[Whole, Field(ge=0)] = Field(
-        6, description="random full turns per translations on which no certified robot may snap"
+        6, description="number of random full turns, per row of translations, to test a certified robot for snaps"
     )
 
 

@@ -62,9 +62,10 @@ class StockStudy(Entry):
 
     file: StockPath
     clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
-        description="least difference of diameters of nested tubes"
+        description="smallest difference between the inner diameter of a tube and the outer "
+        "diameter of the tube inside it"
     )
-    keep: Count = Field(5, description="how many of the best choices are to be found for certain")
+    keep: Count = Field(5, description="number of best choices to find with certainty")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +93,16 @@ class DesignStudy(Designed, Tried, Timed):
     """The best robot that keeps a list of requirements."""
 
     doing = "designing"
-    assuming = f"What is said of snaps is said {ASSUMING}, but for the force of max_tip_force_mN."
+    assuming = f"Statements about snaps are valid {ASSUMING}, except the force max_tip_force_mN."
 
     kind: Literal["design"]
     objective: Aims
     tolerances: TolerancesEntry | None = None
     pareto_margins: Annotated[list[Number], Field(min_length=1)] | None = Field(
-        None, description="margins of the points of the Pareto front"
+        None, description="required margins of the points of the Pareto front"
     )
     stock: StockStudy | None = None
-    workers: Count = Field(1, description="processes for starts, stock and tolerances")
+    workers: Count = Field(1, description="number of processes for starts, stock and tolerances")
 
     @model_validator(mode="after")
     def _makes_a_task(self) -> Self:

@@ -60,12 +60,18 @@ class FabricationStudy(Timed):
     kind: Literal["fabrication"]
     robot: RobotPath
     rig: RigPath = Field(examples=["RIG.yaml"])
-    mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
-    hold_s: Positive | None = Field(
-        None, ge=1, le=1800, description="length of the hold; by default the mold file's, 60"
+    mold: MoldPath | None = Field(
+        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
     )
-    objective: Literal["time", "energy", "margin"] = Field("time", description="what is best: time, energy or margin")
-    charges_percent: list[Charge] = Field([], description="also tables for these states of charge; none for no tables")
+    hold_s: Positive | None = Field(
+        None, ge=1, le=1800, description="hold time, 1 to 1800 s; by default that of the mold file, or 60"
+    )
+    objective: Literal["time", "energy", "margin"] = Field(
+        "time", description="objective: time (shortest), energy (least charge) or margin (to the window and the limit)"
+    )
+    charges_percent: list[Charge] = Field(
+        [], description="additional states of charge for tables of the duty cycle, percent; none for no tables"
+    )
     samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
     sensor: SensorName | None = SENSOR
 

@@ -43,18 +43,23 @@ class LedHeatingStudy(HeatedTube):
     doing = "planning the heating and its law"
 
     kind: Literal["led_heating"]
-    sensor: str = Field("thermocouple", description=f"what is felt of the tube: {', '.join(READS)}")
+    sensor: str = Field("thermocouple", description=f"temperature sensor: {', '.join(READS)}")
     bias_K: NotNegative | None = Field(
-        None, description="half-width of the sensor's error that stays; by default what is usual for its kind"
+        None, description="half-width of the constant error of the sensor; by default a typical value of its kind"
     )
-    board: str = Field("uno", description=f"what runs the sketch: {', '.join(BOARDS)}")
+    board: str = Field("uno", description=f"board to run the sketch: {', '.join(BOARDS)}")
     converter: str | None = Field(
-        None, description=f"what reads the sensor: {', '.join(CONVERTERS)}; by default the usual one of its kind"
+        None,
+        description=f"converter of the sensor signal: {', '.join(CONVERTERS)}; by default the usual one of the sensor",
     )
     pwm_Hz: Positive | None = Field(
-        None, description="of the pulses, the nearest that the board has; by default its lowest, which loses least"
+        None,
+        description="PWM frequency; the nearest one of the board is used. Default: "
+        "the lowest, with the smallest switching loss",
     )
-    samples: Annotated[Whole, Field(ge=20)] = Field(200, description="uncertain rigs on which the law is tried")
+    samples: Annotated[Whole, Field(ge=20)] = Field(
+        200, description="number of random rigs to test the controller on, at least 20"
+    )
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:

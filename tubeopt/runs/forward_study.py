@@ -24,10 +24,10 @@ class ForwardKinematicsStudy(Posed, LoadedStudy):
     doing = "solving the shape"
 
     kind: Literal["forward_kinematics"]
-    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="how to solve: newton, ipopt, energy")
-    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest error of the tubes' angles")
-    verify: bool = Field(False, description="compare with an adaptive re-integration")
-    time_limit_s: Positive = Field(Decimal(int(KINEMATICS_LIMIT)), description="on the clock")
+    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="solver: newton, ipopt or energy")
+    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest allowed error of tube angles")
+    verify: bool = Field(False, description="compare the result with an independent adaptive integration")
+    time_limit_s: Positive = Field(Decimal(int(KINEMATICS_LIMIT)), description="time limit of the solve")
 
     def run(self, progress: Progress | None = None) -> Equilibrium:
         """The equilibrium; raises SolveError where none is found."""

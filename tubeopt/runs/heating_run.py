@@ -97,19 +97,21 @@ class HeatingRunStudy(Study):
 
     kind: Literal["heating_run"]
     port: str | None = Field(
-        None, description="serial port of the board that runs the sketch, as /dev/ttyACM0 or COM3", examples=["PORT"]
+        None, description="serial port of the board with the sketch, such as /dev/ttyACM0 or COM3", examples=["PORT"]
     )
     simulate: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
-        None, description="a simulated rig with its law in place of a board", examples=["RIG.yaml"]
+        None, description="rig file of a simulated rig and controller, instead of a board", examples=["RIG.yaml"]
     )
     rig: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
-        None, description="file of the rig on the port, with which the rest is planned anew", examples=["RIG.yaml"]
+        None, description="rig file of the connected rig, required to replan", examples=["RIG.yaml"]
     )
     replan_s: Positive | None = Field(
-        None, description="time between plans of the rest on this computer; by default the board's law is left alone"
+        None,
+        description="time between two plans of the remaining heating on this "
+        "computer; by default the board's controller works alone",
     )
-    dry: bool = Field(False, description="everything but the current")
-    speed: Positive = Field(Decimal(20), description="of the simulated clock, times the real one")
+    dry: bool = Field(False, description="run without current")
+    speed: Positive = Field(Decimal(20), description="speed of the simulation, as a multiple of real time")
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:

@@ -125,15 +125,12 @@ Charge = Annotated[Positive, Field(le=100)]
 SensorName = Annotated[str, AfterValidator(lambda name: choice("sensor", name, SENSORS))]
 """What is felt of the tube, by its name."""
 
-SAMPLES = (
-    "uncertain rigs, of which the success probability is counted; 0 leaves it unknown; with a sensor at least "
-    f"{LEAST_LED}"
-)
+SAMPLES = f"number of random rigs to estimate the success probability; 0 to skip; at least {LEAST_LED} with a sensor"
 """What the key `samples` says."""
 
 SENSOR = Field(
     None,
-    description=f"what closes the loop: {', '.join(SENSORS)}; by default nothing does",
+    description=f"sensor of the feedback control: {', '.join(SENSORS)}; default none (open loop)",
     examples=["SENSOR"],
 )
 
@@ -156,7 +153,7 @@ class TubeOnRig(Timed):
 
     rig: RigPath
     robot: RobotPath | None = Field(
-        None, description="robot whose tube is heated; by default the rig's own tube", examples=["ROBOT.yaml"]
+        None, description="robot file with the tube to heat; default the tube of the rig file", examples=["ROBOT.yaml"]
     )
     tube: TubeNumber = 1
 
@@ -179,8 +176,10 @@ class TubeOnRig(Timed):
 class HeatedTube(TubeOnRig):
     """What studies of plans share: a rig as it is set up; what is asked of the heating comes with `asking`."""
 
-    material: str | None = Field(None, description="mold material in place of the rig's")
-    battery_V: Positive | None = Field(None, description="of the battery at rest, as read; by default the rig file's")
+    material: str | None = Field(None, description="mold material, instead of that of the rig file")
+    battery_V: Positive | None = Field(
+        None, description="measured voltage of the battery at rest; by default that of the rig file"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -209,14 +208,17 @@ class HeatingStudy(HeatedTube):
     doing = "planning the heating"
 
     kind: Literal["heating"]
-    charges_percent: list[Charge] = Field([], description="also tables for these states of charge; none for no tables")
+    charges_percent: list[Charge] = Field(
+        [], description="additional states of charge for tables of the duty cycle, percent; none for no tables"
+    )
     loss_percent: NotNegative | None = Field(
         None,
         lt=100,
-        description="half-width of what is not known of the heat loss of a calibrated rig, beside contacts (30 %) and "
-        "resistivity (2 %); by default nothing of the rig was measured, as for heat firmware",
+        description="half-width of the uncertainty of the heat loss of a calibrated rig; "
+        "contacts (30 %) and resistivity (2 %) add to it. By default the rig is "
+        "uncalibrated, as for heat firmware",
     )
-    robust: bool = Field(False, description="scale the duties to the most likely success")
+    robust: bool = Field(False, description="scale the duty cycle for the highest success probability")
     samples: Annotated[Whole, Field(ge=0)] = Field(64, description=SAMPLES)
     sensor: SensorName | None = SENSOR
 

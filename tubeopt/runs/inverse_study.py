@@ -79,34 +79,40 @@ class InverseStudy(Surrounded, LoadedStudy):
     """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
 
     doing = "solving targets"
-    assuming = f"What is said of ways without a snap is said {ASSUMING}."
+    assuming = f"Snap-free paths are valid {ASSUMING}."
 
     kind: Literal["inverse_kinematics"]
     robot: RobotPath
-    target_mm: TipPlace | None = Field(None, description="where the tip shall be", examples=["X,Y,Z"])
+    target_mm: TipPlace | None = Field(
+        None, description="target position of the tip in the base frame", examples=["X,Y,Z"]
+    )
     direction: Triple | None = Field(
-        None, description="along which the tip shall point, of any length", examples=["X,Y,Z"]
+        None, description="direction of the tip, any length; default any direction", examples=["X,Y,Z"]
     )
     targets: Annotated[Targets, in_file(load_targets, "a CSV file")] | None = Field(
         None,
-        description="many targets: a CSV file with columns x_mm, y_mm, z_mm[, direction_x, ...]",
+        description="CSV file of targets with columns x_mm, y_mm, z_mm[, direction_x, ...], instead of one target",
         examples=["TARGETS.csv"],
     )
     start: Joints | None = Field(
         None,
-        description="where the robot is: a YAML file with rotations_deg, translations_mm",
+        description="YAML file of the current joint values, with keys rotations_deg and translations_mm",
         examples=["JOINTS.yaml"],
     )
-    reference_deg: OnePerTube | None = Field(None, description="rotations to stay close to")
-    reference_mm: OnePerTube | None = Field(None, description="translations to stay close to")
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    time_limit_s: Positive = Field(
-        Decimal(20), description="on the clock, for each target, with the way to it; files are read before"
+    reference_deg: OnePerTube | None = Field(
+        None, description="rotations of the reference configuration; the nearest solution is preferred"
     )
-    all: bool = Field(False, description="all distinct postures for the target, the best first")
-    closest: bool = Field(False, description="where the target is out of reach, the closest pose")
-    follow: bool = Field(False, description="solve each target of a table from the last one, on its branch")
-    reachable: bool = Field(True, description="find a way without a snap, from the start or home, or say none")
+    reference_mm: OnePerTube | None = Field(
+        None, description="translations of the reference configuration; the nearest solution is preferred"
+    )
+    min_margin: NotNegative = Field(
+        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
+    )
+    time_limit_s: Positive = Field(Decimal(20), description="time limit per target, path search included")
+    all: bool = Field(False, description="find all distinct configurations for the target, best first")
+    closest: bool = Field(False, description="show the closest pose if the target is out of reach")
+    follow: bool = Field(False, description="solve each target of a table from the previous one, on the same branch")
+    reachable: bool = Field(True, description="search a snap-free path from the start (or home) to the solution")
 
     @field_validator("obstacles", mode="before")
     @classmethod

@@ -21,7 +21,7 @@ class LoadEntry(Part):
     """What pushes on the robot."""
 
     distributed_mN_per_m: Triple | list[EntryOf[Stretch]] | None = Field(
-        None, description="load per length in world axes, all along the arm or on stretches"
+        None, description="load per length in the base frame, along the whole arm or on parts of it"
     )
 
     def build(self) -> Load:
@@ -65,7 +65,7 @@ class Pushed(Entry):
     load: Annotated[
         LoadEntry | None,
         PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
-        Field(description="what pushes on the robot: keys of a load, or the path of a load file"),
+        Field(description="external load: path of a load file, or keys of a load"),
     ] = None
 
     def pushing(self) -> Load | None:

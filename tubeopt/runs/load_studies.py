@@ -49,13 +49,13 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
 
     kind: Literal["load_limit"]
     from_deg: OnePerTube | None = Field(
-        None, description="rotations from which the robot is turned there, unloaded; by default it starts there"
+        None, description="rotations of the unloaded start of the motion to these joint values; by default no motion"
     )
     axial: bool = Field(
         False,
-        description="the load is 1 mN against the tip, which pushes along itself: the stroke force",
+        description="use an axial force of 1 mN against the tip as load (stroke force)",
     )
-    up_to: Positive = Field(Decimal(10), description="most times the load that is looked at; with axial, N")
+    up_to: Positive = Field(Decimal(10), description="largest load factor to search; with axial, largest force, N")
 
     @model_validator(mode="after")
     def _pushed(self) -> Self:
@@ -95,11 +95,11 @@ class ForceStudy(LoadedStudy, Timed):
     robot: RobotPath
     measurements: MeasurementsPath
     noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
-        Decimal(1), description="noise of a measured coordinate (standard deviation)"
+        Decimal(1), description="standard deviation of a measured coordinate"
     )
     registration: Literal["none", "saved"] | None = Field(
         None,
-        description="none: positions are in the frame of the plate; saved: in that of the device of the calibration",
+        description="frame of the positions. none: base frame; saved: device frame of the calibration",
     )
 
     def run(self, progress: Progress | None = None) -> ForceRecord:

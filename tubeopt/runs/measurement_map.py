@@ -61,19 +61,23 @@ class MeasurementMap(Entry):
     """Tables of measured positions and of joint readings, and what their columns mean."""
 
     kind: Literal["measurements"]
-    tips: str = Field(description="CSV file, or export of NDI or OptiTrack, of the measured positions")
-    joints: str | None = Field(None, description="CSV file of the joint readings, where they were recorded apart")
-    columns: dict[str, str] = Field({}, description="column: meaning, unit; an export of a tracker needs none")
-    joint_columns: dict[str, str] | None = Field(None, description="the same for joints; `columns` where not given")
-    frame_rate_Hz: Positive | None = Field(None, description="of an export that counts frames")
+    tips: str = Field(description="file of measured positions: CSV, or export of NDI or OptiTrack")
+    joints: str | None = Field(None, description="CSV file of joint readings, if recorded separately")
+    columns: dict[str, str] = Field(
+        {}, description="for each column its meaning and unit; not needed for tracker exports"
+    )
+    joint_columns: dict[str, str] | None = Field(None, description="the same for joints; default `columns`")
+    frame_rate_Hz: Positive | None = Field(None, description="frame rate of an export that counts frames")
     reference: Annotated[int | str | None, BeforeValidator(_number_or_name)] = Field(
         None,
-        description="tool, by its number or name, in whose frame all others are taken row by row; it must have an "
-        "orientation, and is no sensor of the tip",
+        description="number or name of the reference tool; all other tools are expressed in "
+        "its frame. It needs an orientation and is not the tip sensor",
     )
-    behind_mm: list[NotNegative] | None = Field(None, description="distance of each sensor behind the tip; all 0")
+    behind_mm: list[NotNegative] | None = Field(
+        None, description="distance of each sensor behind the tip; default all 0"
+    )
     axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
-        None, description="axis of the tip's sensor along the tube, towards the tip; found out where not given"
+        None, description="axis of the tip sensor along the tube, towards the tip; default detected"
     )
 
 

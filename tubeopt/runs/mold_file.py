@@ -26,7 +26,7 @@ class SpringbackEntry(Part):
     """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold)."""
 
     radius_range_mm: Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = Field(
-        default=None, description="least and greatest mold radius of the trials"
+        default=None, description="smallest and largest mold radius of the trials"
     )
 
     def build(self) -> Springback:

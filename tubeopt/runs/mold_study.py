@@ -47,7 +47,7 @@ MoldPath = Annotated[
 
 
 SpringbackPath = Annotated[Springback, in_file(load_springback, "a spring-back file")]
-SPRINGBACK = Field(None, description="spring-back from `tubeopt mold calibrate`: a YAML file", examples=["FILE.yaml"])
+SPRINGBACK = Field(None, description="YAML file of spring-back from `tubeopt mold calibrate`", examples=["FILE.yaml"])
 
 
 class MoldStudy(Study):
@@ -57,16 +57,20 @@ class MoldStudy(Study):
 
     kind: Literal["mold_plan"]
     robot: RobotPath
-    mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
+    mold: MoldPath | None = Field(
+        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
+    )
     tubes: list[Whole] | None = Field(
-        None, description="which tubes, from 1; by default every different curved one", examples=["N,.."]
+        None, description="numbers of the tubes, from 1; default every different curved tube", examples=["N,.."]
     )
     material: str | None = Field(
-        None, description="of both plates: steel, mdf, glass_mica, calcium_silicate; by default the mold file's"
+        None,
+        description="material of both plates: steel, mdf, glass_mica or "
+        "calcium_silicate; default that of the mold file",
     )
     springback: SpringbackPath | None = SPRINGBACK
     cold_length_mm: Annotated[NotNegative | None, Usual(1e-4, 0.5)] = Field(
-        None, description="from a clamp to where the tube is hot; by default estimated"
+        None, description="length of cold tube between clamp and heated part; default estimated"
     )
 
     @model_validator(mode="after")
@@ -94,7 +98,9 @@ class MandrelStudy(Study):
     kind: Literal["mandrel"]
     robot: RobotPath
     tube: TubeNumber = 1
-    mold: MoldPath | None = Field(None, description="what is asked of the mold", examples=["MOLD.yaml"])
+    mold: MoldPath | None = Field(
+        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
+    )
 
     def run(self, progress: Progress | None = None) -> Mandrel:
         """The mandrel; raises InputError where none can be made."""
@@ -109,7 +115,9 @@ class PegStudy(Study):
     kind: Literal["pegs"]
     robot: RobotPath
     tube: TubeNumber = 1
-    mold: MoldPath | None = Field(None, description="what is asked of pegs and board", examples=["MOLD.yaml"])
+    mold: MoldPath | None = Field(
+        None, description="mold file with the settings of pegs and board", examples=["MOLD.yaml"]
+    )
     springback: SpringbackPath | None = SPRINGBACK
 
     def run(self, progress: Progress | None = None) -> PegBoard:
@@ -123,21 +131,21 @@ class MaterialsStudy(Timed):
     """What the mold for a tube should be made of: a tube of a robot, or one of these sizes."""
 
     kind: Literal["mold_materials"]
-    robot: RobotPath | None = Field(None, description="robot whose tube it is")
+    robot: RobotPath | None = Field(None, description="robot file with the tube; default a tube with the sizes below")
     tube: TubeNumber = 1
     outer_diameter_mm: Annotated[Positive, Usual(1e-4, 0.1)] = Field(
-        Decimal("1.92"), description="without a robot: of the tube; by default the thesis'"
+        Decimal("1.92"), description="outer diameter of the tube, without a robot file"
     )
     inner_diameter_mm: Annotated[NotNegative, Usual(2e-5, 0.1)] = Field(
-        Decimal("1.57"), description="without a robot: of the tube"
+        Decimal("1.57"), description="inner diameter of the tube, without a robot file"
     )
     curved_length_mm: Annotated[Positive, Usual(1e-3, 10.0)] = Field(
-        Decimal(94), description="without a robot: the length to be heated"
+        Decimal(94), description="heated length of the tube, without a robot file"
     )
-    set_degC: Number = Field(Decimal(525), description="temperature of the tube")
-    hold_s: Positive = Field(Decimal(60), description="for how long it is held")
+    set_degC: Number = Field(Decimal(525), description="set temperature of the tube")
+    hold_s: Positive = Field(Decimal(60), description="hold time at the set temperature")
     rig: Annotated[Rig, in_file(load_rig, "a rig file", kind=Rig)] | None = Field(
-        None, description="rig on which the tube is heated; by default that of the thesis", examples=["RIG.yaml"]
+        None, description="rig file; default the rig of the thesis", examples=["RIG.yaml"]
     )
 
     @model_validator(mode="after")

@@ -145,12 +145,12 @@ class Surrounded(Entry):
 
     obstacles: Bodies = Field(
         (),
-        description="bodies that the whole arm keeps away from: a list of them, or a YAML file",
+        description="obstacles for the whole arm: a YAML file or a list of bodies",
         examples=["OBSTACLES.yaml"],
     )
     anatomy: AnatomyKey | None = Field(
         None,
-        description="images, meshes and clouds of a patient: what they are made of, or a YAML file",
+        description="anatomy of a patient (images, meshes, point clouds): a YAML file or its keys",
         examples=["ANATOMY.yaml"],
     )
 

@@ -66,8 +66,8 @@ class PairAnswer(Displayed):
 class PairPart(Designed, PlacedPart):
     """One of the two robots: where it stands, from where it begins, what may change, and what must hold."""
 
-    name: str = Field("", description="what messages and pictures call it; by default the robot's name")
-    base: BasePart = Field(description="where its plate stands in the frame that both share")
+    name: str = Field("", description="name in messages and plots; default the name of the robot")
+    base: BasePart = Field(description="base plate in the common frame")
 
     def task(self) -> DesignTask:
         """What may change of it, and what must hold; raises InputError where that makes no task."""
@@ -92,24 +92,26 @@ class PairStudy(Timed, SearchPart, Tried):
     """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
 
     doing = "designing"
-    assuming = f"What is said of snaps is said {ASSUMING}."
+    assuming = f"Statements about snaps are valid {ASSUMING}."
 
     kind: Literal["design_pair"]
     arms: Annotated[list[PairPart], Field(min_length=2, max_length=2)] = Field(description="the two robots")
     region: BallPart | None = Field(
-        None, description="for both tips, in the frame that both share; by default the target of the anatomy"
+        None, description="region for both tips in the common frame; default the target of the anatomy"
     )
     anatomy: AnatomyKey | None = Field(
-        None, description="images, meshes and clouds of a patient: what they are made of, or a YAML file"
+        None, description="anatomy of a patient (images, meshes, point clouds): a YAML file or its keys"
     )
     clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
-        Decimal("0.5"), description="least distance of both arms from bodies, and from each other"
+        Decimal("0.5"), description="smallest allowed distance of both arms from obstacles and from each other"
     )
-    places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(8, description="of the region, with which is searched")
+    places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(
+        8, description="number of points of the region for the search"
+    )
     judged: Annotated[Whole, Field(ge=2, le=MOST)] = Field(
-        16, description="other places of it, by which what comes of it is judged"
+        16, description="number of other points of the region to evaluate the result"
     )
-    points: Count = Field(80, description="of the roadmap of every robot that is looked at")
+    points: Count = Field(80, description="number of roadmap nodes per robot")
 
     @model_validator(mode="after")
     def _a_pair(self) -> Self:

@@ -41,13 +41,17 @@ class EntryPart(Entry):
     """Where the plate may stand, and how it may point, in the frame of the plate as it is given: one is chosen from
     which the goal is reached."""
 
-    radius_mm: Positive | None = Field(None, description="radius of a disc of entry points, square to the direction")
-    box_mm: Triple | None = Field(None, description="how far along x, y and z of the plate, to both sides")
-    at: Annotated[list[str], Field(min_length=1)] | None = Field(
-        None, description="landmarks of the anatomy, one of which is the entry point"
+    radius_mm: Positive | None = Field(
+        None, description="radius of the disc of entry points, perpendicular to the direction"
     )
-    cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of directions")
-    places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="of the plate that are looked at")
+    box_mm: Triple | None = Field(
+        None, description="half-size of the box of entry points along x, y and z of the base frame"
+    )
+    at: Annotated[list[str], Field(min_length=1)] | None = Field(
+        None, description="anatomy landmarks; one of them becomes the entry point"
+    )
+    cone_deg: NotNegative = Field(Decimal(0), lt=90, description="half angle of the cone of entry directions")
+    places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="number of base poses to check")
 
     def region(self, around: Anatomy) -> EntryRegion:
         """The region in SI; raises InputError for several, none, or landmarks that there are not."""
@@ -62,10 +66,11 @@ class EntryPart(Entry):
 class CutPart(Entry):
     """A plane along which a picture cuts the bodies open: by a place and what it is square to, or by landmarks."""
 
-    at_mm: Place | None = Field(None, description="a place in it, in the frame of the plate as it is given")
-    normal: Triple | None = Field(None, description="what it is square to, of any length")
+    at_mm: Place | None = Field(None, description="a point of the plane, in the given base frame")
+    normal: Triple | None = Field(None, description="normal of the plane, any length")
     through: Annotated[list[str], Field(min_length=2, max_length=3)] | None = Field(
-        None, description="in place of both: three landmarks of the anatomy, or two beside the plate's own place"
+        None,
+        description="three anatomy landmarks in the plane, or two (the base is the third); instead of point and normal",
     )
 
     @model_validator(mode="after")
@@ -86,11 +91,13 @@ class CutPart(Entry):
 class Aimed(Started):
     """A robot, from where it begins, and its goal: joint values, or where its tip shall be."""
 
-    goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; those of the start where not given")
-    goal_mm: OnePerTube | None = Field(None, description="translations at the goal; those of the start where not given")
-    tip_mm: TipPlace | None = Field(None, description="goal as a position of the tip")
-    tip_at: str | None = Field(None, description="goal of the tip: a landmark of the anatomy, or its target")
-    tip_direction: Triple | None = Field(None, description="along which the tip shall point, of any length")
+    goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; default those of the start")
+    goal_mm: OnePerTube | None = Field(None, description="translations at the goal; default those of the start")
+    tip_mm: TipPlace | None = Field(None, description="goal position of the tip in the base frame")
+    tip_at: str | None = Field(
+        None, description="goal of the tip in the anatomy: name of a landmark, or target for the target region"
+    )
+    tip_direction: Triple | None = Field(None, description="direction of the tip, any length; default any direction")
 
     @model_validator(mode="after")
     def _points_at_something(self) -> Self:
@@ -116,7 +123,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
 
     doing = "planning"
-    assuming = "All is said assuming no friction, and no load or weight but what is given."
+    assuming = "Results assume no friction, and no load or weight except the given ones."
     either = (
         frozenset({"goal_deg", "goal_mm"}),
         frozenset({"tip_mm"}),
@@ -126,18 +133,22 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
 
     kind: Literal["plan"]
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
-        None, description="a curve for the tip; it begins where inverse kinematics puts the robot"
+        None, description="points of a curve for the tip; the start configuration comes from inverse kinematics"
     )
-    spline: bool = Field(False, description="the curve is smooth through its points, not a polyline")
+    spline: bool = Field(False, description="connect the points by a smooth spline instead of a polyline")
     tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
-        Decimal("0.5"), description="largest distance of the tip from the curve"
+        Decimal("0.5"), description="largest distance between tip and curve"
     )
-    leader: bool = Field(False, description="deploy to the goal so that the arm stays close to the path of its tip")
-    begin_percent: Positive = Field(Decimal(20), lt=100, description="share of the arm with which deployment begins")
-    entry: EntryPart | None = Field(None, description="where else the plate may stand, and how it may point")
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin", examples=["MU"])
-    cut: CutPart | None = Field(None, description="a plane along which a picture cuts the bodies open")
-    rates: RatesEntry = Field(default_factory=RatesEntry, description="how fast the actuators are")
+    leader: bool = Field(False, description="follow-the-leader deployment: the arm stays close to the path of its tip")
+    begin_percent: Positive = Field(
+        Decimal(20), lt=100, description="fraction of the arm that is in front of the base when deployment starts"
+    )
+    entry: EntryPart | None = Field(None, description="allowed base poses; one is chosen")
+    min_margin: NotNegative = Field(
+        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
+    )
+    cut: CutPart | None = Field(None, description="section plane for plots of the obstacles")
+    rates: RatesEntry = Field(default_factory=RatesEntry, description="rate and acceleration limits of the actuators")
 
     @model_validator(mode="after")
     def _one_goal(self) -> Self:

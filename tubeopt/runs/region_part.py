@@ -81,22 +81,22 @@ class RegionAnswer(Displayed):
 class SearchPart(Entry):
     """What a search for designs that reach a region says, for one robot or for two."""
 
-    obstacles: Bodies = Field((), description="further bodies: a list, or a YAML file")
+    obstacles: Bodies = Field((), description="further obstacles: a YAML file or a list of bodies")
     clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
-        Decimal("0.2"), description="least distance of an arm from bodies, and of two from each other"
+        Decimal("0.2"), description="smallest allowed distance of an arm from obstacles, and between two arms"
     )
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="least stability margin")
+    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1")
     tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
-        Decimal("0.5"), description="distance of the tip from a place that is reached"
+        Decimal("0.5"), description="largest distance between the tip and a reached point"
     )
-    places: Annotated[Count, Field(le=MOST)] = Field(12, description="of the region, with which is searched")
+    places: Annotated[Count, Field(le=MOST)] = Field(12, description="number of points of the region for the search")
     judged: Annotated[Count, Field(le=MOST)] = Field(
-        48, description="other places of it, by which what comes of it is judged"
+        48, description="number of other points of the region to evaluate the result"
     )
-    points: Count = Field(200, description="of the roadmap of every robot that is looked at")
-    shift_mm: NotNegative = Field(Decimal(0), description="how far a plate may be moved along each of its axes")
-    tilt_deg: NotNegative = Field(Decimal(0), le=45, description="by how much it may be turned about its x and its y")
-    seconds: Positive = Field(Decimal(180), description="on the clock for the search")
+    points: Count = Field(200, description="number of roadmap nodes per robot")
+    shift_mm: NotNegative = Field(Decimal(0), description="largest shift of a base plate along each of its axes")
+    tilt_deg: NotNegative = Field(Decimal(0), le=45, description="largest tilt of a base plate about its x and y axes")
+    seconds: Positive = Field(Decimal(180), description="time limit of the search")
 
     def chosen(self, target: Array | None, seed: int) -> Array:
         """(places + judged, 3) places of a target, picked at random; raises ValueError where it has too few, or is
@@ -137,9 +137,11 @@ class RegionEntry(SearchPart):
     """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
 
     kind: Literal["reach_share"]
-    anatomy: AnatomyKey = Field(description="images, meshes and clouds of a patient, with a target, or a YAML file")
+    anatomy: AnatomyKey = Field(
+        description="anatomy of a patient with a target (images, meshes, point clouds): a YAML file or its keys"
+    )
     start_deg: Annotated[list[Number], Field(min_length=1)] | None = Field(
-        None, description="rotations at the start; all 0 where not given"
+        None, description="rotations at the start; default 0"
     )
     start_mm: Annotated[list[Number], Field(min_length=1)] = Field(description="translations at the start")
 

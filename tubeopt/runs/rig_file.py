@@ -33,7 +33,7 @@ SPRING_BACK_TOLERANCE = 5.0
 class BatteryEntry(Part):
     """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
 
-    voltage_V: Positive | None = Field(None, description="at rest, in place of state_of_charge_percent")
+    voltage_V: Positive | None = Field(None, description="voltage at rest, instead of state_of_charge_percent")
 
     def build(self) -> Battery:
         """The battery in SI, charged as its voltage at rest tells where that is given."""

@@ -87,11 +87,11 @@ class SnapStudy(LoadedStudy, Timed):
     kind: Literal["snap"]
     robot: RobotPath
     from_deg: OnePerTube | None = Field(
-        None, description="rotations to start from; by default 0, or as near as limits allow"
+        None, description="rotations at the start; default 0, or the nearest allowed value"
     )
-    to_deg: OnePerTube | None = Field(None, description="rotations to turn to; by default those of the start")
-    from_mm: OnePerTube | None = Field(None, description=f"translations to start from; by default {HOME}")
-    to_mm: OnePerTube | None = Field(None, description="translations to move to; by default those of the start")
+    to_deg: OnePerTube | None = Field(None, description="rotations at the end; default those of the start")
+    from_mm: OnePerTube | None = Field(None, description=f"translations at the start; default {HOME}")
+    to_mm: OnePerTube | None = Field(None, description="translations at the end; default those of the start")
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         start = self.si("from_deg"), self.si("from_mm")
@@ -128,7 +128,7 @@ class FollowStudy(LoadedStudy, Timed):
         in_file(load_waypoints, "a CSV file", of="robot"),
         Field(description="path of the CSV file of waypoints, relative to this file"),
     ]
-    shaken: bool = Field(False, description="without the friction of the robot's file, as if the robot were shaken")
+    shaken: bool = Field(False, description="ignore the friction of the robot file, as if vibration released it")
 
     def run(self, progress: Progress | None = None) -> Path:
         """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
@@ -169,17 +169,17 @@ class CertifyStudy(Timed):
     """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
 
     doing = "looking for snaps"
-    assuming = f"All is said {ASSUMING}."
+    assuming = f"Results are valid {ASSUMING}."
 
     kind: Literal["certify"]
     robot: RobotPath
     _robot_file: str = PrivateAttr("ROBOT.yaml")
     translations_mm: OnePerTube | None = SHIFTED
-    box: bool = Field(False, description="for all translations that the robot's limits allow")
-    lower_mm: OnePerTube | None = Field(None, description="least translations of a box, in place of the limits")
-    upper_mm: OnePerTube | None = Field(None, description="largest translations of a box, in place of the limits")
+    box: bool = Field(False, description="certify all translations within the limits of the robot")
+    lower_mm: OnePerTube | None = Field(None, description="smallest translations of the box; default the lower limits")
+    upper_mm: OnePerTube | None = Field(None, description="largest translations of the box; default the upper limits")
     max_tip_force_mN: Annotated[Positive | None, Usual(1e-4, 20.0)] = Field(
-        None, description="whatever pushes on the tip with up to this force, in any direction that it keeps"
+        None, description="certify also under any dead tip force up to this size, in any direction"
     )
 
     def model_post_init(self, context: Any) -> None:
@@ -241,19 +241,17 @@ class StabilityMapStudy(Timed):
     """The margin and the snap boundary over two rotations."""
 
     doing = "mapping the margin"
-    assuming = f"All is said {ASSUMING}."
+    assuming = f"Results are valid {ASSUMING}."
 
     kind: Literal["stability_map"]
     robot: RobotPath
     translations_mm: OnePerTube | None = SHIFTED
     tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field(
-        [1, 2], description="the two tubes that turn; 1 is the innermost", examples=["I,J"]
+        [1, 2], description="numbers of the two rotated tubes; 1 is the innermost", examples=["I,J"]
     )
-    samples: Annotated[Whole, Field(ge=2)] = Field(24, description="points per axis, from -180 to 180 deg")
-    directions: Annotated[Whole, Field(ge=4)] = Field(
-        120, description="directions in which the snap boundary is computed"
-    )
-    workers: Annotated[Whole, Field(ge=1)] = Field(1, description="processes that share the work")
+    samples: Annotated[Whole, Field(ge=2)] = Field(24, description="samples per axis, from -180 to 180 deg")
+    directions: Annotated[Whole, Field(ge=4)] = Field(120, description="number of directions for the snap boundary")
+    workers: Annotated[Whole, Field(ge=1)] = Field(1, description="number of processes")
 
     def run(self, progress: Progress | None = None) -> RobotMap:
         """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""

@@ -57,11 +57,13 @@ def _value(value: object) -> Value:
 class VaryEntry(Entry):
     """Keys, and the values that they take together: a list, or a range."""
 
-    key: str | list[str] = Field(description="path of the key, as rotations_deg[0]; of several keys that are equal")
+    key: str | list[str] = Field(
+        description="path of the key, such as rotations_deg[0], or a list of keys with equal values"
+    )
     values: list[Annotated[Value, BeforeValidator(_value)]] | None = Field(None, min_length=1)
     lowest: Number | None = Field(None, alias="from", description="one end of a range")
     highest: Number | None = Field(None, alias="to", description="the other end")
-    count: Annotated[Whole, Field(ge=1)] | None = Field(None, description="values of the range on a grid")
+    count: Annotated[Whole, Field(ge=1)] | None = Field(None, description="number of values in the range, for a grid")
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -96,9 +98,9 @@ class SweepEntry(Entry):
     kind: Literal["sweep"]
     study: str | dict[str, Any] = Field(description="a study, or the path of its file, relative to this file")
     vary: list[VaryEntry] = Field(min_length=1)
-    sample: SampleEntry | None = Field(None, description="points to draw; by default the grid of all values")
+    sample: SampleEntry | None = Field(None, description="random points to draw; default the grid of all values")
     columns: list[str] | None = Field(
-        None, min_length=1, description="results to keep, by how their names begin; by default all"
+        None, min_length=1, description="results to save, given by the beginning of their names; default all"
     )
 
 

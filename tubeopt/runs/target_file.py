@@ -54,7 +54,7 @@ class JointsFile(Entry):
     """One configuration of a robot."""
 
     rotations_deg: list[Number]
-    translations_mm: list[Number] | None = Field(None, description=f"by default {HOME}")
+    translations_mm: list[Number] | None = Field(None, description=f"default {HOME}")
 
 
 def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:

@@ -35,7 +35,7 @@ from .measurement_file import load_measurements
 MeasurementsPath = Annotated[
     Measurements,
     in_file(load_measurements, "a CSV file, or of YAML", of="robot"),
-    Field(description="path of the CSV file of measured tips, or of the YAML that maps one, relative to this file"),
+    Field(description="path of the CSV file of measured tips, or of a YAML file that maps one, relative to this file"),
 ]
 """Measurements of the study's robot, given as the path of their file."""
 
@@ -75,30 +75,33 @@ class ValidationStudy(Timed):
     measurements: MeasurementsPath
     registration: Literal["rigid", "base-axis", "none", "saved"] | None = Field(
         None,
-        description="how the device's frame is brought to the plate's: rigid, base-axis, none, or saved in the robot's "
-        "calibration; by default saved for the recording that it was found with, rigid for others and for fits",
+        description="transformation from device frame to base frame: rigid (fitted), "
+        "base-axis, none, or saved (in the robot's calibration). Default: saved "
+        "for the calibration recording, otherwise rigid",
     )
     base_position_mm: Triple | None = Field(
-        None, description="for base-axis: the plate's centre as the device sees it", examples=["X,Y,Z"]
+        None, description="centre of the base plate in the device frame, for base-axis", examples=["X,Y,Z"]
     )
     base_axis: Triple | None = Field(
-        None, description="for base-axis: direction of the plate's z in its frame", examples=["X,Y,Z"]
+        None, description="z axis of the base plate in the device frame, for base-axis", examples=["X,Y,Z"]
     )
     fit: list[str] = Field(
         [],
-        description="estimate these: latency, rotation_all, curvature_2, ...; with compare, the effects to try",
+        description="parameters to estimate: latency, rotation_all, curvature_2, ...; with compare, the effects to try",
         examples=["NAME,.."],
     )
-    compare: bool = Field(False, description="add effects in the order in which they pay, until none does")
-    folds: Annotated[Whole, AfterValidator(_not_one)] | None = Field(
-        None, description="folds of the cross-validation; 0 for none; by default 5, or 10 with compare"
+    compare: bool = Field(
+        False, description="add effects one by one, most useful first, until none improves the prediction"
     )
-    confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence of the intervals")
+    folds: Annotated[Whole, AfterValidator(_not_one)] | None = Field(
+        None, description="folds of the cross-validation; 0 for none; default 5, or 10 with compare"
+    )
+    confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence level of the intervals, 0 to 1")
     noise_mm: Annotated[Positive | None, Usual(1e-6, 0.02)] = Field(
-        None, description="noise of a measured coordinate; by default estimated"
+        None, description="standard deviation of a measured coordinate; default estimated"
     )
     axis_noise_deg: Annotated[Positive | None, Usual(1e-4, 0.5)] = Field(
-        None, description="noise of a measured direction; by default estimated"
+        None, description="standard deviation of a measured direction; default estimated"
     )
 
     @model_validator(mode="after")
@@ -152,17 +155,17 @@ class MeasureStudy(Timed):
     kind: Literal["measure"]
     robot: RobotPath
     fit: list[str] = Field(
-        description="parameters to be estimated: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]
+        description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]
     )
-    count: Annotated[Whole, Field(ge=3)] = Field(30, description="how many configurations")
-    min_margin: NotNegative = Field(Decimal("0.1"), lt=1, description="least stability margin")
+    count: Annotated[Whole, Field(ge=3)] = Field(30, description="number of configurations")
+    min_margin: NotNegative = Field(Decimal("0.1"), lt=1, description="smallest allowed stability margin, below 1")
     noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
-        Decimal("0.5"), description="noise of a measured coordinate, for the expected errors"
+        Decimal("0.5"), description="standard deviation of a measured coordinate, for the expected errors"
     )
     registration: Literal["rigid", "base-axis", "none"] = Field(
-        "rigid", description="how the device's frame will be brought to the plate's: rigid, base-axis or none"
+        "rigid", description="planned transformation from device frame to base frame: rigid, base-axis or none"
     )
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of the random configurations that are chosen from")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="random seed of the candidate configurations")
 
     def run(self, progress: Progress | None = None) -> Placement:
         """The configurations; raises SolveError where too few have the margin."""

@@ -46,36 +46,39 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
     """Whether a trajectory of whatever origin snaps, collides or is too fast."""
 
     doing = "following the trajectory"
-    assuming = "All is said assuming no friction, and no load or weight but what is given."
+    assuming = "Results assume no friction, and no load or weight except the given ones."
 
     kind: Literal["verify"]
     robot: RobotPath | None = Field(
-        None, description="robot file; by default the one that the trajectory names", examples=["ROBOT.yaml"]
+        None, description="robot file; default the one named in the trajectory", examples=["ROBOT.yaml"]
     )
     trajectory: Annotated[tuple[str, TimedJoints], in_file(load_trajectory, "a CSV file", of="robot", named=True)] = (
         Field(
-            description="path of a CSV file with columns time_s, rotation_1_deg, ... and, where tubes slide, "
-            "translation_1_mm, ..."
+            description="path of a CSV file with columns time_s, rotation_1_deg, ... and, "
+            "if tubes translate, translation_1_mm, ..."
         )
     )
     min_margin: NotNegative | None = Field(
-        None, lt=1, description="least stability margin, below 1; by default 0", examples=["MU"]
+        None, lt=1, description="smallest allowed stability margin, below 1; default 0", examples=["MU"]
     )
     clearance_mm: Annotated[NotNegative | None, Usual(1e-5, 0.1)] = Field(
-        None, description="least distance of the arm from obstacles; by default 0"
+        None, description="smallest allowed distance between arm and obstacles; default 0"
     )
     max_tip_force_mN: Annotated[NotNegative | None, Usual(1e-4, 20.0)] = Field(
         None,
-        description="margin and clearance under any tip force of up to this size, in any direction; by default 0",
+        description="check margin and clearance under any tip force up to this size, in any direction; default 0",
         examples=["F"],
     )
-    rates: RatesEntry | None = Field(None, description="how fast the actuators are; by default not looked at")
+    rates: RatesEntry | None = Field(
+        None, description="rate and acceleration limits of the actuators; default not checked"
+    )
     tip_mm_per_s: Annotated[Positive | None, Usual(1e-4, 2.0)] = Field(
-        None, description="greatest speed of the tip, in place of that of rates; by default any", examples=["V"]
+        None, description="largest tip speed, instead of that in rates; default no limit", examples=["V"]
     )
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,
-        description="margin, obstacles, clearance, force, load and rates of this plan study, where none are given here",
+        description="study of kind plan that supplies margin, obstacles, clearance, force, "
+        "load and rates not given here",
         examples=["STUDY.yaml"],
     )
 

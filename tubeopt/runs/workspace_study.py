@@ -24,19 +24,21 @@ class WorkspaceStudy(Timed):
 
     kind: Literal["workspace"]
     robot: RobotPath
-    samples: Annotated[Whole, Field(ge=1)] = Field(10_000, description="joint values")
-    method: Literal["sobol", "random", "grid"] = Field("sobol", description="how they are chosen: sobol, random, grid")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="of random and Sobol points", examples=["K"])
+    samples: Annotated[Whole, Field(ge=1)] = Field(10_000, description="number of sampled configurations")
+    method: Literal["sobol", "random", "grid"] = Field("sobol", description="sampling method: sobol, random or grid")
+    seed: Annotated[Whole, Field(ge=0)] = Field(
+        0, description="random seed of random and Sobol samples", examples=["K"]
+    )
     voxel_mm: Annotated[Positive | None, Usual(1e-5, 0.1)] = Field(
-        None, description="edge of the voxels; by default for about fifty samples in each"
+        None, description="edge length of the voxels; by default about 50 samples per voxel"
     )
     min_margin: Annotated[Number, Field(le=1)] = Field(
-        Decimal(0), description="only configurations at least as stable count", examples=["MU"]
+        Decimal(0), description="smallest stability margin of a counted configuration", examples=["MU"]
     )
     loss: Annotated[Whole, Field(ge=0)] = Field(
-        0, description="find what is lost to snapping from so many equilibria of all kinds"
+        0, description="number of equilibria, stable or not, to estimate the part lost to snapping; 0 to skip"
     )
-    workers: Annotated[Whole, Field(ge=0)] = Field(1, description="threads; 0 is one per core")
+    workers: Annotated[Whole, Field(ge=0)] = Field(1, description="number of threads; 0 for one per core")
 
     @model_validator(mode="after")
     def _has_a_loss(self) -> Self:

@@ -27,18 +27,21 @@ class MoldMaterial:
         InputError: a constant is not positive, or the price class is unknown.
     """
 
-    name: Annotated[str, "how it is called in files and on the command line"]
+    name: Annotated[str, "name in files and on the command line"]
     conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal"]
     density: Annotated[float, unit("kg_per_m3"), Range(least=10.0, most=23000.0), "density"]
     heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0), "heat capacity"]
     limit_temperature: Annotated[
-        float, key("limit_degC"), Range(above=0.0, most=4000.0), "above it the mold's surface chars, scales or softens"
+        float,
+        key("limit_degC"),
+        Range(above=0.0, most=4000.0),
+        "limit temperature; above it the mold surface chars, scales or softens",
     ]
-    failure: Annotated[str, Absent("fails"), "what happens above the limit, in a few words"]
+    failure: Annotated[str, Absent("fails"), "effect above the limit, in a few words"]
     resistivity: Annotated[float, unit("ohm_m"), POSITIVE, "electrical"]
     emissivity: Annotated[float, Range(above=0.0, most=1.0), Absent(0.9), "total"]
     price_class: Annotated[str, OneOf(PRICE_CLASSES), Absent("moderate"), "low, moderate or high"]
-    source: Annotated[str, "where the numbers are from"]
+    source: Annotated[str, "source of the numbers"]
 
     def __post_init__(self) -> None:
         check_fields(self, f"mold material {self.name!r}")

@@ -81,7 +81,7 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("window_degC", "window", lambda p: p.spec.window_degC, words=_verdict),
     Quantity("limit_degC", "limit for every point at all times", lambda p: p.spec.limit),
     Quantity("hold_s", "length of the hold", lambda p: p.spec.hold_time),
-    Quantity("slot_s", "for how long a duty is kept", lambda p: p.spec.slot),
+    Quantity("slot_s", "duration of one duty-cycle value", lambda p: p.spec.slot),
     Quantity("feasible", "whether everything is kept"),
     Quantity("shortfall_K", "by how much window and limit are missed"),
     Quantity("broken", "which of ramp and currents are beyond their limits"),

@@ -139,7 +139,7 @@ class PosturesReport(Report[Postures]):
 
 
 OF_THE_TARGET: tuple[Quantity[Row], ...] = (
-    Quantity("target_mm", "where the tip shall be", lambda r: r.position),
+    Quantity("target_mm", "target position of the tip in the base frame", lambda r: r.position),
     Quantity("target_direction", "where it shall point", lambda r: r.direction),
     Quantity("status", "how the solve ended", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
 )

@@ -85,7 +85,7 @@ class BearingReport(Report[Bearing]):
 
 
 FORCE: tuple[Quantity[ForceEstimate], ...] = (
-    Quantity("force_mN", "force on the tip in axes of the plate", form=".3f", label="force at the tip"),
+    Quantity("force_mN", "force on the tip in the base frame", form=".3f", label="force at the tip"),
     Quantity("standard_error_mN", "standard error along each axis; null where it is not seen at all",
              lambda e: np.sqrt(np.diag(e.covariance))),
     Quantity("directions", "unit vectors, from the best to the worst told"),

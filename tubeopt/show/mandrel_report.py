@@ -25,7 +25,7 @@ OFF_IT: tuple[Quantity[Tube], ...] = (
 )
 
 MANDREL: tuple[Quantity[Mandrel], ...] = (
-    Quantity("tube", "which tube of the robot, from 1", lambda m: m.number),
+    Quantity("tube", "number of the tube, 1 for the innermost", lambda m: m.number),
     Quantity("made", "turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
              words="{made}"),
     Quantity("diameter_mm", "cylinder, diameter", _turned(lambda b: 2 * b.radius), form=".4f", optional=True),

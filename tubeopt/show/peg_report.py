@@ -31,7 +31,7 @@ COOLED: tuple[Quantity[tuple[Peg, float]], ...] = (
 """Of a peg, and of how much colder the tube is there."""
 
 PEGS: tuple[Quantity[PegBoard], ...] = (
-    Quantity("tube", "which tube of the robot, from 1", lambda b: b.number),
+    Quantity("tube", "number of the tube, 1 for the innermost", lambda b: b.number),
     Quantity("board_mm", "board", lambda b: b.size, form=".4g"),
     Quantity("holes", "holes, drilled once", lambda b: len(b.holes)),
     Quantity("free_length_mm", "tube between the clamps", form=".4g"),

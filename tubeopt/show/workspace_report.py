@@ -67,7 +67,7 @@ ALPHA: tuple[Quantity[Volume], ...] = (
 WORKSPACE: tuple[Quantity[Findings], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.workspace.robot.name),
     Quantity("method", "how joint values were chosen", lambda a: a.workspace.method),
-    Quantity("seed", "of random and Sobol points", lambda a: a.workspace.seed),
+    Quantity("seed", "random seed of random and Sobol samples", lambda a: a.workspace.seed),
     Quantity("samples", "samples", lambda a: len(a.workspace),
              words="{samples} ({method}), {without_equilibrium} without a stable equilibrium"),
     Quantity("without_equilibrium", "samples without a stable equilibrium", lambda a: len(a.workspace.failures)),

@@ -45,7 +45,9 @@ class FitOptions:
     """
 
     registration: Annotated[
-        str, OneOf(tuple(FREEDOMS)), "how the device's frame is brought to the plate's: rigid, base-axis, none or saved"
+        str,
+        OneOf(tuple(FREEDOMS)),
+        "transformation from device frame to base frame: rigid (fitted), base-axis, none or saved",
     ] = "rigid"
     base: BasePose = SENSOR_FRAME
     """As for `validate`."""
@@ -54,9 +56,9 @@ class FitOptions:
     dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none."""
     confidence: float = 0.95
     """Of the intervals, between 0 and 1."""
-    loss: Annotated[str, OneOf(tuple(LOSSES)), "how a large error counts: linear, huber or soft_l1"] = "linear"
+    loss: Annotated[str, OneOf(tuple(LOSSES)), "loss function of the residuals: linear, huber or soft_l1"] = "linear"
     """Linear is that of least squares."""
-    priors: Annotated[bool, "draw the parameters to their values in the drawing"] = False
+    priors: Annotated[bool, "add priors that keep parameters near their nominal values"] = False
     """Each with the standard deviation by which the drawing may be off, the `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""

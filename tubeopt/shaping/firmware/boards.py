@@ -81,17 +81,17 @@ class Wiring:
         InputError: a value is out of its range, or no board of this name.
     """
 
-    board: Annotated[str, OneOf(tuple(BOARDS)), "which board"] = "uno"
-    converter: Annotated[str, OneOf(tuple(CONVERTERS)), "what reads the thermometer"] = "max31855"
-    measures_electrics: Annotated[bool, "whether battery voltage and current are wired to it"] = True
+    board: Annotated[str, OneOf(tuple(BOARDS)), "board: uno, nano, esp32 or pico"] = "uno"
+    converter: Annotated[str, OneOf(tuple(CONVERTERS)), "converter of the thermometer signal"] = "max31855"
+    measures_electrics: Annotated[bool, "battery voltage and current are connected to the board"] = True
     shunt_V_per_A: Annotated[
         float | None,
         POSITIVE,
-        "volt at the pin per ampere, of a Hall sensor; by default what the circuit's limit asks for",
+        "sensitivity of the Hall sensor at the pin; default chosen from the current limit of the circuit",
     ] = None
-    current_zero: Annotated[float, unit("V"), "at the pin without current"] = 0.5
+    current_zero: Annotated[float, unit("V"), "voltage at the pin at zero current"] = 0.5
     analog_low: Annotated[float, key("analog_low_degC"), "temperature at 0 V of an analog line"] = 0.0
-    analog_per_volt: Annotated[float, key("analog_per_volt_K"), POSITIVE, "rise of an analog line per volt"] = 200.0
+    analog_per_volt: Annotated[float, key("analog_per_volt_K"), POSITIVE, "slope of an analog line per volt"] = 200.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the wiring")

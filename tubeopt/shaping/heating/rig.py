@@ -73,19 +73,23 @@ class Battery:
         unit("Ah"),
         Range(above=0.0, most=1e6 * AMPERE_HOUR),
         Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
-        "charge that it holds",
+        "capacity",
     ] = 60.0 * AMPERE_HOUR
-    state_of_charge: Annotated[float, unit("percent"), Range(above=0.0, most=1.0), "of the capacity"] = 1.0
+    state_of_charge: Annotated[
+        float, unit("percent"), Range(above=0.0, most=1.0), "state of charge, percent of the capacity"
+    ] = 1.0
     open_circuit: Annotated[
         tuple[tuple[float, float], ...],
         unit("V"),
-        "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear between them",
+        "pairs of state of charge (0 to 1) and voltage at rest, both increasing; linear interpolation",
     ] = OPEN_CIRCUIT
-    internal_resistance: Annotated[float, unit("mohm"), Range(above=0.0, most=10.0), OHMS, "at once"] = 0.008
+    internal_resistance: Annotated[
+        float, unit("mohm"), Range(above=0.0, most=10.0), OHMS, "immediate internal resistance"
+    ] = 0.008
     sag_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "on top of it once the sag has built up"
+        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "additional resistance after the voltage sag"
     ] = 0.006
-    sag_time: Annotated[float, unit("s"), Range(above=0.0, most=1e4), "in which it does, to 63 %"] = 30.0
+    sag_time: Annotated[float, unit("s"), Range(above=0.0, most=1e4), "time constant of the sag (63 %)"] = 30.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the battery")
@@ -139,22 +143,24 @@ class Battery:
 class Circuit:
     """What lies between battery and tube, and what it bears."""
 
-    cable_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "of all cables"] = 0.005
+    cable_resistance: Annotated[
+        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total resistance of the cables"
+    ] = 0.005
     contact_resistance: Annotated[
-        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "of both clamps on the tube together"
+        float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total contact resistance of both clamps"
     ] = 0.004
     mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "R_DS(on)"] = 0.002
-    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Usual(10.0, 1e5), "of the pulses"] = 490.0
+    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Usual(10.0, 1e5), "PWM frequency"] = 490.0
     lost_on_time: Annotated[
         float,
         unit("us"),
         NOT_NEGATIVE,
-        "of every pulse, while the loop's inductance lets the current rise: inductance over resistance, less what "
-        "still flows afterwards through a diode across the tube",
+        "effective time lost per pulse by inductance: L/R, minus the time that current "
+        "still flows through a diode across the tube",
     ] = 0.0
-    current_limit: Annotated[float, unit("A"), Range(above=0.0, most=2000.0), "of the mean current"] = 40.0
+    current_limit: Annotated[float, unit("A"), Range(above=0.0, most=2000.0), "limit of the mean current"] = 40.0
     peak_limit: Annotated[
-        float, unit("A"), Range(above=0.0, most=5000.0), "of the current while the MOSFET conducts"
+        float, unit("A"), Range(above=0.0, most=5000.0), "limit of the current while the MOSFET conducts"
     ] = 200.0
 
     def __post_init__(self) -> None:
@@ -180,15 +186,19 @@ class Circuit:
 class Clamps:
     """The two equal clamps, each a lump of metal that warms up."""
 
-    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Usual(5e-4, 5.0), "of one"] = 0.05
-    heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "of its metal"] = 896.0
-    area: Annotated[float, unit("cm2"), Range(above=0.0, most=1.0), "of the surface of one that cools in air"] = 4e-3
-    contact_conductance: Annotated[float, unit("W_per_m2_K"), Range(above=0.0, most=1e6), "between tube and clamp"] = (
-        3000.0
-    )
+    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Usual(5e-4, 5.0), "mass of one clamp"] = 0.05
+    heat_capacity: Annotated[
+        float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "heat capacity of the clamp metal"
+    ] = 896.0
+    area: Annotated[
+        float, unit("cm2"), Range(above=0.0, most=1.0), "surface area of one clamp that is cooled by air"
+    ] = 4e-3
+    contact_conductance: Annotated[
+        float, unit("W_per_m2_K"), Range(above=0.0, most=1e6), "thermal conductance between tube and clamp"
+    ] = 3000.0
     grip: Annotated[float, unit("mm"), Range(above=0.0, most=0.2), "length of tube in each clamp"] = 10e-3
     clearance: Annotated[
-        float, unit("mm"), Range(above=0.0, most=0.2), "bare tube between clamp and mold at each end"
+        float, unit("mm"), Range(above=0.0, most=0.2), "length of uncovered tube between clamp and mold at each end"
     ] = 5e-3
 
     def __post_init__(self) -> None:
@@ -199,48 +209,48 @@ class Clamps:
 class MoldBed:
     """The mold as the tube's surroundings."""
 
-    material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "what it is made of, or its name"] = CALCIUM_SILICATE
+    material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "mold material: keys, or its name"] = CALCIUM_SILICATE
     width: Annotated[
         float,
         unit("mm"),
         Range(above=0.0, most=2.0),
         Usual(2e-3, 2.0),
-        "of both plates together; as much material as surrounds it",
+        "width of the mold around the tube",
     ] = 0.1
-    thickness: Annotated[float, unit("mm"), Range(above=0.0, most=2.0), Usual(1e-3, 1.0), "of both plates together"] = (
-        25.4e-3
-    )
+    thickness: Annotated[
+        float, unit("mm"), Range(above=0.0, most=2.0), Usual(1e-3, 1.0), "thickness of both plates together"
+    ] = 25.4e-3
     lead: Annotated[
         float,
         unit("mm"),
         Range(above=0.0, most=2.0),
         Usual(5e-4, 1.0),
-        "straight tube in the mold on each side of the curved part",
+        "length of straight tube in the mold on each side of the curved part",
     ] = 20e-3
     side_clearance: Annotated[
         float | None,
         unit("um"),
         Range(above=0.0, most=5e-3),
-        "of air on either side of a tube in the middle of its groove: how wide that is milled; by default as much "
-        "as gap_um, or 50 um where that is not given either",
+        "side clearance: air gap on each side of a tube in the middle of its groove. "
+        "Default gap_um, or 50 um without gap_um",
     ] = None
     gap: Annotated[
         float | None,
         unit("um"),
         Range(above=0.0, most=5e-3),
-        "of air that is even all around and conducts as much as that of the groove: what limits the heat that enters "
-        "at first; by default computed for a square groove with this side clearance, on whose floor and wall the tube "
-        "lies",
+        "uniform air gap that conducts as much heat as the air in the groove; it limits the "
+        "heat flow at first. By default computed for a square groove with this side "
+        "clearance and the tube on its floor and wall",
     ] = None
     leak_resistance: Annotated[
-        float, unit("ohm_m2"), POSITIVE, "electrical, of the tube's surface against a mold that conducts"
+        float, unit("ohm_m2"), POSITIVE, "electrical contact resistance between tube surface and a conductive mold"
     ] = 1e-6
     vents: Annotated[
         tuple[float, ...],
         unit("percent"),
         NOT_NEGATIVE,
-        "part of the tube's surface that the top plate leaves open along the covered part: one number, or several at "
-        "equal distances from the end of the mold to its middle",
+        "open fraction of the tube's surface under the top plate: one number, or several "
+        "equally spaced from the end of the mold to its middle",
     ] = (0.0,)
 
     def __post_init__(self) -> None:
@@ -271,23 +281,23 @@ class Rig(Displayed):
         InputError: a part is missing, or a value is out of its range.
     """
 
-    battery: Annotated[Battery, REQUIRED, "there is no rig without; {} for all defaults"] = field(
-        default_factory=Battery
-    )
-    circuit: Annotated[Circuit, "cables, contacts, MOSFET, and what they bear"] = field(default_factory=Circuit)
+    battery: Annotated[Battery, REQUIRED, "the battery; {} for all defaults"] = field(default_factory=Battery)
+    circuit: Annotated[Circuit, "cables, contacts, MOSFET and their current limits"] = field(default_factory=Circuit)
     clamps: Annotated[Clamps, "the two equal clamps"] = field(default_factory=Clamps)
     mold: Annotated[MoldBed, "the mold as the tube's surroundings"] = field(default_factory=MoldBed)
-    ambient: Annotated[float, unit("degC"), ROOM, "temperature around it"] = 25.0 + ZERO_CELSIUS
+    ambient: Annotated[float, unit("degC"), ROOM, "ambient temperature"] = 25.0 + ZERO_CELSIUS
     convection: Annotated[
         float | None,
         unit("W_per_m2_K"),
         Range(above=0.0, most=1e4),
-        "of bare surfaces in air; by default that of the tube is computed",
+        "heat transfer coefficient of uncovered surfaces in air; by default computed for the tube",
     ] = None
-    loss_factor: Annotated[float, POSITIVE, "scales all that the tube loses to mold and air; 1 uncalibrated"] = 1.0
-    resistivity_factor: Annotated[float, POSITIVE, "scales the tube's resistivity; 1 uncalibrated"] = 1.0
-    tube: Annotated[Tube | None, Written(TubeEntry, tube_to_dict), "the tube that is usually heated on it"] = None
-    name: Annotated[str, "for headings"] = ""
+    loss_factor: Annotated[
+        float, POSITIVE, "factor on the heat loss of the tube to mold and air; 1 if uncalibrated"
+    ] = 1.0
+    resistivity_factor: Annotated[float, POSITIVE, "factor on the resistivity of the tube; 1 if uncalibrated"] = 1.0
+    tube: Annotated[Tube | None, Written(TubeEntry, tube_to_dict), "default tube of the rig"] = None
+    name: Annotated[str, "name for headings"] = ""
 
     def __post_init__(self) -> None:
         check_fields(self, "the rig")

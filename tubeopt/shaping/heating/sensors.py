@@ -41,14 +41,14 @@ class Sensor(Displayed):
     name: ClassVar[str] = "sensor"
     """What it is called in files and words."""
 
-    lag: Annotated[
-        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
-    ] = 0.0
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.0
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
-    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 0.0
-    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.0
-    lowest: Annotated[float, key("lowest_degC"), "least that it reads; below it counts as broken"] = -50.0
-    highest: Annotated[float, key("highest_degC"), "most that it reads; above it counts as broken"] = 1000.0
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 0.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.0
+    lowest: Annotated[float, key("lowest_degC"), "smallest valid reading; below it the sensor counts as broken"] = -50.0
+    highest: Annotated[float, key("highest_degC"), "largest valid reading; above it the sensor counts as broken"] = (
+        1000.0
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, f"the {self.name}")
@@ -112,14 +112,12 @@ class Thermocouple(Sensor):
 
     name: ClassVar[str] = "thermocouple"
 
-    lag: Annotated[
-        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
-    ] = 0.3
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.3
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
-    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 2.0
-    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.25
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 2.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.25
     position: Annotated[
-        float, unit("mm"), Usual(1e-4, 0.5), "where it touches the tube, from the middle of the curved part"
+        float, unit("mm"), Usual(1e-4, 0.5), "position on the tube, from the middle of the curved part"
     ] = 0.0
 
     def target(self, model: ThermalModel, state: State) -> Array:
@@ -142,14 +140,15 @@ class Camera(Sensor):
 
     name: ClassVar[str] = "camera"
 
-    lag: Annotated[
-        float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant with which its reading follows"
-    ] = 0.1
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.1
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 1.0
-    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the error that stays, at the window"] = 9.0
-    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "step of its readings; 0 for none"] = 0.1
+    bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 9.0
+    quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.1
     positions: Annotated[
-        tuple[float, ...], unit("mm"), Usual(1e-4, 0.5), "places whose mean is read, from the middle of the curved part"
+        tuple[float, ...],
+        unit("mm"),
+        Usual(1e-4, 0.5),
+        "measured positions, from the middle of the curved part; the reading is their mean",
     ] = (-20e-3, 0.0, 20e-3)
 
     def __post_init__(self) -> None:
@@ -175,7 +174,9 @@ class TubeResistance(Sensor):
     name: ClassVar[str] = "resistance"
 
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 3.0
-    slope: Annotated[float, unit("per_K"), POSITIVE, "of the resistivity that it reckons with, at 25 degC"] = 5e-4
+    slope: Annotated[
+        float, unit("per_K"), POSITIVE, "assumed temperature coefficient of the resistivity at 25 degC"
+    ] = 5e-4
 
     def target(self, model: ThermalModel, state: State) -> Array:
         """(B,) temperature that the ratio of resistances stands for."""

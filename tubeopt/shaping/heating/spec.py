@@ -26,45 +26,54 @@ class HeatingSpec(Displayed):
         InputError: an empty window, a window above the limit, or another value out of its range.
     """
 
-    window_degC: Annotated[tuple[float, float], "of the whole curved part during the hold"] = (500.0, 550.0)
-    hold_time: Annotated[float, key("hold_s"), POSITIVE, "length of the hold, 1 to 1800 s"] = 60.0
-    limit_degC: Annotated[float | None, "for every point at all times; by default the window's end"] = None
+    window_degC: Annotated[tuple[float, float], "temperature range of the whole curved part during the hold time"] = (
+        500.0,
+        550.0,
+    )
+    hold_time: Annotated[float, key("hold_s"), POSITIVE, "hold time at the set temperature, 1 to 1800 s"] = 60.0
+    limit_degC: Annotated[
+        float | None, "temperature limit of every point at all times; default the upper end of the window"
+    ] = None
     ramp: Annotated[
         float,
         key("ramp_K_per_s"),
         POSITIVE,
         Usual(0.05, 1000.0),
-        "greatest rate of warming of any point outside of the clamps, the duty taken for a mean power; it can be kept "
-        "where one count warms the cold tube by less",
+        "largest heating rate of any point outside the clamps, for the mean power of a duty "
+        "cycle. Feasible only if one duty step heats the cold tube more slowly",
     ] = 20.0
     objective: Annotated[
         str,
         OneOf(OBJECTIVES),
-        "what is best: time (soonest done), energy (least charge), margin (farthest from the window's ends and from "
-        "the limit)",
+        "objective: time (shortest), energy (least charge) or margin (largest distance to "
+        "the window's ends and to the limit)",
     ] = "time"
     longest_heating: Annotated[
-        float, key("longest_s"), POSITIVE, Usual(2.0, 7200.0), "longest heating before the hold"
+        float, key("longest_s"), POSITIVE, Usual(2.0, 7200.0), "largest heating time before the hold time"
     ] = 360.0
-    slot: Annotated[float, key("slot_s"), POSITIVE, Usual(5e-3, 60.0), "for how long a duty is kept"] = 0.5
-    quench: Annotated[str, OneOf(QUENCHES), "after the hold: water or air"] = "water"
+    slot: Annotated[float, key("slot_s"), POSITIVE, Usual(5e-3, 60.0), "duration of one duty-cycle value"] = 0.5
+    quench: Annotated[str, OneOf(QUENCHES), "cooling after the hold time: water or air"] = "water"
     free: Annotated[
-        tuple[str, ...], OneOf(FREE), "choose these of the rig to even out the temperature: clearance, lead, vents"
+        tuple[str, ...], OneOf(FREE), "rig parameters to optimise for an even temperature: clearance, lead, vents"
     ] = ()
     lead_range: Annotated[
-        tuple[float, float], unit("mm"), POSITIVE, Usual(5e-4, 1.0), "bounds of the lead where it is free"
+        tuple[float, float], unit("mm"), POSITIVE, Usual(5e-4, 1.0), "bounds of the lead, with --free lead"
     ] = (
         3e-3,
         60e-3,
     )
     clearance_range: Annotated[
-        tuple[float, float], unit("mm"), POSITIVE, Usual(1e-4, 0.2), "bounds of the clearance where it is free"
+        tuple[float, float],
+        unit("mm"),
+        POSITIVE,
+        Usual(1e-4, 0.2),
+        "bounds of the side clearance, with --free clearance",
     ] = (1e-3, 20e-3)
     most_vent: Annotated[
         float,
         unit("percent"),
         Range(above=0.0, most=0.5),
-        "greatest part of the tube's surface that a vent may leave open where vents are free",
+        "largest open fraction of the tube's surface, with --free vents",
     ] = 0.4
     solver: HeatingSolver = DEFAULT_HEATING
     """How hard the schedule is searched for."""

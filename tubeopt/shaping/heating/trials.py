@@ -41,12 +41,10 @@ class Colour:
         InputError: a number is out of its range, or the range is empty.
     """
 
-    name: Annotated[str, REQUIRED, "of the colour"] = ""
-    low: Annotated[float, key("low_degC"), POSITIVE, REQUIRED, "least temperature of the tube for it"] = 1.0
-    high: Annotated[float, key("high_degC"), POSITIVE, REQUIRED, "greatest"] = 2.0
-    time: Annotated[
-        float | None, unit("s"), POSITIVE, "for which the tube was as hot; left out where the source does not say"
-    ] = None
+    name: Annotated[str, REQUIRED, "name of the colour"] = ""
+    low: Annotated[float, key("low_degC"), POSITIVE, REQUIRED, "lowest temperature of the colour"] = 1.0
+    high: Annotated[float, key("high_degC"), POSITIVE, REQUIRED, "highest temperature of the colour"] = 2.0
+    time: Annotated[float | None, unit("s"), POSITIVE, "time at the temperature, if the source states it"] = None
 
     def __post_init__(self) -> None:
         check_fields(self, f"colour {self.name!r}")
@@ -69,13 +67,9 @@ class ColourTable(Displayed):
         InputError: no source, no colours, or two of one name.
     """
 
-    source: Annotated[
-        str, REQUIRED, "where the numbers are from: a publication, or trials of one's own with their date"
-    ] = ""
-    colours: Annotated[tuple[Colour, ...], REQUIRED, "of the oxide"] = field(default_factory=tuple)
-    spread: Annotated[
-        float, unit("K"), POSITIVE, "standard deviation of the ends of each range: surfaces, air and eyes differ"
-    ] = 50.0
+    source: Annotated[str, REQUIRED, "source of the numbers: a publication, or your own trials with their date"] = ""
+    colours: Annotated[tuple[Colour, ...], REQUIRED, "colours of the oxide"] = field(default_factory=tuple)
+    spread: Annotated[float, unit("K"), POSITIVE, "standard deviation of the ends of each temperature range"] = 50.0
 
     def __post_init__(self) -> None:
         check_fields(self, "the table of colours")

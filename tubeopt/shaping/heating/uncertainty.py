@@ -31,24 +31,32 @@ class Uncertainty(Displayed):
         InputError: a half-width is out of its range.
     """
 
-    loss: Annotated[float, unit("percent"), PART, "of all that the tube loses to mold and air"] = 0.15
-    contact_resistance: Annotated[float, unit("percent"), PART, "of the clamps on the tube"] = 0.3
-    resistivity: Annotated[float, unit("percent"), PART, "of the tube"] = 0.02
-    resistivity_slope: Annotated[float, unit("percent"), PART, "of its rise with temperature"] = 0.0
-    gap: Annotated[float, unit("percent"), PART, "of the even gap of air between tube and groove"] = 0.0
-    conductivity: Annotated[float, unit("percent"), PART, "of the mold"] = 0.0
-    heat_capacity: Annotated[
-        float, unit("percent"), PART, "of the tube, latent heat of a transformation counted in"
+    loss: Annotated[float, unit("percent"), PART, "uncertainty of the heat loss of the tube to mold and air"] = 0.15
+    contact_resistance: Annotated[
+        float, unit("percent"), PART, "uncertainty of the contact resistance of the clamps"
+    ] = 0.3
+    resistivity: Annotated[float, unit("percent"), PART, "uncertainty of the resistivity of the tube"] = 0.02
+    resistivity_slope: Annotated[
+        float, unit("percent"), PART, "uncertainty of the temperature coefficient of the resistivity"
     ] = 0.0
-    inner_diameter: Annotated[float, unit("um"), NOT_NEGATIVE, Usual(1e-7, 1e-3), "of the tube"] = 0.0
-    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, Usual(1e-2, 50.0), "temperature around the rig"] = 0.0
-    charge: Annotated[float, unit("percent"), PART, "by which the battery may be emptier than it is said to be"] = 0.0
+    gap: Annotated[float, unit("percent"), PART, "uncertainty of the uniform air gap between tube and groove"] = 0.0
+    conductivity: Annotated[float, unit("percent"), PART, "uncertainty of the thermal conductivity of the mold"] = 0.0
+    heat_capacity: Annotated[
+        float, unit("percent"), PART, "uncertainty of the heat capacity of the tube, latent heat included"
+    ] = 0.0
+    inner_diameter: Annotated[
+        float, unit("um"), NOT_NEGATIVE, Usual(1e-7, 1e-3), "uncertainty of the inner diameter of the tube"
+    ] = 0.0
+    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, Usual(1e-2, 50.0), "uncertainty of the ambient temperature"] = (
+        0.0
+    )
+    charge: Annotated[float, unit("percent"), PART, "largest overestimate of the state of charge"] = 0.0
     lost_on_time: Annotated[
         float,
         unit("us"),
         NOT_NEGATIVE,
         Usual(1e-8, 1e-3),
-        "by which every pulse may lose more than the rig's file says",
+        "largest additional time loss per pulse, relative to the rig file",
     ] = 0.0
 
     def __post_init__(self) -> None:

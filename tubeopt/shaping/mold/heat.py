@@ -47,23 +47,23 @@ class HeatSpec:
         float,
         key("set_degC"),
         POSITIVE,
-        "of the curved part; by default the middle of what the maker of the thesis' tubes recommends, 500 to 550 degC",
+        "set temperature of the curved part; default the middle of the manufacturer's range, 500 to 550 degC",
     ] = 525.0 + ZERO_CELSIUS
-    tolerance: Annotated[float, unit("K"), POSITIVE, "by which the ends of the curved part may be colder"] = 25.0
-    hold_time: Annotated[float, key("hold_s"), POSITIVE, "for which it is held"] = 60.0
-    ambient: Annotated[float, unit("degC"), ROOM, "temperature around the mold"] = AMBIENT
+    tolerance: Annotated[float, unit("K"), POSITIVE, "allowed temperature drop at the ends of the curved part"] = 25.0
+    hold_time: Annotated[float, key("hold_s"), POSITIVE, "hold time at the set temperature"] = 60.0
+    ambient: Annotated[float, unit("degC"), ROOM, "ambient temperature"] = AMBIENT
     clamp_temperature: Annotated[
         float | None,
         key("clamp_degC"),
         POSITIVE,
-        "of the clamps at the end of the hold; they are massive: by default ambient",
+        "temperature of the clamps at the end of the hold time; default ambient, because they are massive",
     ] = None
     contact_conductance: Annotated[
         float,
         unit("W_per_m2_K"),
         POSITIVE,
-        "between tube and mold, over the tube's whole surface; by default that of the air around a tube of 1.92 mm in "
-        "a groove of 2 mm in a board, 75 um of air: calibrate it",
+        "thermal conductance between the whole tube surface and the mold. Default: air "
+        "around a 1.92 mm tube in a 2 mm groove (75 um gap); calibrate it",
     ] = round(gap_conductance(USUAL_GAP, AMBIENT), 1)
 
     def __post_init__(self) -> None:

@@ -36,20 +36,22 @@ FEED, SPEED = Range(least=2e-5, most=1.0), Range(above=0.0, most=2000.0)
 class GrooveSpec:
     """How the groove fits the tube (m)."""
 
-    clearance: Annotated[float, unit("mm"), ROOM, STEP, "least width and depth beyond the tube's outer diameter"] = (
-        0.05e-3
-    )
+    clearance: Annotated[
+        float, unit("mm"), ROOM, STEP, "smallest extra width and depth of the groove over the outer diameter"
+    ] = 0.05e-3
     most_clearance: Annotated[
         float,
         unit("mm"),
         LENGTH,
         STEP,
-        "width beyond the outer diameter up to which a single end mill makes the groove in one cut; a groove for which "
-        "no end mill is that near is cut along both walls with a smaller one",
+        "largest extra width of a groove that one end mill cuts in one pass; otherwise a "
+        "smaller end mill cuts along both walls",
     ] = 0.25e-3
-    depth_step: Annotated[float, unit("mm"), LENGTH, STEP, "depths are rounded up to a multiple of it"] = 0.05e-3
-    wall: Annotated[float, unit("mm"), LENGTH, SMALL, "least material between grooves, holes and edges"] = 3e-3
-    floor: Annotated[float, unit("mm"), LENGTH, SMALL, "least material below the groove"] = 4e-3
+    depth_step: Annotated[float, unit("mm"), LENGTH, STEP, "step that depths are rounded up to"] = 0.05e-3
+    wall: Annotated[
+        float, unit("mm"), LENGTH, SMALL, "smallest material thickness between grooves, holes and edges"
+    ] = 3e-3
+    floor: Annotated[float, unit("mm"), LENGTH, SMALL, "smallest material thickness below the groove"] = 4e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -68,23 +70,25 @@ class PlateSpec:
         tuple[float, float] | None,
         unit("mm"),
         LENGTH,
-        "width and height; by default the least that holds the grooves, in steps of 5 mm",
+        "width and height of the plates; default the smallest that fits the grooves, in steps of 5 mm",
     ] = None
     thickness: Annotated[
-        float, unit("mm"), LENGTH, SMALL, "of the lower plate; by default the half inch of the thesis' steel mold"
+        float, unit("mm"), LENGTH, SMALL, "thickness of the lower plate; default 12.7 mm, as the published steel mold"
     ] = 12.7e-3
-    lid_thickness: Annotated[float, unit("mm"), LENGTH, SMALL, "of the top plate"] = 6.35e-3
+    lid_thickness: Annotated[float, unit("mm"), LENGTH, SMALL, "thickness of the top plate"] = 6.35e-3
     margin: Annotated[
         float,
         unit("mm"),
         LENGTH,
-        "from the bends and the least leads to the edge of a plate whose size is free; bolts stand in it",
+        "distance from grooves to the edge of an automatically sized plate; the bolts are in it",
     ] = 16e-3
-    bolt_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes for bolts, through both plates"] = 5.5e-3
-    dowel_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes for dowels, through both plates"] = 3e-3
-    bolt_pitch: Annotated[float, unit("mm"), LENGTH, "greatest distance of bolts along the edge that is aimed at"] = (
-        80e-3
+    bolt_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the bolt holes through both plates"] = (
+        5.5e-3
     )
+    dowel_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the dowel holes through both plates"] = (
+        3e-3
+    )
+    bolt_pitch: Annotated[float, unit("mm"), LENGTH, "target distance between bolts along the edge"] = 80e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -98,8 +102,8 @@ class PlateSpec:
 class EndMill:
     """An end mill at hand (m)."""
 
-    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of what it cuts"]
-    flute_length: Annotated[float | None, unit("mm"), LENGTH, "by default three diameters"] = None
+    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "cutting diameter"]
+    flute_length: Annotated[float | None, unit("mm"), LENGTH, "flute length; default three diameters"] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "an end mill")
@@ -114,14 +118,14 @@ class EndMill:
 class MillingSpec:
     """The end mills at hand and how the groove is cut with them."""
 
-    end_mills: Annotated[tuple[EndMill, ...], "those at hand; by default common ones from 0.4 to 3 mm"] = tuple(
+    end_mills: Annotated[tuple[EndMill, ...], "available end mills; default common sizes from 0.4 to 3 mm"] = tuple(
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
     )
-    step_down: Annotated[float, unit("mm"), CUT, STEP, "greatest depth of one pass"] = 0.5e-3
-    feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the groove"] = 5e-3
-    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "into the material"] = 2e-3
-    spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "revolutions"] = 200.0
-    safe_height: Annotated[float, unit("mm"), LENGTH, SMALL, "above the plate, for moves between cuts"] = 5e-3
+    step_down: Annotated[float, unit("mm"), CUT, STEP, "largest depth of one pass"] = 0.5e-3
+    feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "feed along the groove"] = 5e-3
+    plunge_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "feed into the material"] = 2e-3
+    spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "spindle speed"] = 200.0
+    safe_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height above the plate for moves between cuts"] = 5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -138,30 +142,33 @@ class MillingSpec:
 class WorkshopSpec:
     """The machine that cuts the plates out of their stock, and its programs."""
 
-    dialect: Annotated[str, OneOf(DIALECTS), "of the programs; for grbl drill cycles are spelled out"] = "grbl"
-    work_offset: Annotated[str, OneOf(WORK_OFFSETS), "in which the plate's zero was set"] = "G54"
+    dialect: Annotated[
+        str, OneOf(DIALECTS), "dialect of the G-code; for grbl, drill cycles are written as single moves"
+    ] = "grbl"
+    work_offset: Annotated[str, OneOf(WORK_OFFSETS), "work offset of the plate's zero"] = "G54"
     touch_plate: Annotated[
         float | None,
         unit("mm"),
         LENGTH,
-        "height of a touch plate that is wired to the machine's probe: every plate is then one program, which sets Z "
-        "again after each change of the tool; without one it is a program per tool, and Z is set before each",
+        "height of a touch plate at the machine's probe input. With it, each plate is one "
+        "program that sets Z after each tool change. Without it, each tool has its own "
+        "program, and you set Z before each",
     ] = None
-    change_height: Annotated[float, unit("mm"), LENGTH, SMALL, "above the plate, where tools are changed"] = 40e-3
-    spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "wait after the spindle was switched on"] = 3.0
-    drill_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "of drills"] = 2e-3
-    drill_spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "of drills"] = 50.0
-    peck: Annotated[float, unit("mm"), CUT, STEP, "depth after which a drill clears its chips"] = 2e-3
-    cut_out: Annotated[bool, "whether plates are cut out of larger stock; else they come in their size"] = True
-    outline_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of the end mill that cuts plates out"] = 4e-3
-    outline_reach: Annotated[float, unit("mm"), LENGTH, SMALL, "depth to which that end mill cuts"] = 25e-3
-    outline_step: Annotated[float, unit("mm"), CUT, STEP, "greatest depth of one of its passes"] = 1e-3
-    outline_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "along the outline"] = 10e-3
-    tab_width: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs that hold the plate in its stock"] = 6e-3
-    tab_height: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tabs"] = 2e-3
-    tab_pitch: Annotated[float, unit("mm"), LENGTH, "distance of the tabs that is aimed at"] = 80e-3
+    change_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height above the plate for tool changes"] = 40e-3
+    spin_up: Annotated[float, unit("s"), NOT_NEGATIVE, "waiting time after spindle start"] = 3.0
+    drill_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "feed of drills"] = 2e-3
+    drill_spindle: Annotated[float, unit("rpm"), SPEED, Usual(0.5, 1000.0), "spindle speed of drills"] = 50.0
+    peck: Annotated[float, unit("mm"), CUT, STEP, "depth of one drilling step before the drill clears its chips"] = 2e-3
+    cut_out: Annotated[bool, "cut plates out of larger stock; otherwise stock has their size"] = True
+    outline_diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the end mill for the outline"] = 4e-3
+    outline_reach: Annotated[float, unit("mm"), LENGTH, SMALL, "largest cutting depth of that end mill"] = 25e-3
+    outline_step: Annotated[float, unit("mm"), CUT, STEP, "largest depth of one pass along the outline"] = 1e-3
+    outline_feed: Annotated[float, unit("mm_per_min"), FEED, Usual(1e-4, 0.2), "feed along the outline"] = 10e-3
+    tab_width: Annotated[float, unit("mm"), LENGTH, SMALL, "width of the tabs between plate and stock"] = 6e-3
+    tab_height: Annotated[float, unit("mm"), LENGTH, SMALL, "height of the tabs"] = 2e-3
+    tab_pitch: Annotated[float, unit("mm"), LENGTH, "target distance between tabs"] = 80e-3
     stock: Annotated[
-        tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the stock; by default large enough"
+        tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the stock; default large enough"
     ] = None
 
     def __post_init__(self) -> None:
@@ -176,22 +183,24 @@ class PegSpec:
         InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
     """
 
-    pitch: Annotated[float, unit("mm"), LENGTH, SMALL, "of the holes, which lie on a square lattice on its corner"] = (
-        8e-3
-    )
-    shank: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the holes, and of the pegs in them"] = 3e-3
-    eccentricity: Annotated[float, unit("mm"), LENGTH, SMALL, "of a peg's pin from its axis"] = 3e-3
-    pin: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the pin, which touches the tube"] = 2e-3
+    pitch: Annotated[
+        float, unit("mm"), LENGTH, SMALL, "distance of the holes, on a square lattice rotated by 45 deg"
+    ] = 8e-3
+    shank: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of holes and pegs"] = 3e-3
+    eccentricity: Annotated[float, unit("mm"), LENGTH, SMALL, "distance of the pin from the peg axis"] = 3e-3
+    pin: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the pin that touches the tube"] = 2e-3
     angle_step: Annotated[
-        float, unit("deg"), Range(above=0.0, most=math.pi / 2), "in which pegs can be set, by a scale or by notches"
+        float, unit("deg"), Range(above=0.0, most=math.pi / 2), "angular step of the pegs, by a scale or notches"
     ] = math.pi / 180
-    height: Annotated[float, unit("mm"), LENGTH, SMALL, "of the tube above the board"] = 6e-3
+    height: Annotated[float, unit("mm"), LENGTH, SMALL, "height of the tube above the board"] = 6e-3
     conductivity: Annotated[
-        float, unit("W_per_m_K"), POSITIVE, "of the pins; by default that of machinable glass-mica"
+        float, unit("W_per_m_K"), POSITIVE, "thermal conductivity of the pins; default machinable glass-mica"
     ] = 1.46
-    most_deviation: Annotated[float, unit("mm"), LENGTH, "of the tube from its curve, between the pegs too"] = 0.05e-3
+    most_deviation: Annotated[
+        float, unit("mm"), LENGTH, "largest deviation of the tube from its curve, also between pegs"
+    ] = 0.05e-3
     board: Annotated[
-        tuple[float, float] | None, unit("mm"), LENGTH, "width and height; by default as large as the tube needs"
+        tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the board; default as the tube needs"
     ] = None
 
     def __post_init__(self) -> None:
@@ -218,14 +227,14 @@ class ClampSpec:
         float,
         unit("mm"),
         ROOM,
-        "from the plate's edge to the clamp, along the tube; more where the tube leaves the plate at a slant",
+        "distance from plate edge to clamp along the tube; larger if the tube leaves the plate at an angle",
     ] = 5e-3
     grip: Annotated[float, unit("mm"), LENGTH, "length of tube in a clamp"] = 12e-3
-    width: Annotated[float, unit("mm"), LENGTH, "of a clamp, across the tube"] = 15e-3
-    least_lead: Annotated[float, unit("mm"), LENGTH, "least straight groove on either side of the bend"] = 5e-3
-    sliding_end: Annotated[str, OneOf(ENDS), "where the clamp gives way when the tube grows"] = "distal"
-    travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per growth of the tube"] = 1.5
-    travel_extra: Annotated[float, unit("mm"), ROOM, "travel beyond that"] = 0.5e-3
+    width: Annotated[float, unit("mm"), LENGTH, "width of a clamp, across the tube"] = 15e-3
+    least_lead: Annotated[float, unit("mm"), LENGTH, "smallest straight groove on each side of the bend"] = 5e-3
+    sliding_end: Annotated[str, OneOf(ENDS), "end with the sliding clamp, for thermal expansion of the tube"] = "distal"
+    travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per thermal expansion of the tube"] = 1.5
+    travel_extra: Annotated[float, unit("mm"), ROOM, "additional travel"] = 0.5e-3
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -237,13 +246,13 @@ class ClampSpec:
 class VentSpec:
     """Holes through the top plate over the bend, which let heat out."""
 
-    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "of a vent"] = 1.5e-3
+    diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of a vent"] = 1.5e-3
     profile: Annotated[
         tuple[float, ...],
         key("open_percent"),
         NOT_NEGATIVE,
-        "open part of the groove's area, in equal cells along the bend from its proximal to its distal end; [0] is a "
-        "closed lid. A thermal model may shape it so that the tube's temperature is even",
+        "open fraction of the groove area, in equal cells along the bend, proximal to "
+        "distal; [0] is a closed lid. `heat plan --free vents` optimises it",
     ] = (0.2,)
 
     def __post_init__(self) -> None:
@@ -265,35 +274,40 @@ class MoldSpec(Displayed):
         InputError: a number is out of its range, or no such material.
     """
 
-    material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "of both plates, or its name"] = CALCIUM_SILICATE
-    springback: Annotated[Springback, "from `tubeopt mold calibrate`; without one the mold remarks upon it"] = field(
-        default_factory=Springback
+    material: Annotated[MoldMaterial, Named(MOLD_MATERIALS), "material of both plates: keys, or its name"] = (
+        CALCIUM_SILICATE
+    )
+    springback: Annotated[Springback, "spring-back from `tubeopt mold calibrate`; a warning is shown without one"] = (
+        field(default_factory=Springback)
     )
     cold_length: Annotated[
-        float | None, unit("mm"), ROOM, "of tube from a clamp to where it is hot; by default estimated as a fin"
+        float | None,
+        unit("mm"),
+        ROOM,
+        "length of cold tube between clamp and heated part; by default estimated by a fin model",
     ] = None
     growth: Annotated[
         float | None,
         unit("mm"),
         ROOM,
-        "of the hot tube between the clamps; by default integrated over the fin",
+        "thermal expansion of the tube between the clamps; by default integrated over the fin model",
     ] = None
     most_strain: Annotated[
         float | None,
         unit("percent"),
         POSITIVE,
-        "of a straight tube pressed in; by default what its material springs back from",
+        "bending strain limit of a straight tube in the groove; default the elastic limit of its material",
     ] = None
-    groove: Annotated[GrooveSpec, "how it fits the tube"] = field(default_factory=GrooveSpec)
-    plate: Annotated[PlateSpec, "the two plates and how they are fastened"] = field(default_factory=PlateSpec)
+    groove: Annotated[GrooveSpec, "fit of the groove around the tube"] = field(default_factory=GrooveSpec)
+    plate: Annotated[PlateSpec, "the two plates and their fasteners"] = field(default_factory=PlateSpec)
     milling: Annotated[MillingSpec, "end mills and feeds"] = field(default_factory=MillingSpec)
     workshop: Annotated[WorkshopSpec, "the machine that cuts the plates, and its programs"] = field(
         default_factory=WorkshopSpec
     )
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
-    vents: Annotated[VentSpec, "of the top plate over the bend"] = field(default_factory=VentSpec)
-    pegs: Annotated[PegSpec, "of an adjustable mold, in place of grooves"] = field(default_factory=PegSpec)
-    heat: Annotated[HeatSpec, "the heating that the mold is laid out for"] = field(default_factory=HeatSpec)
+    vents: Annotated[VentSpec, "vents of the top plate over the bend"] = field(default_factory=VentSpec)
+    pegs: Annotated[PegSpec, "pegs of an adjustable mold, instead of grooves"] = field(default_factory=PegSpec)
+    heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
     solver: MoldSolver = DEFAULT_MOLD
     """How finely it is searched for and drawn."""
 

@@ -37,10 +37,10 @@ class Springback:
     """
 
     fraction: Annotated[
-        float, unit("percent"), "lost part at small curvature; negative where tubes come out tighter than the mold"
+        float, unit("percent"), "lost fraction at small curvature; negative if tubes become more curved than the mold"
     ] = 0.0
-    slope: Annotated[float, unit("mm"), "growth of the lost part with the mold's curvature"] = 0.0
-    shrinkage: Annotated[float, unit("percent"), "part of the bend's length that is lost on cooling"] = 0.0
+    slope: Annotated[float, unit("mm"), "increase of the lost fraction with the mold curvature"] = 0.0
+    shrinkage: Annotated[float, unit("percent"), "fraction of the bend length lost on cooling"] = 0.0
     curvature_range: tuple[float, float] | None = None
     """Mold curvatures of the trials that the numbers are from, 1/m, or None without trials."""
 
