@@ -150,8 +150,11 @@ def _either(parts: tuple[Any, ...]) -> Check | None:
         if check is None:
             return None
         found.append(check)
-    holds, words = tuple(each.holds for each in found), " or ".join(dict.fromkeys(each.words for each in found))
-    return Check(lambda value: any(one(value) for one in holds), words, any(each.late for each in found))
+    words, late = " or ".join(dict.fromkeys(each.words for each in found)), any(each.late for each in found)
+    if len(found) == 2:  # as most are: without a generator, since a solve checks a guess
+        first, second = found[0].holds, found[1].holds
+        return Check(lambda value: first(value) or second(value), words, late)
+    return Check(lambda value: any(each.holds(value) for each in found), words, late)
 
 
 def _fixed(parts: tuple[Any, ...]) -> Check:

@@ -98,7 +98,7 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 def finite(name: str, value: Any) -> float:
     """Return `value` as a finite float, else raise InputError naming it."""
     try:
-        number = float(_only_numbers(value))
+        number = value if type(value) is float else float(_only_numbers(value))
     except OverflowError:
         raise InputError(f"{name} is an integer beyond 1e308; it must be a finite number") from None
     except (TypeError, ValueError):

@@ -121,12 +121,12 @@ def answered(member: Member[Any], found: Found, start: str, began: float = 0.0, 
         family=mesh.tableau.family,
         refinement=member.discretisation.refinement,
     )
-    return built(member.robot, (member.rotations, member.translations), found, statistics, member.load)
+    return built(member.robot, (member.rotations, np.array(member.translations)), found, statistics, member.load)
 
 
 def built(
     robot: Robot,
-    joints: tuple[Array, tuple[float, ...]],
+    joints: tuple[Array, Array],
     found: Found,
     statistics: Statistics,
     load: Load | None = None,
@@ -135,7 +135,7 @@ def built(
     equilibrium = Equilibrium(
         robot=robot,
         rotations=joints[0],
-        translations=np.array(joints[1]),
+        translations=joints[1],
         arm=found.arm,
         tip_rotations=found.tip_rotations,
         section_start=found.section_start,

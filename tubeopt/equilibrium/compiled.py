@@ -18,12 +18,12 @@ from ..block.transcription.arm import ArmShape, CollocationPoints, Found, arc_le
 from ..block.transcription.collocated import STEPS
 from ..block.transcription.loaded import LoadedProblem
 from ..robots.load import Load
-from ..robots.robot import Robot
+from ..robots.robot import Robot, is_even
 from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.settings import CONTINUATION, NEWTON, Newton
 from ..typing import Array, Mask
-from .answer import answered, at_points, built, error_of, largest_error, sample_arms, sample_rotation
+from .answer import answered, at_points, built, largest_error, sample_arms, sample_rotation
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
 from .member import Loaded, interpolate
 from .method import Asked
@@ -32,39 +32,41 @@ from .result import Equilibrium, Statistics
 
 
 def unloaded(
-    robot: Robot, rotations: Array, shift: tuple[float, ...], guess: Equilibrium | None, asked: Asked
+    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, asked: Asked
 ) -> Equilibrium | None:
     """The stable equilibrium without a load at joint values: from tubes without torsion, or by a small motion from a
     guess; on the usual mesh or, where that is too coarse, on one twice as fine."""
     if _tied(robot):
-        _check_translations(robot, shift)
-    start, most, translations = None, CONTINUATION.largest_twist, np.array(shift)
+        _check_translations(robot, tuple(translations.tolist()))
+    start, most = None, CONTINUATION.largest_twist
     if guess is not None:
-        turn, length = rotations - guess.rotations, max(float(guess.arc_length[-1]), shortest_arm(robot))
+        turn, arm, points = rotations - guess.rotations, guess.arm, guess.points
+        length = max(float(arm.arc_length[-1]), shortest_arm(robot))
         if guess.margin <= 0 or not small_motion(turn, translations - guess.translations, length):
             return None
-        arm = guess.arc_length, guess.rotation, guess.torsion, guess.point, guess.point_rotation
-        start, most = Start(*arm, turn, guess.translations), largest_twist(guess.margin)
+        along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
+        start, most = Start(*along, turn, guess.translations), largest_twist(guess.margin)
     for refinement in (0, 1):
         answer = solve_compiled(robot, rotations, translations, start, refinement)
         if answer is None or answer["largest_change"] > most:
             return None
         if start is not None and answer["contraction"] > CONTINUATION.largest_ratio:
             return None
-        shape = _found(answer)
+        found = _found(answer)
+        length = float(found.arm.arc_length[-1])
+        if largest_error(*found.errors[:2], length, even=is_even(robot)) > asked.tolerance:
+            continue
         statistics = Statistics(
             method="newton",
-            iterations=int(answer["iterations"]),
-            elements=int(answer["elements"]),
+            iterations=answer["iterations"],
+            elements=answer["elements"],
             degree=DEFAULT_DISCRETISATION.degree,
             start="tubes without torsion" if start is None else "guess",
             seconds=time.perf_counter() - asked.began - answer["loading"],
             refinement=refinement,
             loading=answer["loading"],
         )
-        found = built(robot, (rotations, shift), shape, statistics)
-        if error_of(found) <= asked.tolerance:
-            return found
+        return built(robot, (rotations, translations), found, statistics)
     return None
 
 
@@ -82,7 +84,7 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
 
 def _found(answer: dict[str, Any]) -> Found:
     """Copies of what the kernel found: its next solve overwrites the fields."""
-    m, points = int(answer["pieces"]) * STEPS + 1, int(answer["points"])
+    m, points = answer["pieces"] * STEPS + 1, answer["points"]
     return Found(
         ArmShape(
             arc_length=answer["arc_length"][:m].copy(),
@@ -93,14 +95,14 @@ def _found(answer: dict[str, Any]) -> Found:
             frame=answer["frame"][:m].copy(),
         ),
         tip_rotations=answer["tip_rotations"].copy(),
-        section_start=answer["section_start"][: int(answer["sections"])].copy(),
+        section_start=answer["section_start"][: answer["sections"]].copy(),
         tube_end=answer["tube_end"].copy(),
         points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
-        margin=float(answer["margin"]),
-        energy=float(answer["energy"]),
-        residual=float(answer["residual"]),
-        errors=(float(answer["mesh_error"]), float(answer["tip_error"]), 0.0),
-        iterations=int(answer["iterations"]),
+        margin=answer["margin"],
+        energy=answer["energy"],
+        residual=answer["residual"],
+        errors=(answer["mesh_error"], answer["tip_error"], 0.0),
+        iterations=answer["iterations"],
     )
 
 
@@ -148,7 +150,7 @@ def nearby(family: Family, guess: Equilibrium, t: float, asked: Asked) -> Equili
     if family.load is not None:
         return loaded(guess, family.under_load(t), asked)
     rotations, translations = family.path.at(t)
-    found = unloaded(family.path.robot, rotations, tuple(translations.tolist()), guess, asked)
+    found = unloaded(family.path.robot, rotations, translations, guess, asked)
     return found if found is not None and found.margin > 0 else None
 
 
@@ -190,7 +192,7 @@ def grow_many(
     first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
     if first is None:
         return None
-    s = first["arc_length"][: int(first["pieces"]) * STEPS + 1].copy()
+    s = first["arc_length"][: first["pieces"] * STEPS + 1].copy()
     arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
     unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
     assert unloaded is not None

@@ -42,9 +42,8 @@ def shortest_arm(robot: Robot) -> float:
 
 def small_motion(turn: Array, shift: Array, length: float) -> bool:
     """Whether a motion is so small that one step of Newton from an arm of this length (m) stays on its branch."""
-    farthest = CONTINUATION.largest_shift * length
-    turned, moved = turn.tolist(), shift.tolist()
-    return all(abs(by) <= CONTINUATION.largest_turn for by in turned) and all(abs(by) <= farthest for by in moved)
+    turned, moved = (max(map(abs, by.tolist())) for by in (turn, shift))
+    return bool(turned <= CONTINUATION.largest_turn and moved <= CONTINUATION.largest_shift * length)
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,7 +119,7 @@ def forward_kinematics(  # noqa: PLR0913
     elif guess is not None and guess.load is not None:
         raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
     elif asked.of_kernel(None, discretisation):
-        found = unloaded(robot, alpha, shift, guess, asked)
+        found = unloaded(robot, alpha, place, guess, asked)
     if found is None and guess is None:
         point, start = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
         found = _to_tolerance(point, start, asked)
@@ -231,7 +231,7 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     asked = Asked()
-    quick = unloaded(robot, rotations, translations, guess, asked)
+    quick = unloaded(robot, rotations, np.array(translations), guess, asked)
     if quick is not None:
         return quick
     turn, shift = rotations - guess.rotations, translations - guess.translations

@@ -75,10 +75,14 @@ def default_limits(tubes: Sequence[Tube]) -> JointLimits:
 
 def check_turn(rotations: Array) -> None:
     """Raise InputError naming a rotation beyond MOST_TURN; warn of one beyond USUAL_TURN."""
-    most = max(rotations.ravel().tolist(), key=abs, default=0.0)
-    if abs(most) > MOST_TURN:
-        raise InputError(f"rotations has {most:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side")
-    if abs(most) > USUAL_TURN / 2:
+    turns = rotations.ravel().tolist()
+    most = max(map(abs, turns), default=0.0)
+    if most > MOST_TURN:
+        worst = max(turns, key=abs)
+        raise InputError(
+            f"rotations has {worst:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side"
+        )
+    if most > USUAL_TURN / 2:
         _warn_of_degrees(rotations)
 
 

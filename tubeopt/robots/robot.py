@@ -106,7 +106,7 @@ class Robot(Displayed, ABC):
         """Number of tubes n, and of rotations and translations."""
         return len(self.tubes)
 
-    @property
+    @cached_property
     def limits(self) -> JointLimits:
         """Range of every joint value; by default a turn to either side, and what the lengths of the tubes allow."""
         return limits_of(self.joint_limits, self.calibration, self.tubes)

@@ -9,8 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
@@ -58,18 +57,23 @@ def check_time() -> None:
         raise LateError
 
 
-@contextmanager
-def within(seconds: float) -> Iterator[None]:
-    """A limit for all that is computed inside.
+class within:  # noqa: N801  # read as a verb: with within(seconds)
+    """A limit for all that is computed inside; no generator, since every solve enters one.
 
     Raises:
         LateError: it is reached.
     """
-    token = _UNTIL.set(min(_UNTIL.get(), time.time() + seconds))
-    try:
-        yield
-    finally:
-        _UNTIL.reset(token)
+
+    __slots__ = ("_seconds", "_token")
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+
+    def __enter__(self) -> None:
+        self._token = _UNTIL.set(min(_UNTIL.get(), time.time() + self._seconds))
+
+    def __exit__(self, *raised: object) -> None:
+        _UNTIL.reset(self._token)
 
 
 def limited(question: F) -> F:
@@ -85,9 +89,12 @@ def limited(question: F) -> F:
     @functools.wraps(question)
     def asked(*args: Any, **given: Any) -> Any:
         outer = time_left()
-        limit = positive("time_limit", given["time_limit"]) if "time_limit" in given else default
-        if "time_limit" not in given and outer < math.inf:
+        if "time_limit" in given:
+            limit = positive("time_limit", given["time_limit"])
+        elif outer < math.inf:
             return question(*args, **given)
+        else:
+            limit = default
         try:
             with within(limit):
                 return question(*args, **given)

@@ -57,13 +57,20 @@ class Start(NamedTuple):
 
 @dataclass(eq=False)
 class _Room:
-    """Memory of one thread for one kernel: what it works in, what it answers, by field; where both are; and of
-    which tubes, at which joint values, it still holds the solution, None where of none."""
+    """Memory of one thread for one kernel: what it works in; the arrays of its answer by field, and its numbers, which
+    `answer` adds as Python's; where both are; and of which tubes, at which joint values, it still holds the solution,
+    None where of none."""
 
     workspace: Array
     fields: dict[str, Any]
+    numbers: Any
     at: tuple[int, int]
     solved: tuple[Any, bytes] | None = None
+
+    def answer(self) -> dict[str, Any]:
+        """What the kernel has just answered, by field; arrays are overwritten by the next call."""
+        self.fields.update(zip(self.numbers.dtype.names, self.numbers.item(), strict=True))
+        return self.fields
 
     def has(self, tubes: Any, joints: bytes, start: Start) -> bool:
         """Whether it holds that of tubes at joint values which a start is."""
@@ -71,7 +78,7 @@ class _Room:
             return False
         count = len(start.point)
         mine = self.fields["point_rotation"][:count]
-        return int(self.fields["points"]) == count and bool(mine.tobytes() == start.point_rotation.tobytes())
+        return self.fields["points"] == count and bool(mine.tobytes() == start.point_rotation.tobytes())
 
 
 _rooms = threading.local()
@@ -82,9 +89,13 @@ def room_of(kernel: Kernel) -> _Room:
     rooms: dict[Any, _Room] = _rooms.__dict__
     if kernel not in rooms:
         answer = np.zeros((), kernel.answer)
-        fields = {name: answer[name] for name in kernel.answer.names or ()}
+        names = kernel.answer.names or ()
+        numbers = [name for name in names if not kernel.answer[name].shape]
+        fields = {name: answer[name] for name in names if name not in numbers}
         workspace = np.zeros(kernel.workspace_size // 8 + 1)
-        rooms[kernel] = _Room(workspace, fields, (address(workspace), address(answer)))
+        rooms[kernel] = _Room(
+            workspace, fields, answer[numbers] if numbers else answer, (address(workspace), address(answer))
+        )
     return rooms[kernel]
 
 
@@ -221,7 +232,7 @@ def solve_compiled(
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.functions.solve(tubes, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
-    return room.fields if status == SOLVED else None
+    return room.answer() if status == SOLVED else None
 
 
 class Slopes(NamedTuple):
@@ -264,7 +275,7 @@ def slopes_compiled(
     kept = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
     if not kept and solve_compiled(robot, rotations, translations, start) is None:
         return None
-    points = int(room.fields["pieces"]) * STEPS + 1
+    points = room.fields["pieces"] * STEPS + 1
     s = room.fields["arc_length"][:points]
     same = kept or (points == len(start.arc_length) and bool(np.abs(s - start.arc_length).max() <= ROUND_OFF))
     off = 0.0 if kept else float(np.abs(room.fields["rotation"][:points].T - start.rotation).max()) if same else np.inf

@@ -217,7 +217,7 @@ def solve_loaded_compiled(
         margin,
         *room.at,
     )
-    return _answered(room.fields, problem) if status == SOLVED else None
+    return _answered(room.answer(), problem) if status == SOLVED else None
 
 
 def solve_many_loaded_compiled(
@@ -257,12 +257,12 @@ def _answered(answer: dict[str, Any], problem: LoadedProblem) -> Found:
         arm,
         torsion.assembly,
         points=CollocationPoints(torsion.arc_length, theta, curvature),
-        margin=float(answer["margin"]),
-        energy=float(answer["energy"]),
-        residual=float(answer["residual"]),
-        errors=(float(answer["theta_error"]), float(answer["tip_error"]), float(answer["margin_error"])),
-        iterations=int(answer["iterations"]),
-        work=float(answer["work"]),
+        margin=answer["margin"],
+        energy=answer["energy"],
+        residual=answer["residual"],
+        errors=(answer["theta_error"], answer["tip_error"], answer["margin_error"]),
+        iterations=answer["iterations"],
+        work=answer["work"],
         compliance=answer["compliance"].copy(),
         base_wrench=answer["base_wrench"].copy(),
     )
