@@ -135,3 +135,11 @@ def test_the_proof_of_unequal_transmissions_is_sharp(outer: tuple[tuple[float, f
 
     true = 1 - 1 / brentq(excess, 0.3, 1.5, xtol=1e-12) ** 2
     assert proved_margin(segment) == pytest.approx(true, abs=1e-9)
+
+
+def test_the_proof_of_transmissions_far_longer_than_a_segment_is_sharp() -> None:
+    """A segment fails where tan(phi(X)) is 1 / lam, however far beyond that turns of all tubes alike are bounded."""
+    segment = replace(stretched_segment(), transmission=8.0)
+    true = brentq(lambda soft: soft * 0.5 - longest(0.2, np.arctan(1 / (8 * soft))), 0.1, 1.0, xtol=1e-13)
+    assert 0.2 * (np.pi / 2) * 8 * np.pi > 1
+    assert proved_margin(segment) == pytest.approx(1 - 1 / true**2, abs=1e-9)
