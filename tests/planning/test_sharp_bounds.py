@@ -485,3 +485,27 @@ def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pie
     # The outer tube ends at 43 mm, between points 5 and 6, both of which are as thick as it is.
     radii = [tube.outer_diameter / 2 for tube in robot.tubes]
     assert thick == pytest.approx(np.array([radii[1]] * 7 + [radii[0]] * 4))
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "places", "ordered"),
+    [
+        ([0.02, 0.05], [0.03, 0.06], [], True),
+        ([0.02, 0.05], [0.03, 0.06], [0.07], True),
+        ([0.02, 0.05], [0.03, 0.06], [0.04], True),
+        ([0.02, 0.05], [0.03, 0.06], [0.055], False),  # the tip passes a place of the load
+        ([0.02, 0.05], [0.03, 0.06], [0.025], False),  # a breakpoint passes it
+        ([0.02, 0.05], [0.06, 0.04], [], False),  # breakpoints pass one another
+        ([-0.01, 0.05], [0.01, 0.05], [], False),  # one passes the plate
+        ([-0.02, 0.05], [-0.01, 0.05], [], True),
+    ],
+)
+def test_sections_are_in_order_where_no_places_along_the_arm_meet(
+    begin: list[float], end: list[float], places: list[float], ordered: bool
+) -> None:
+    arms: Any = SimpleNamespace(
+        breakpoints=np.array([begin, end]),
+        places=np.array(places),
+        constants=SimpleNamespace(stretch=lambda middle, tubes: None),
+    )
+    assert Intervals.of(arms, np.array([0]), np.array([1])).ordered.tolist() == [ordered]

@@ -12,9 +12,10 @@ from tests.examples import CRL, nested
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability.certificate import convexity, worst_case
+from tubeopt.stability.deflection import under_any_force
 from tubeopt.stability.eccentric_bound import cross_sections, longest
 from tubeopt.stability.eccentric_certificate import Segment, proved_margin
-from tubeopt.stability.loaded_certificate import bundle_of
+from tubeopt.stability.loaded_certificate import bundle_of, loaded_worst_case
 
 
 def test_a_cantilever_moves_by_the_cube_of_its_length_over_three_times_its_stiffness() -> None:
@@ -143,3 +144,40 @@ def test_the_proof_of_transmissions_far_longer_than_a_segment_is_sharp() -> None
     true = brentq(lambda soft: soft * 0.5 - longest(0.2, np.arctan(1 / (8 * soft))), 0.1, 1.0, xtol=1e-13)
     assert 0.2 * (np.pi / 2) * 8 * np.pi > 1
     assert proved_margin(segment) == pytest.approx(1 - 1 / true**2, abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99, 1.01])
+def test_a_straight_tube_keeps_what_one_and_a_half_times_the_force_leaves_of_eulers_load(share: float) -> None:
+    """1 - 3/2 F (2 L / pi)^2 / EI; where nothing is left no deflection is bounded."""
+    robot, length = nested((0.0, 0.1, 0.0)), 0.1
+    force = share * robot.tubes[0].bending_stiffness * (np.pi / 2 / length) ** 2 / 1.5
+    assert snap_free_certificate(robot, max_force=force) == pytest.approx(1 - share, abs=1e-9)
+    found, moved = under_any_force(robot, np.zeros((2, 1)), force), deflection_bound(robot, max_force=force)
+    assert found.margin == pytest.approx(1 - share, abs=1e-9)
+    assert found.deflection == moved[0]
+    assert (found.deflection == np.inf) == (share > 1)
+
+
+def test_no_force_makes_a_robot_stabler_than_it_is_without() -> None:
+    robot = nested((0.0, 0.1, 0.0))
+    for unloaded in (1.0, -0.5):
+        found = loaded_worst_case(robot, np.zeros(1), unloaded, 1e-9)
+        assert unloaded - 1e-6 < found <= unloaded
+
+
+def test_a_bundle_for_a_box_of_translations_is_as_soft_as_its_softest_arm() -> None:
+    """In torsion as where a tube is softest, with the longest transmission, the longest arm, and every curved part."""
+    soft, stiff = (Piece(0.03, 8.0, torsional_stiffness=kt) for kt in (1e-3, 2e-3))
+    robot = ConcentricRobot((Tube.of_pieces(1.0e-3, 0.8e-3, [stiff, soft], straight_length=0.04),))
+    bundle = bundle_of(robot, np.array([-0.02]), np.array([-0.01]))
+    assert bundle.torsional == pytest.approx([1e-3])
+    assert bundle.transmission == pytest.approx([0.06])
+    assert bundle.total_length == pytest.approx(0.05)
+
+
+def test_a_certificate_within_round_off_of_0_excludes_no_snap() -> None:
+    found = certify(nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0)))
+    assert found.snap_free
+    assert [replace(found, margin=margin).snap_free for margin in (-1e-12, 0.0, 1e-12, 1e-10, 1e-8)] == [False] * 4 + [
+        True
+    ]
