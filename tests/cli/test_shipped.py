@@ -55,10 +55,10 @@ def test_a_certificate_names_the_robot_as_typed(run: Run) -> None:
 def test_a_name_of_nothing_is_one_sentence(run: Run) -> None:
     (line,) = refused(run("fk", "thesis_crt"))
     assert line.startswith(
-        "thesis_crt: there is no such file, and no robot of this name comes with tubeopt; did you mean thesis_ctr"
+        "thesis_crt: there is no such file, and no built-in robot has this name; did you mean thesis_ctr"
     )
     (line,) = refused(run("fk", "configs/robots/thesis_ctr.yaml"))
-    assert line.endswith("the one that comes with tubeopt is typed by its name alone, thesis_ctr")
+    assert line.endswith("use the built-in file by its name, thesis_ctr")
 
 
 def test_lists(run: Run) -> None:

@@ -71,9 +71,7 @@ def test_a_local_file_with_an_ending_is_typed_with_it(empty: Path, caplog: pytes
     assert tubeopt.load_robot("thesis_ctr.yaml").n_tubes == 2
     with caplog.at_level(logging.WARNING):
         assert tubeopt.load_robot("thesis_ctr").n_tubes == 3
-    assert caplog.messages == [
-        "thesis_ctr is the file that comes with tubeopt; type thesis_ctr.yaml for the one that is there"
-    ]
+    assert caplog.messages == ["thesis_ctr is the built-in file; the local file is thesis_ctr.yaml"]
 
 
 def test_a_folder_of_this_name_hides_nothing(empty: Path) -> None:
@@ -84,15 +82,15 @@ def test_a_folder_of_this_name_hides_nothing(empty: Path) -> None:
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ("thesis_crt", "no robot of this name comes with tubeopt; did you mean thesis_ctr or "),
-        ("mine", "no robot of this name comes with tubeopt; did you mean mine.yaml?"),
-        ("zzz", "no robot of this name comes with tubeopt; names are braunschweig_pair, crl_ctr, "),
+        ("thesis_crt", "no built-in robot has this name; did you mean thesis_ctr or "),
+        ("mine", "no built-in robot has this name; did you mean mine.yaml?"),
+        ("zzz", "no built-in robot has this name; names are braunschweig_pair, crl_ctr, "),
         (
             "configs/robots/thesis_ctr.yaml",
-            "no such file; the one that comes with tubeopt is typed by its name alone, ",
+            "no such file; use the built-in file by its name, ",
         ),
         ("below/zzz.yaml", "below/zzz.yaml: there is no such file"),
-        ("below/thesis_ctr", "no such file; the one that comes with tubeopt is typed by its name alone, thesis_ctr"),
+        ("below/thesis_ctr", "no such file; use the built-in file by its name, thesis_ctr"),
         ("", "this is a directory"),
     ],
 )
@@ -108,9 +106,9 @@ def test_names_of_nothing_in_a_study(empty: Path) -> None:
     (empty / "a.yaml").write_text("kind: inverse_kinematics\nrobot: thesis_ctr\ntargets: arcs\n")
     with pytest.raises(InputError, match=r"targets: arcs: there is no such file; did you mean arc\?$"):
         load_study("a.yaml")
-    with pytest.raises(InputError, match="no study of this name comes with tubeopt; did you mean thesis_snap"):
+    with pytest.raises(InputError, match="no built-in study has this name; did you mean thesis_snap"):
         load_study("thesis_snaps")
-    with pytest.raises(InputError, match="no rig of this name comes with tubeopt; did you mean thesis_steel"):
+    with pytest.raises(InputError, match="no built-in rig has this name; did you mean thesis_steel"):
         tubeopt.load_rig("thesis_stel")
     with pytest.raises(InputError, match="there is no such file"):
         load_entry("push")

@@ -133,3 +133,12 @@ def test_every_kernel_compiles_for_processors_with_fused_multiplication() -> Non
             ["cc", "-fsyntax-only", "-D__FMA__", "-w", "-x", "c", "-"], input=text, text=True, capture_output=True
         )
         assert told.returncode == 0, told.stderr
+
+
+def test_a_compiler_that_compiles_nothing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`CC=/bin/false pip install .` ended with StopIteration; the build hook now makes a wheel without kernels."""
+    monkeypatch.setenv("CC", "/bin/false")
+    with pytest.raises(subprocess.SubprocessError, match="not even a line"):
+        wheel.package_kernels(tmp_path, everywhere=False)
+    with pytest.raises(subprocess.SubprocessError, match="not even a line"):
+        wheel.package_kernels(tmp_path, everywhere=True)

@@ -52,21 +52,27 @@ NONE = "none"
 """Empties a list."""
 
 
-def command(example: str, *, note: str = "") -> Callable[[Made], Made]:
-    """Make a command of a function that takes an `Output`; `example` and `note` end its help."""
+def command(example: str, *, note: str = "", without: Sequence[str] = ()) -> Callable[[Made], Made]:
+    """Make a command of a function that takes an `Output`; `example` and `note` end its help.
+
+    `without`: fields of the output for which it has no flags.
+    """
 
     def _of(function: Made) -> Made:
         taken = inspect.signature(function, eval_str=True).parameters
-        return _command(function, [part for name, part in taken.items() if name != "output"], example, note)
+        return _command(function, [part for name, part in taken.items() if name != "output"], example, note, without)
 
     return _of
 
 
-def _command(function: Made, own: Sequence[inspect.Parameter], example: str, note: str) -> Made:
+def _command(
+    function: Made, own: Sequence[inspect.Parameter], example: str, note: str, without: Sequence[str] = ()
+) -> Made:
     """A function with parameters `own`, besides the flags of every command, which it takes as one `Output`."""
     shared = [
         part.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for part in inspect.signature(Output, eval_str=True).parameters.values()
+        if part.name not in without
     ]
 
     def _run(**typed: Any) -> None:
@@ -103,12 +109,14 @@ def asks(
     arguments: Mapping[str, tuple[str, str]] | None = None,
     flags: Mapping[str, str] | None = None,
     defaults: Mapping[str, str] | None = None,
+    without: Sequence[str] = (),
 ) -> Callable[[Callable[..., None]], Made]:
     """Make a command of a function that takes a study. Keys that are mappings, or lists of them, have no flag.
 
     Args:
         example, note: what its help ends with.
         arguments, flags, defaults: as of `Asked`.
+        without: fields of the output for which it has no flags.
     """
     placed = {"robot": ROBOT} if arguments is None else arguments
     keys = _Keys(study, tuple(placed), flags or {})
@@ -133,7 +141,7 @@ def asks(
                 raise InputError("\n".join(line + lacks.get(line, "") for line in str(error).splitlines())) from None
             yield question
 
-    return functools.partial(_asking, keyed=keyed, question=_question, example=example, note=note)
+    return functools.partial(_asking, keyed=keyed, question=_question, example=example, note=note, without=without)
 
 
 def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Callable[..., None]], Made]:
@@ -170,6 +178,7 @@ def _asking(
     question: Callable[[Mapping[str, Any]], AbstractContextManager[Entry]],
     example: str,
     note: str,
+    without: Sequence[str] = (),
 ) -> Made:
     """A command of a function that takes a study, which `question` makes of what is typed for `keyed`."""
     _, *parts = inspect.signature(function, eval_str=True).parameters.values()  # the first is the study
@@ -181,7 +190,7 @@ def _asking(
             function(study, output=output, **{key: value for key, value in typed.items() if key in taken})
 
     _run.__name__, _run.__doc__ = function.__name__, function.__doc__
-    return _command(_run, [*keyed, *own], example, note)
+    return _command(_run, [*keyed, *own], example, note, without)
 
 
 def answer(study: Study, output: Output) -> None:
@@ -240,6 +249,11 @@ class _Keys:
         return {key: value for key, value in read.items() if value is not None}
 
 
+def read_typed(model: type[Entry], typed: Mapping[str, str]) -> dict[str, Any]:
+    """What was typed for some keys, as the model takes it."""
+    return {key: _read(model.model_fields[key], text) for key, text in typed.items()}
+
+
 def _first(flags: str) -> str:
     """The first of several flags for a key."""
     return re.split("[,/]", flags)[0]
@@ -293,7 +307,7 @@ def _choices(field: FieldInfo) -> tuple[str, ...]:
 def _usual(field: FieldInfo) -> str | bool | None:
     """What stands for a key whose flag is not typed, as it would be typed."""
     own = None if field.is_required() else field.get_default(call_default_factory=True)
-    return own if isinstance(own, bool) else _typed(own)
+    return own if isinstance(own, bool) else as_typed(own)
 
 
 def _sentence(field: FieldInfo) -> str:
@@ -313,12 +327,12 @@ def _can_be_typed(field: FieldInfo) -> bool:
     return _is_file(field) or inner in (bool, int, Decimal, str) or get_origin(inner) is Literal
 
 
-def _typed(default: Any) -> str | None:
+def as_typed(default: Any) -> str | None:
     """A default as it would be typed; None where there is nothing to be typed."""
     if default is None or default in ([], ()):
         return None
     if isinstance(default, list):
-        return ",".join(_typed(each) or "" for each in default)
+        return ",".join(as_typed(each) or "" for each in default)
     if isinstance(default, Decimal):
         return str(plainest(default)) if default == int(default) else str(default).lower()
     return str(default)

@@ -26,6 +26,10 @@ from .messages import LOGGER, warnings
 NARROWEST_MM, WIDEST_MM = 60, 400
 
 
+OF_PICTURES = ("plot", "formats", "width_mm")
+"""Fields of an output that a command without pictures does not have."""
+
+
 @dataclass(frozen=True)
 class Output:
     """What becomes of an answer, as the flags that all commands share say it.

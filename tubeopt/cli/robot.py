@@ -13,10 +13,10 @@ from ..show.reports import report
 from .commands import ROBOT
 from .completion import files, words
 from .flags import command
-from .output import Output, can_be_saved, present
+from .output import OF_PICTURES, Output, can_be_saved, present
 
 
-@command("tubeopt robot show configs/robots/thesis_ctr.yaml")
+@command("tubeopt robot show configs/robots/thesis_ctr.yaml", without=OF_PICTURES)
 def show(
     robot: Annotated[
         str,
@@ -29,14 +29,14 @@ def show(
     present(report(load_robot(robot)), output)
 
 
-@command("tubeopt robot list")
+@command("tubeopt robot list", without=OF_PICTURES)
 def list_robots(output: Output) -> None:
     """List the built-in robots. Use them by name, as in `tubeopt fk thesis_ctr`."""
     can_be_saved(output.out)
     present(report(shipped_files("robots")), output)
 
 
-@command("tubeopt list rigs")
+@command("tubeopt list rigs", without=OF_PICTURES)
 def list_files(
     output: Output,
     folder: Annotated[

@@ -95,7 +95,7 @@ def no_such_file(path: str | PathLike[str]) -> InputError:
     hint = "".join(f"; did you mean {file.with_name(k)}?" for k in close)
     named = shipped().get(file.stem)
     if not hint and named is not None and file.name in (named.stem, named.name):
-        hint = f"; the one that comes with tubeopt is typed by its name alone, {file.stem}"
+        hint = f"; use the built-in file by its name, {file.stem}"
     elif not hint and NAME.fullmatch(file.name):
         hint = alike(path)
     return InputError(f"{path}: there is no such file{hint}")

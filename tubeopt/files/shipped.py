@@ -60,7 +60,7 @@ def resolved(path: str | PathLike[str], beside: Path = Path()) -> Path:
     for ending in ENDINGS:
         other = beside / f"{path}{ending}"
         if other.is_file() and not other.samefile(named):
-            LOGGER.warning(f"{path} is the file that comes with tubeopt; type {other} for the one that is there")
+            LOGGER.warning(f"{path} is the built-in file; the local file is {other}")
     return named
 
 
@@ -70,9 +70,7 @@ def found(path: str | PathLike[str], folder: str) -> Path:
     file = resolved(path)
     if os.path.lexists(file) or not NAME.fullmatch(str(path)):
         return file
-    raise InputError(
-        f"{path}: there is no such file, and no {ONE[folder]} of this name comes with tubeopt{alike(path, folder)}"
-    )
+    raise InputError(f"{path}: there is no such file, and no built-in {ONE[folder]} has this name{alike(path, folder)}")
 
 
 def alike(path: str | PathLike[str], folder: str = "*") -> str:

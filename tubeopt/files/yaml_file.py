@@ -13,6 +13,9 @@ import yaml
 from ..errors import InputError
 from .files import read_text, write_text
 
+LONGEST = 10**6
+"""Characters of a line that is not broken."""
+
 _TAG = "tag:yaml.org,2002:"
 _FLOAT, _SEQUENCE = _TAG + "float", _TAG + "seq"
 
@@ -47,6 +50,14 @@ def read_flow(text: str) -> Any:
         InputError: it is not YAML.
     """
     return _parsed(text, text)
+
+
+def to_flow(value: Any) -> str:
+    """A value on one line, as `read_flow` reads it."""
+    text = yaml.dump(
+        value, Dumper=_OneLine, sort_keys=False, default_flow_style=True, allow_unicode=True, width=LONGEST
+    )
+    return text.removesuffix("...\n").strip()
 
 
 def _parsed(text: str, path: str) -> Any:
@@ -123,9 +134,16 @@ class _Dumper(yaml.SafeDumper):
         return self.represent_sequence(_SEQUENCE, items, flow_style=not nested)
 
 
+class _OneLine(_Dumper):
+    def shortest(self, number: Decimal) -> yaml.Node:
+        return self.represent_data(int(number) if number == int(number) else float(number))
+
+
 _Loader.add_constructor(_FLOAT, _Loader.exact_float)
 _Loader.add_constructor(None, _Loader.refuse)
 _Dumper.add_representer(Decimal, _Dumper.decimal)
 _Dumper.add_representer(list, _Dumper.short_list)
+_OneLine.add_representer(Decimal, _OneLine.shortest)
+_OneLine.add_representer(list, _OneLine.represent_list)
 for _class in (_Loader, _Dumper):
     _class.add_implicit_resolver(_FLOAT, _EXPONENT, list("-+.0123456789"))

@@ -28,7 +28,7 @@ from ..typing import Array, Progress
 RobotPath = Annotated[
     AnyRobot,
     in_file(load_robot, "a robot file", kind=AnyRobot),
-    Field(description="path of the robot file, relative to this file"),
+    Field(description="path of the robot file, relative to this file, or the name of a built-in robot"),
 ]
 """A robot, given as the path of its file."""
 

@@ -41,6 +41,7 @@ MODULES = {
     "snap_report": ("Equilibria", "Way", "Path", "RobotMap"),
     "sweep_report": ("Sweep",),
     "validation_report": ("Comparison", "Validation", "Fit"),
+    "written_report": ("Written",),
     "workspace_report": ("Findings",),
 }
 """Modules with reports -> the classes of their answers: each is imported when there is such an answer."""

@@ -25,7 +25,10 @@ def package_kernels(folder: Path, *, everywhere: bool) -> list[Path]:
         return []
     here = processor_features()
     all_known = known(generations())
-    return build_kernels(texts(), folder, all_known if everywhere else [next(g for g in all_known if g.needs <= here)])
+    chosen = all_known if everywhere else [one for one in all_known if one.needs <= here][:1]
+    if not chosen:
+        raise subprocess.SubprocessError("it compiles not even a line")
+    return build_kernels(texts(), folder, chosen)
 
 
 def known(among: Sequence[Generation]) -> list[Generation]:

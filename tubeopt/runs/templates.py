@@ -1,0 +1,318 @@
+"""Files to begin with: a robot, a rig, a study of any kind, each of which can be used as it is written.
+
+What the keys are stands behind them; keys that may follow are comments below.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
+from ..errors import InputError, nearest
+from ..files.checked import Entry, Number, Positive, check_kind
+from ..files.commented import commented
+from ..files.shipped import found, shipped
+from ..files.units import TO_MM
+from ..files.yaml_file import load_yaml, read_flow
+from ..robots.file import ROBOT_KINDS, load_robot, robot_from_dict
+from ..robots.materials import MATERIALS
+from ..robots.robot import Robot
+from ..shaping.materials import MOLD_MATERIALS
+from .base import Count
+from .rig_file import RIG_KINDS, rig_from_dict
+from .study_file import STUDY_KINDS
+from .sweep_file import SweepEntry
+
+Data = dict[str, Any]
+
+TUBE_KEYS = ("outer_diameter_mm", "inner_diameter_mm", "straight_length_mm", "curved_length_mm", "radius_mm")
+"""What a tube needs."""
+
+
+def usual_tubes(count: int) -> dict[str, list[Decimal]]:
+    """Keys of tubes that fit into one another and advance in order -> a number for each, inner to outer."""
+    i = range(count)
+    return {
+        "outer_diameter_mm": [Decimal("1.0") + k * Decimal("0.3") for k in i],
+        "inner_diameter_mm": [Decimal("0.8") + k * Decimal("0.3") for k in i],
+        "straight_length_mm": [Decimal(50 * (count - k)) for k in i],
+        "curved_length_mm": [Decimal(30 + 10 * (count - k)) for k in i],
+        "radius_mm": [Decimal(60 + 40 * k) for k in i],
+    }
+
+
+USUAL_COUNT = 2
+"""Number of tubes of a robot."""
+
+USUAL_SINGLE = dict(zip(TUBE_KEYS, ([Decimal(x)] for x in ("1.92", "1.57", "0", "94", "120")), strict=True))
+"""Keys of the tube of an eccentric robot, or of one to be heated: the thesis' (Table 3.1)."""
+
+
+@dataclass(frozen=True)
+class Written(Displayed):
+    """A file that was written to begin with."""
+
+    then: str
+    """A command that uses it."""
+
+
+class NewTubes(Entry):
+    """Tubes to begin with; what is not given is as usual."""
+
+    usual_count: ClassVar = USUAL_COUNT
+
+    tubes: Count | None = Field(None, description="number of tubes")
+    outer_diameter_mm: list[Number] | None = Field(None, description="outer diameter of every tube, inner to outer")
+    inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter")
+    straight_length_mm: list[Number] | None = Field(None, description="length of the straight part, from the held end")
+    curved_length_mm: list[Number] | None = Field(None, description="length of the curved part behind it")
+    radius_mm: list[Number] | None = Field(None, description="radius of the curved part")
+
+    @model_validator(mode="after")
+    def _as_many(self) -> Self:
+        for key, values in self.numbers.items():
+            if len(values) != self.count:
+                raise InputError(
+                    f"{key} has {len(values)} number{'s' * (len(values) != 1)}; it must be {self.count} (one per tube)"
+                )
+        return self
+
+    @property
+    def numbers(self) -> dict[str, list[Decimal]]:
+        """What is given of every tube."""
+        return {key: getattr(self, key) for key in TUBE_KEYS if getattr(self, key) is not None}
+
+    @property
+    def count(self) -> int:
+        """Number of tubes: as given, or as many as there are numbers, or two."""
+        return self.tubes or max(map(len, self.numbers.values()), default=self.usual_count)
+
+    @property
+    def single(self) -> Data:
+        """What a file says of one tube; raises InputError where several are given."""
+        if any(len(values) != 1 for values in self.numbers.values()) or self.tubes not in (None, 1):
+            raise InputError("several tubes are given; give one number for each dimension of the one tube")
+        return {key: values[0] for key, values in (USUAL_SINGLE | self.numbers).items()}
+
+
+class NewRobot(NewTubes):
+    """A robot to begin with; what is not given is as usual."""
+
+    asked: ClassVar = ("name", "tubes", *TUBE_KEYS, "material")
+    """Keys for which a person is asked, in order."""
+
+    name: str | None = Field(None, description="name of the robot")
+    robot_kind: Literal["concentric", "eccentric"] | None = Field(
+        None, description="kind of robot; concentric by default"
+    )
+    material: str | None = Field(None, description=f"material of the tubes: {', '.join(MATERIALS)}")
+
+    @property
+    def usual(self) -> dict[str, Any]:
+        """What is not given is like this."""
+        return {"name": "my robot", "tubes": self.count, "material": "nitinol"} | usual_tubes(self.count)
+
+    def text(self, path: Path) -> str:
+        """The text of a robot file; raises InputError where that is no robot."""
+        kind = self.robot_kind or "concentric"
+        named = {"kind": kind, "name": self.name or self.usual["name"]}
+        material = {"material": self.material or self.usual["material"]}
+        if kind == "concentric":
+            numbers = usual_tubes(self.count) | self.numbers
+            tubes = [{key: values[k] for key, values in numbers.items()} for k in range(self.count)]
+            data = named | {"tubes": [tube | material for tube in tubes]}
+        else:
+            data = named | {"tube": self.single | material}
+        text = commented(ROBOT_KINDS[kind], data, f"A robot, tubes inner to outer: tubeopt robot show {path.name}\n")
+        robot_from_dict(read_flow(text), path)
+        return text
+
+
+class NewRig(NewTubes):
+    """A rig to begin with, and the tube that is heated on it; what is not given is as usual."""
+
+    usual_count: ClassVar = 1
+
+    asked: ClassVar = ("name", "capacity_Ah", "charge_percent", "mold", *TUBE_KEYS)
+    """Keys for which a person is asked, in order."""
+
+    name: str | None = Field(None, description="name of the rig")
+    capacity_Ah: Positive | None = Field(None, description="capacity of the battery")
+    charge_percent: Positive | None = Field(None, description="state of charge of the battery")
+    mold: str | None = Field(None, description=f"material of the mold: {', '.join(MOLD_MATERIALS)}")
+
+    @property
+    def usual(self) -> dict[str, Any]:
+        """What is not given is like this."""
+        own = {"name": "my rig", "capacity_Ah": Decimal(60), "charge_percent": Decimal(100), "mold": "calcium_silicate"}
+        return own | USUAL_SINGLE
+
+    def text(self, path: Path) -> str:
+        """The text of a rig file; raises InputError where that is no rig."""
+        given = self.usual | self.model_dump(exclude_none=True)
+        data = {
+            "kind": "rig",
+            "name": given["name"],
+            "battery": {"capacity_Ah": given["capacity_Ah"], "state_of_charge_percent": given["charge_percent"]},
+            "mold": {"material": given["mold"]},
+            "tube": self.single,
+        }
+        header = f"A rig that heats tubes to set their shape: tubeopt heat plan {path.name} --sensor thermocouple\n"
+        text = commented(RIG_KINDS["rig"], data, header)
+        rig_from_dict(read_flow(text), path)
+        return text
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
+
+
+def _fan(robot: Robot) -> list[int]:
+    """Rotations, deg, that differ by 30."""
+    return [30 * k for k in range(robot.n_tubes)]
+
+
+def _turn(robot: Robot, angle: int) -> list[int]:
+    """Rotations, deg: the first tube is turned."""
+    return [angle, *[0] * (robot.n_tubes - 1)]
+
+
+def _reached(robot: Robot) -> list[float]:
+    """A place that the tip reaches, mm."""
+    tip = forward_kinematics(robot, np.radians(_fan(robot))).tip_position
+    return [round(float(x), 1) for x in tip * TO_MM]
+
+
+def _design(robot: Robot) -> Data:
+    curvature = max(abs(tube.curvature) for tube in robot.tubes)
+    tubes = list(range(1, robot.n_tubes + 1))
+    return {
+        "free": [{"tubes": tubes, "curvature_per_m": [0.5, round(max(1.5 * curvature, 1.0), 1)]}],
+        "requirements": {"snap_free": {"margin": 0.05}},
+        "objective": {"kind": "change"},
+    }
+
+
+EXAMPLES: dict[str, Callable[[Robot], Data]] = {
+    "forward_kinematics": lambda robot: {"rotations_deg": _fan(robot)},
+    "inverse_kinematics": lambda robot: {"target_mm": _reached(robot)},
+    "equilibria": lambda robot: {"rotations_deg": _turn(robot, 190)},
+    "snap": lambda robot: {"to_deg": _turn(robot, 360)},
+    "load_limit": lambda robot: {"rotations_deg": _fan(robot), "tip_force_mN": [-10, 0, 0]},
+    "follow": lambda robot: {"path": "turn_and_back"},
+    "force": lambda robot: {"measurements": "synthetic_forces"},
+    "validation": lambda robot: {"measurements": "synthetic_etr"},
+    "measure": lambda robot: {"fit": ["curvature_1"]},
+    "plan": lambda robot: {"goal_deg": _turn(robot, 90)},
+    "design": _design,
+    "workspace": lambda robot: {"samples": 2000},
+    "fabrication": lambda robot: {"rig": "thesis_calcium_silicate"},
+}
+"""Kind of a study of a robot -> keys with which it can be run, where it needs any."""
+
+ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "example_equal_ends"} | dict.fromkeys(
+    ("mold_plan", "mold_materials", "pegs", "fabrication"), "thesis_etr"
+)
+"""Kind -> the robot of such a study where none is given; of others it is that of the thesis."""
+
+OF_RIGS: dict[str, Data] = {
+    "heating": {"rig": "thesis_calcium_silicate"},
+    "led_heating": {"rig": "thesis_calcium_silicate"},
+    "heating_run": {"simulate": "thesis_calcium_silicate"},
+    "heating_calibration": {"rig": "thesis_calcium_silicate", "log": "heating_log"},
+    "mold_calibration": {"trials": "example_trials"},
+    "verify": {},
+}
+"""Kind of a study that asks about no robot -> keys with which it can be run."""
+
+COPIED = {"design_pair": "design_pair", "plan_arms": "plan_two_arms", "sweep": "sweep_curvature"}
+"""Kind -> the study of it that comes with tubeopt and is copied."""
+
+KINDS: tuple[str, ...] = (*STUDY_KINDS, "sweep")
+"""Of studies."""
+
+
+class NewStudy(Entry):
+    """A study to begin with, which can be run as it is written."""
+
+    asked: ClassVar = ("study_kind", "robot")
+    """Keys for which a person is asked, in order."""
+
+    study_kind: str | None = Field(None, description=f"kind of study: {', '.join(KINDS)}")
+    robot: str | None = Field(None, description="robot: a file, or a name of `tubeopt robot list`")
+
+    @field_validator("study_kind")
+    @classmethod
+    def _known(cls, kind: str | None) -> str | None:
+        if kind is not None and kind not in KINDS:
+            raise ValueError(f"is {kind!r}; it must be one of {', '.join(KINDS)}{nearest(kind, KINDS)}")
+        return kind
+
+    @field_validator("robot")
+    @classmethod
+    def _readable(cls, robot: str | None) -> str | None:
+        if robot is not None:
+            load_robot(robot)
+        return robot
+
+    @property
+    def kind(self) -> str:
+        """Of study."""
+        return self.study_kind or "forward_kinematics"
+
+    @property
+    def usual(self) -> Data:
+        """What is not given is like this."""
+        robot = None if self.kind in (*COPIED, *OF_RIGS) else ROBOTS.get(self.kind, "thesis_ctr")
+        return {"study_kind": self.kind, "robot": robot}
+
+    def data(self, given: Mapping[str, Any], path: Path) -> Data:
+        """What the study file at `path` says, with further keys that are `given`."""
+        if self.kind in (*COPIED, *OF_RIGS):
+            if self.robot is not None:
+                raise InputError(f"a study of kind {self.kind} has no robot that could be chosen here")
+            known: Data = (
+                _by_name(load_yaml(shipped()[COPIED[self.kind]])) if self.kind in COPIED else OF_RIGS[self.kind]
+            )
+            return {"kind": self.kind, **known, **given}
+        typed = self.robot or self.usual["robot"]
+        asked = load_robot(typed)
+        example = EXAMPLES[self.kind](asked) if self.kind in EXAMPLES else {}
+        return {"kind": self.kind, "robot": _from(path, typed), **example, **given}
+
+    def text(self, path: Path, given: Mapping[str, Any]) -> str:
+        """The text of a study file, with further keys that are `given`; raises InputError where it is no study."""
+        data = self.data(given, path)
+        model: type[Entry] = SweepEntry if self.kind == "sweep" else STUDY_KINDS[self.kind]
+        text = commented(model, data, f"A study: tubeopt {'sweep' if self.kind == 'sweep' else 'run'} {path.name}\n")
+        # From where the file will be its robot cannot be found yet: its folder need not be there.
+        near = {"robot": str(found(self.robot, "robots").absolute())} if self.robot is not None else {}
+        check_kind({self.kind: model}, read_flow(text) | near, path)
+        return text
+
+
+def _from(path: Path, typed: str) -> str:
+    """What a study at `path` calls a file that was typed: its name, or its path from there."""
+    file = found(typed, "robots")
+    if shipped().get(typed) == file:
+        return typed
+    return Path(os.path.relpath(file.absolute(), path.absolute().parent)).as_posix()
+
+
+def _by_name(data: Any) -> Any:
+    """Data in which files that come with tubeopt are called by their names."""
+    if isinstance(data, dict):
+        return {key: _by_name(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_by_name(value) for value in data]
+    if isinstance(data, str) and data.startswith("../"):
+        return Path(data).stem
+    return data
