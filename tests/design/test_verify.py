@@ -1,0 +1,179 @@
+"""What a verification says of a design, at either side of what is promised."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import nested
+from tubeopt import ConcentricRobot, SolveError, snap_free_certificate
+from tubeopt.bodies.obstacles import Sphere
+from tubeopt.design import verify
+from tubeopt.design.requirements import Avoid, Reach, SnapFree, SnapFreeInUse, StrokeForce, Target
+
+ROBOT = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0))
+
+
+def program_of(*requirements: Any, ordered: bool = False) -> Any:
+    """Of two poses, of which only this is known."""
+    task = SimpleNamespace(
+        requirements=requirements,
+        ordered=ordered,
+        places=(),
+        solver=SimpleNamespace(perturbed_robots=40, searched_translations=1),
+    )
+    return SimpleNamespace(
+        task=task, task_poses=(0, 1), own=((0, 1),) * len(requirements), added=SimpleNamespace(points=())
+    )
+
+
+def arm(**known: Any) -> Any:
+    return SimpleNamespace(translations=np.zeros(2), **known)
+
+
+@pytest.mark.parametrize(
+    ("least", "found", "snaps", "kept"),
+    [
+        (0.2 - 1e-4, 0.2, 0, [True, True, True]),
+        (0.2 - 1.03e-4, 0.2, 0, [False, True, True]),
+        (0.2, 0.2 - 1.1e-6, 0, [True, False, True]),
+        (0.2, None, 0, [True, False, True]),
+        (0.2, 0.3, 1, [True, True, False]),
+    ],
+)
+def test_a_certificate_is_kept_at_its_worst_translations_and_above_no_margin_that_is_found(
+    least: float, found: float | None, snaps: int, kept: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search, and the turns, are at the translations with the least certificate; a fold has margin 0."""
+    searched: list[float] = []
+
+    def search(robot: Any, row: Any) -> Any:
+        searched.append(row[0])
+        if found is None:
+            raise SolveError("a fold")
+        return SimpleNamespace(margin=found)
+
+    monkeypatch.setattr(verify, "certified_at", lambda program, robot: [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
+    monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row: (0.9, least, 0.8)[int(row[0])])
+    monkeypatch.setattr(verify, "worst_margin", search)
+    monkeypatch.setattr(verify, "count_snaps", lambda robot, turns, seed, row: (snaps, snaps))
+    checks = verify._certificate(program_of(), ROBOT, SnapFree(0.2), 6)
+    assert [check.kept for check in checks] == kept
+    assert searched == [1.0]
+
+
+def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for() -> None:
+    """Two soft curved tubes in a stiff straight one: the coupling grows by ((1 + c)(1 + s))^2 / (1 - s), over 1 - s."""
+    soft = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0), (0.0, 0.05, 0.0)).tubes
+    one = SnapFree(0.2, curvature_error=0.1, stiffness_error=0.2)
+
+    def softened(bend: float, bending: float, torsional: float, around: float) -> float:
+        tubes = [
+            tube.resized("curvature", tube.curvature * bend)
+            .resized("bending_stiffness", 1e-3 * bending)
+            .resized("torsional_stiffness", 1e-3 * torsional)
+            for tube in soft[:2]
+        ]
+        return 1 - snap_free_certificate(ConcentricRobot((*tubes, soft[2].resized("bending_stiffness", around))))
+
+    nominal = softened(1.0, 1.0, 1.0, 1.0)
+    worst = softened(1.1, 1.2, 0.8, 0.8) / nominal
+    assert 0.999 * one.growth <= worst <= one.growth * (1 + 1e-9)
+    assert one.floor == pytest.approx(1 - 0.8 / one.growth, rel=1e-12)
+
+
+def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two equal tubes the certificate falls by (1 + c)^2 (1 + s) / (1 - s) at most, at the worst translations."""
+
+    def certificate(robot: ConcentricRobot, row: Any) -> float:
+        bent = np.prod([tube.curvature for tube in robot.tubes])
+        soft = [
+            sum(1 / getattr(tube, f"{kind}_stiffness") for tube in robot.tubes) for kind in ("bending", "torsional")
+        ]
+        return float(1 - bent * soft[1] / soft[0] * (2 * 0.05 / np.pi) ** 2 * row[0])
+
+    rows = [np.array([0.5, 0.0]), np.ones(2), np.array([0.7, 0.0])]
+    assert certificate(ROBOT, rows[1]) == pytest.approx(snap_free_certificate(ROBOT), abs=1e-9)
+    monkeypatch.setattr(verify, "snap_free_certificate", certificate)
+    worst = 1 - (1 - certificate(ROBOT, rows[1])) * 1.1**2 * 1.2 / 0.8
+    for more, kept in ((-1e-9, True), (1e-9, False)):
+        asked = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
+        check = verify._erring(ROBOT, asked, rows, 400)[0]
+        assert float(check.found) == pytest.approx(worst, abs=1e-5)
+        assert check.kept == kept
+
+
+@pytest.mark.parametrize(
+    ("margins", "snap", "kept"),
+    [
+        ([[0.5, 0.2981], [0.4, 0.5]], None, [True, True, True]),
+        ([[0.5, 0.2979], [0.4, 0.5]], None, [True, True, False]),
+        ([[0.5, 0.4], [0.2979, 0.5]], None, [True, True, False]),
+        ([[0.5, 0.4], [0.4, 0.5]], 0.7, [True, True, False]),
+    ],
+)
+def test_the_margin_in_use_is_the_least_of_poses_ways_and_deployments(
+    margins: list[list[float]], snap: float | None, kept: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = program_of(SnapFreeInUse(0.3, deployed=True))
+    ways = [SimpleNamespace(snap=snap if k else None, margin=np.array(each)) for k, each in enumerate(margins)]
+    monkeypatch.setattr(verify, "motions", lambda *_: ways)
+    for at_pose, on_the_way in ((0.2991, 0.2991), (0.2989, 0.5), (0.5, 0.2989)):
+        drawn = (arm(margin=0.9), arm(margin=on_the_way))
+        monkeypatch.setattr(verify, "on_the_way", lambda robot, arms, drawn=drawn: drawn)
+        found = verify.verify(program, ROBOT, np.zeros(0), (arm(margin=0.9), arm(margin=at_pose)))
+        assert [check.kept for check in found.checks] == [at_pose > 0.299, on_the_way > 0.299, kept[2]]
+        assert found.kept == all(check.kept for check in found.checks)
+
+
+def test_the_stroke_force_is_that_of_the_weakest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+    for second, kept in ((0.5 - 0.9e-6, True), (0.5 - 1.1e-6, False)):
+        forces = [0.9, second]
+        monkeypatch.setattr(verify, "numbers_of", lambda *_, forces=forces: lambda one: np.array([forces[one.pose]]))
+        assert verify._stroke_force(StrokeForce(0.5), ROBOT, (arm(), arm())).kept == kept
+
+
+def test_the_room_around_an_arm_is_the_least_of_poses_and_deployments(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Avoid((Sphere((0.0, 0.0, 1.0), 0.1),), clearance=2e-3, deployed=True)
+    monkeypatch.setattr(verify, "least_room", lambda one, robot, arm: arm.room)
+    for pose, drawn in ((2e-3, 2e-3), (1.999e-3, 9e-3), (9e-3, 1.999e-3)):
+        monkeypatch.setattr(verify, "on_the_way", lambda robot, arms, drawn=drawn: [arm(room=drawn)])
+        assert verify._anatomy(one, ROBOT, (arm(room=9e-3), arm(room=pose))).kept == (min(pose, drawn) >= 2e-3)
+
+
+def test_a_tip_is_as_near_to_its_target_as_the_worst_of_all() -> None:
+    """By shares of what is allowed: 0.2 mm off is too much where 0.1 mm is, and 0.5 mm is not where 1 mm is."""
+    wide, fine = Target((0.0, 0.0, 0.1), 1e-3), Target((0.0, 0.0, 0.2), 1e-4, (0.0, 0.0, 1.0), np.radians(2.0))
+    for off, turn, kept in ((1.0009e-4, 1.999, [True, True]), (2e-4, 2.001, [False, False])):
+        axes = np.eye(3)
+        axes[:, 2] = np.sin(np.radians(turn)), 0.0, np.cos(np.radians(turn))
+        arms = (
+            arm(tip_position=np.array([5e-4, 0.0, 0.1])),
+            arm(tip_position=np.array([off, 0.0, 0.2]), tip_rotation=axes),
+        )
+        assert [check.kept for check in verify._tips(program_of(Reach((wide, fine))), arms)] == kept
+
+
+def test_tubes_are_in_order_in_the_poses_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    for gap, kept in ((0.0, True), (-1e-3, False)):
+        monkeypatch.setattr(verify, "worst_order", lambda tubes, places, gap=gap: (gap, "in words"))
+        assert [each.kept for each in verify._order(program_of(ordered=True), ROBOT, (arm(), arm()))] == [kept]
+
+
+def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways: list[Any] = []
+
+    def follow(robot: Any, way: Any, shift: Any) -> Any:
+        ways.append(way)
+        return SimpleNamespace(snaps=[0.3, 0.6] if len(ways) != 2 else [])
+
+    monkeypatch.setattr(verify, "follow", follow)
+    assert verify.count_snaps(ROBOT, 4) == (6, 3)
+    for way in ways:
+        turn = (way[2] - way[1]) / (2 * np.pi)
+        assert np.abs(turn[0]) == pytest.approx(1.0)
+        assert turn[1] == 0
+        assert (way[0], way[1]) == (pytest.approx(way[4]), pytest.approx(way[3]))
