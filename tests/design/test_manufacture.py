@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -16,12 +18,14 @@ from tubeopt.design import (
     Strain,
     Tolerances,
     choose_from_stock,
+    tolerance,
     tolerance_analysis,
 )
 from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
 from tubeopt.design.stock import combinations, with_sizes
 from tubeopt.design.tolerance import sample_tubes
+from tubeopt.typing import Array
 
 
 def test_probability_of_two_tubes_is_that_of_a_product_of_normals() -> None:
@@ -53,6 +57,29 @@ def test_tip_spread_follows_the_derivative_for_small_errors() -> None:
         total += float(slope @ slope) * 1e-8
     assert found.spread[0] == pytest.approx(np.sqrt(total), rel=0.1)
     assert found.failed == 0
+
+
+def test_shares_and_spreads_are_those_of_the_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 100 certificates from -0.1 to 0.89 ten are below 0 and one is 0; tips are k mm off, and two are lost."""
+    taken = 0
+
+    def batch(tubes: Any, translations: Any, poses: Any) -> tuple[Array, Array]:
+        nonlocal taken
+        if len(tubes) == 1:
+            return np.ones(1), np.zeros((1, 2, 3))
+        k = taken + np.arange(len(tubes))
+        taken += len(tubes)
+        tips = np.zeros((len(tubes), 2, 3))
+        tips[:, 0, 0] = (k + 1) * 1e-3
+        tips[k < 2, 1] = np.nan
+        return (k - 10) / 100, tips
+
+    monkeypatch.setattr(tolerance, "_batch", batch)
+    joints = np.zeros(2), np.zeros(2)
+    found = tolerance_analysis(two_tubes(), Tolerances(), poses=[joints, joints], margin=0.2, samples=100)
+    assert (found.snap_free, found.margin_kept, found.failed) == (0.89, 0.7, 2)
+    assert found.spread_95 == pytest.approx([95.05e-3, 0.0])
+    assert found.spread == pytest.approx([np.sqrt((np.arange(1, 101) ** 2).mean()) * 1e-3, 0.0])
 
 
 def test_uniform_errors_stay_within_their_half_width() -> None:

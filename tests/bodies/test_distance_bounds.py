@@ -1,0 +1,120 @@
+"""Bounds of distances from bodies, where they are attained: by closed forms, so that no smaller constant passes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tubeopt.bodies.corridors import MeshObstacle
+from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
+from tubeopt.bodies.solids import COVERED, _bounds, _samples, field_of_points, field_of_surface
+from tubeopt.typing import Array
+
+CELL = np.array([2e-3, 3e-3, 1e-3])
+
+NODES = np.moveaxis(np.indices((2, 2, 2)), 0, -1) * CELL
+
+MIDDLE = CELL / 2
+
+CLOSE = 5 * ROUND_OFF
+
+
+def away(points: Array, place: Array) -> Array:
+    return np.asarray(np.linalg.norm(points - place, axis=-1))
+
+
+def inside_the_cell(count: int = 200) -> Array:
+    return np.asarray(np.random.default_rng(0).uniform(0, 1, (count, 3)) * CELL)
+
+
+@pytest.mark.parametrize("place", [MIDDLE, np.array([5e-3, -4e-3, 2e-3]), np.array([1e-3, 1e-3, 0.5e-3])])
+def test_the_distance_from_a_point_is_the_root_of_mean_squares_less_their_variance(place: Array) -> None:
+    """sum w |v_k - p|^2 - V is |y - p|^2: a table of a point holds its distance, but for rounding of squares."""
+    table, points = DistanceField(away(NODES, place), CELL), inside_the_cell()
+    true = away(points, place)
+    found = table.signed_distance(points)
+    assert (found <= true).all()
+    assert found == pytest.approx(true, abs=2e-6)
+    far = true > 1e-3
+    assert found[far] == pytest.approx(true[far], abs=1e-8)
+
+
+@pytest.mark.parametrize("radius", [0.0, 1e-3, 0.5])
+def test_within_a_ball_the_bound_is_attained_at_its_centre(radius: float) -> None:
+    """All corners are as far as the centre is from them, which is the root of V."""
+    table = DistanceField(away(NODES, MIDDLE) - radius, CELL)
+    assert -CLOSE - 1e-7 * radius <= table.signed_distance(MIDDLE) + radius <= 0
+
+
+@pytest.mark.parametrize("lowered", [0.0, 1e-4])
+def test_the_error_of_a_table_is_attained_in_the_middle_of_a_hollow_ball(lowered: float) -> None:
+    """Corners lie in the wall: their mean is short of the centre by the root of V, and the bound by twice that."""
+    radius = 1e-3
+    table = DistanceField(radius - away(NODES, MIDDLE) - lowered, CELL, node_error=lowered)
+    short = radius - float(table.signed_distance(MIDDLE))
+    assert table.error - 2 * CLOSE <= short <= table.error
+    most = float(table.at_most(MIDDLE[None])[0])
+    assert radius <= most <= radius + CLOSE
+
+
+def test_beyond_a_table_the_distance_falls_by_the_way_at_most_and_grows_by_it_at_most() -> None:
+    """To a point straight ahead it falls by the way, and to one straight behind it grows by it."""
+    border = np.array([CELL[0], 0.0, 0.0])
+    for share in (2.5, 0.5):
+        place = share * border
+        ahead = place[0] > border[0]
+        table, point = DistanceField(away(NODES, place), CELL), 2 * border
+        true = float(away(point, place))
+        low, high = float(table.signed_distance(point)), float(table.at_most(point[None])[0])
+        assert low <= true <= high
+        assert (true - low if ahead else high - true) < CLOSE
+
+
+def test_beyond_a_table_that_holds_all_of_a_body_the_way_on_is_square_at_most() -> None:
+    """The body is a point of the border, and the point lies straight in front of another."""
+    place, foot = np.array([CELL[0], 0.0, 0.0]), np.array([CELL[0], CELL[1], 0.0])
+    table = DistanceField(away(NODES, place), CELL, bounded=True)
+    for way in (1e-3, 4e-3, 0.1):
+        point = foot + np.array([way, 0.0, 0.0])
+        true = np.hypot(way, CELL[1])
+        assert true - CLOSE <= table.signed_distance(point) <= true
+
+
+def test_numbers_of_a_table_are_rounded_to_the_safe_side() -> None:
+    random = np.random.default_rng(1).uniform(-0.1, 0.1, (20, 20, 20))
+    table = DistanceField(random, CELL)
+    low = table.values.astype(float)
+    assert (low < random).all()
+    assert (low > random - 3e-8).all()
+    assert (table._squares.astype(float) <= np.maximum(low, 0.0) ** 2).all()
+
+
+@pytest.mark.parametrize(("share", "gap"), [(1.0, 8.0 + 1e-9), (0.5, 1.1)])
+def test_the_middle_of_an_equilateral_triangle_is_as_far_from_samples_as_is_said(share: float, gap: float) -> None:
+    """r = e / 3^(1/2) for the longest side e that is not cut; straight above it D^2 = d^2 + r^2."""
+    size, side = 1e-3, np.sqrt(3) * share * 1e-3
+    turn = np.arange(3) * 2 * np.pi / 3
+    corners = side / np.sqrt(3) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)[None] * (1 - 1e-12)
+    samples, uncovered = _samples(corners, share * size)
+    assert len(samples) == 3
+    assert uncovered == pytest.approx(np.linalg.norm(samples, axis=1).min(), rel=1e-9)
+    height = gap * size * (1.001 if share == 1.0 else 1.0)
+    least, most = _bounds(corners, np.array([[0.0, 0.0, height]]), size)
+    assert least == pytest.approx([height], rel=1e-9)
+    assert most == pytest.approx([np.hypot(height, side / np.sqrt(3))], rel=1e-9)
+    assert COVERED == ((1.0, 8.0), (0.5, 0.0))
+
+
+def test_a_thick_cloud_and_a_thick_surface_lie_within_their_tables() -> None:
+    """From afar no point is farther than it is, however thick they are against the cells."""
+    radius, points = 0.03, np.random.default_rng(2).uniform(-0.1, 0.1, (200, 3))
+    triangle = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]])
+    surface = MeshObstacle(tuple(map(tuple, triangle.tolist())), ((0, 1, 2),))
+    true = surface.surface.signed_distance(points) - radius
+    thick = field_of_surface(surface, radius, cell=2e-3)
+    assert (thick.signed_distance(points) <= true + 1e-12).all()
+    assert (thick.signed_distance(points) >= true - thick.error)[true < 0.01].all()
+    ball = field_of_points(np.zeros((1, 3)), radius, cell=2e-3)
+    true = np.linalg.norm(points, axis=1) - radius
+    assert (ball.signed_distance(points) <= true).all()
+    assert (ball.signed_distance(points) >= true - ball.error)[true < 0.01].all()
