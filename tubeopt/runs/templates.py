@@ -246,7 +246,7 @@ class NewStudy(Entry):
     asked: ClassVar = ("study_kind", "robot")
     """Keys for which a person is asked, in order."""
 
-    study_kind: str | None = Field(None, description=f"kind of study: {', '.join(KINDS)}")
+    study_kind: str | None = Field(None, description="kind of study, such as snap, plan or design", examples=["KIND"])
     robot: str | None = Field(None, description="robot: a file, or a name of `tubeopt robot list`")
 
     @field_validator("study_kind")
