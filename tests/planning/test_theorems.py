@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from dataclasses import replace
 from math import comb
 
 import numpy as np
 import pytest
 
 from tests.examples import DEG, THESIS, nested
-from tubeopt import forward_kinematics, verify_trajectory
+from tubeopt import InputError, forward_kinematics, verify_trajectory
 from tubeopt.block.transcription.standing import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
@@ -169,6 +171,14 @@ def test_the_guard_keeps_the_floor_of_the_margin() -> None:
         _, why = guard.go(asked, Why(0))
     assert Why.HELD in why
     assert floor <= guard.here.margin < floor + 0.05
+
+
+def test_the_guard_begins_within_the_ranges_and_the_margin() -> None:
+    seed, limits = np.array([0.0, 90.0, 180.0]) * DEG, replace(THESIS.limits, rotations=((0.0, 180 * DEG),) * 3)
+    least = forward_kinematics(THESIS, seed).margin
+    for turn, floor, fault in ((0.0, least - 1e-6, ""), (0.1, 0.5, "out of range"), (0.0, least + 1e-6, "margin")):
+        with pytest.raises(InputError, match=fault) if fault else nullcontext():
+            Guard(THESIS, (seed + turn * DEG, None), limits, [], ServoOptions(min_margin=floor))
 
 
 def test_a_tangent_that_spins_about_a_fixed_axis_changes_by_powers_of_its_rate() -> None:
