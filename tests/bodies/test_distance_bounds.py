@@ -7,7 +7,7 @@ import pytest
 
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
-from tubeopt.bodies.solids import COVERED, _bounds, _samples, field_of_points, field_of_surface
+from tubeopt.bodies.solids import COVERED, _bounds, _samples, field_of_mesh, field_of_points, field_of_surface
 from tubeopt.typing import Array
 
 CELL = np.array([2e-3, 3e-3, 1e-3])
@@ -118,3 +118,29 @@ def test_a_thick_cloud_and_a_thick_surface_lie_within_their_tables() -> None:
     true = np.linalg.norm(points, axis=1) - radius
     assert (ball.signed_distance(points) <= true).all()
     assert (ball.signed_distance(points) >= true - ball.error)[true < 0.01].all()
+
+
+@pytest.mark.parametrize(("share", "warned"), [(0.999, False), (1.001, True)])
+def test_a_cloud_is_warned_of_where_neighbours_are_farther_apart_than_the_radius(
+    share: float, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    field_of_points([[0.0, 0.0, 0.0], [share * 2e-3, 0.0, 0.0]], 2e-3)
+    assert ("the arm may pass between balls" in caplog.text) == warned
+
+
+def test_what_lies_deep_in_a_surface_is_bounded_by_the_farthest_that_it_may_be() -> None:
+    """Nodes that are not asked one by one: inside -most, outside least; `error` says by how much these are short."""
+    side, cell = 0.008, 1e-3
+    x, y, z = (np.array([0.0, side])[np.array(bits)] for bits in zip(*np.ndindex(2, 2, 2), strict=True))
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = tuple(each for a, b, c, d in sides for each in ((a, b, c), (a, c, d)))
+    mesh = MeshObstacle(tuple(zip(x.tolist(), y.tolist(), z.tolist(), strict=True)), faces)
+    for keep, sign in (("out", 1.0), ("in", -1.0)):
+        field = field_of_mesh(mesh, keep=keep, cell=cell)
+        nodes = np.moveaxis(np.indices(field.values.shape), 0, -1) * field.spacing + field.frame.origin
+        beyond = np.abs(nodes - side / 2) - side / 2
+        true = sign * (np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(-1), 0.0))
+        short = true - field.values
+        assert short.min() > 0
+        assert 0.5 * field.node_error < short.max() <= field.node_error + 2 * CLOSE
+        assert short[np.abs(true) < 1.9 * cell].max() < 2 * CLOSE
