@@ -15,6 +15,7 @@ PICTURE = ROOT / "docs" / "images" / "packages.svg"
 
 ROLES = {
     "cli": "commands",
+    "plot": "all pictures, by name",
     "show": "tables, JSON, pictures, viewer",
     "runs": "study files, sweeps",
     "control": "servo, server, C library",

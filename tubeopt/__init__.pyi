@@ -3,6 +3,7 @@
 from . import (
     block,
     bodies,
+    control,
     design,
     equilibrium,
     errors,
@@ -10,6 +11,7 @@ from . import (
     inverse,
     physics,
     planning,
+    plot,
     robots,
     runs,
     shaping,
@@ -21,12 +23,17 @@ from . import (
     workspaces,
 )
 from .block.equilibrium_block import EquilibriumBlock, OrderWarning
+from .bodies import Box, Capsule, Corridor, HalfSpace, MeshObstacle, Sphere
+from .control import Command, Servo, ServoOptions
 from .design import (
     DesignSolution,
     DesignSolver,
     DesignTask,
+    Free,
+    Objective,
     SearchedDesign,
     SearchedPair,
+    SnapFree,
     optimize_design,
     search_design,
     search_pair,
@@ -75,6 +82,7 @@ from .planning import (
     verify_arms,
     verify_trajectory,
 )
+from .robots.calibration import Calibration
 from .robots.concentric import ConcentricRobot
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
@@ -84,7 +92,9 @@ from .robots.load import Load
 from .robots.materials import NITINOL, Material
 from .robots.pieces import Piece, Slots
 from .robots.tubes import Tube
+from .runs.measurement_file import load_measurements
 from .runs.rig_file import load_rig, save_rig
+from .runs.study_file import load_study
 from .runs.sweeping import Sweep, sweep
 from .shaping import HeatingSolver, Mold, MoldSolver, MoldSpec, RigSolver, plan_mold, predict_tube
 from .shaping.heating.law import Feedback
@@ -96,6 +106,7 @@ from .shaping.heating.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
 from .show.interactive import show_in_3d
+from .show.plots.shape import plot_shape, plot_shapes
 from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers import parallel
@@ -133,6 +144,7 @@ from .stability import (
     worst_certificate,
     worst_margin,
 )
+from .validation import Measurements, validate
 from .validation.force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
@@ -142,11 +154,16 @@ __all__ = [
     "NITINOL",
     "ArmsPlan",
     "ArmsProof",
+    "Box",
     "Branch",
+    "Calibration",
     "Camera",
+    "Capsule",
     "Certificate",
     "ClearanceCorrection",
+    "Command",
     "ConcentricRobot",
+    "Corridor",
     "DesignSolution",
     "DesignSolver",
     "DesignTask",
@@ -163,8 +180,10 @@ __all__ = [
     "ForceEstimate",
     "ForceRecord",
     "ForceSolver",
+    "Free",
     "Friction",
     "FrictionBand",
+    "HalfSpace",
     "HeatingPlan",
     "HeatingSolver",
     "HeatingSpec",
@@ -181,10 +200,13 @@ __all__ = [
     "Load",
     "LoadLimit",
     "Material",
+    "Measurements",
+    "MeshObstacle",
     "Mold",
     "MoldSolver",
     "MoldSpec",
     "Newton",
+    "Objective",
     "OrderWarning",
     "PairReach",
     "Path",
@@ -206,11 +228,15 @@ __all__ = [
     "SearchedDesign",
     "SearchedPair",
     "SegmentedEccentricRobot",
+    "Servo",
+    "ServoOptions",
     "Slots",
     "Snap",
+    "SnapFree",
     "SnapSearch",
     "SnappingLoss",
     "SolveError",
+    "Sphere",
     "StabilityMap",
     "Statistics",
     "Status",
@@ -249,10 +275,12 @@ __all__ = [
     "judge",
     "lead_by",
     "load_equilibrium",
+    "load_measurements",
     "load_problem_solution",
     "load_rig",
     "load_roadmap",
     "load_robot",
+    "load_study",
     "load_workspace",
     "optimize_design",
     "plan_arms",
@@ -260,6 +288,8 @@ __all__ = [
     "plan_heating",
     "plan_mold",
     "plan_trajectory",
+    "plot_shape",
+    "plot_shapes",
     "predict_tube",
     "save_rig",
     "save_robot",
@@ -275,6 +305,7 @@ __all__ = [
     "to_dataframe",
     "to_xarray",
     "trace_branch",
+    "validate",
     "verify_arms",
     "verify_trajectory",
     "workspace",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,6 +127,11 @@ class Jacobian(Displayed):
     energy: Array
     """(Q,) J."""
 
+    @property
+    def matrix(self) -> Array:
+        """(6, Q) geometric Jacobian of the tip: position (m) above the turn of its frame (rad), in the plate frame."""
+        return np.concatenate([self.position, self.rotation])
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -202,6 +207,17 @@ class Equilibrium(Displayed):
     def tip_rotation(self) -> Array:
         """(3, 3) its frame."""
         return np.asarray(self.frame[-1])
+
+    @property
+    def tip_pose(self) -> Array:
+        """(4, 4) homogeneous transformation from the tip to the plate frame: rotation, and position in m."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.tip_rotation, self.tip_position
+        return pose
+
+    def plot(self, path: str | PathLike[str] | None = None) -> Any:
+        """Figure of the shape, saved at `path`; see `tubeopt.plot_shape`."""
+        return late("tubeopt.show.plots.shape.plot_shape")(self, path)
 
     @property
     def value(self) -> Array:

@@ -115,6 +115,58 @@ class Robot(Displayed, ABC):
         """Write the robot as YAML that `load_robot` reads back."""
         late("tubeopt.robots.file.save_robot")(self, path)
 
+    def fk(self, rotations: ArrayLike, translations: ArrayLike | None = None, **options: Any) -> Any:
+        """Equilibrium at rotations (n,) rad and translations (n,) m, by default home.
+
+        A vector of 2n numbers contains both, rotations first. `options` are those of `tubeopt.forward_kinematics`.
+
+        Examples:
+            >>> import tubeopt
+            >>> robot = tubeopt.load_robot("two_tube")
+            >>> round(1e3 * float(robot.fk([0.5, 0.0]).tip_position[2]), 3)
+            76.151
+        """
+        known: Any = rotations
+        shape = (
+            np.shape(known)
+            if isinstance(known, np.ndarray)
+            else (len(known),)
+            if isinstance(known, list | tuple)
+            else ()
+        )
+        if translations is None and shape == (2 * self.n_tubes,):
+            rotations, translations = known[: self.n_tubes], known[self.n_tubes :]
+        return late("tubeopt.equilibrium.kinematics.forward_kinematics")(self, rotations, translations, **options)
+
+    def ik(self, position: ArrayLike, **options: Any) -> Any:
+        """Joint values of a stable equilibrium with its tip at `position` (3,), m: a `tubeopt.InverseSolution`.
+
+        `options` are those of `tubeopt.inverse_kinematics`, as `direction`.
+        """
+        return late("tubeopt.inverse.solving.inverse_kinematics")(self, position, **options)
+
+    def jacobian(self, rotations: ArrayLike, translations: ArrayLike | None = None, **options: Any) -> Any:
+        """Derivatives of tip pose, margin and energy with respect to the joint values: a `tubeopt.Jacobian`.
+
+        Its `matrix` (6, 2n) is the geometric Jacobian of the tip, per rad and per m. Arguments as for `fk`.
+        """
+        return self.fk(rotations, translations, **options).jacobian()
+
+    def tip_pose(self, rotations: ArrayLike, translations: ArrayLike | None = None, **options: Any) -> Array:
+        """(4, 4) homogeneous transformation from the tip to the plate, m; arguments as for `fk`."""
+        return np.asarray(self.fk(rotations, translations, **options).tip_pose)
+
+    def plot(
+        self,
+        rotations: ArrayLike | None = None,
+        translations: ArrayLike | None = None,
+        path: str | PathLike[str] | None = None,
+        **options: Any,
+    ) -> Any:
+        """Figure of the shape at joint values, by default home, saved at `path`; other arguments as for `fk`."""
+        where = self.home_rotations if rotations is None else rotations
+        return self.fk(where, translations, **options).plot(path)
+
 
 def check_robot(robot: object) -> None:
     """Raise InputError where something else is given for a robot, as the path of its file."""

@@ -13,6 +13,7 @@ import scipy
 from ..errors import InputError, nearest
 from ..files.csv_file import CsvTable, read_csv, refuse, to_csv
 from ..files.files import write_text
+from ..files.shipped import resolved
 from ..files.units import DEG, MM, RAD, in_unit, to_si
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
@@ -43,7 +44,14 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
     Raises:
         InputError: no such file, columns that are unknown or missing, cells that are not what they must be: one line
             for every problem, with row and column.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("thesis_etr")
+        >>> tubeopt.load_measurements("synthetic_etr", robot).rotations.shape
+        (48, 3)
     """
+    path = resolved(path)
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         return load_mapped(path, robot)
     table = read_csv(path)

@@ -200,6 +200,13 @@ def validate(
             that the data leave undetermined or tell to no better than 5 deg (standard error).
         SolveError: no stable shape was found for a row.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("thesis_etr")
+        >>> found = tubeopt.validate(robot, tubeopt.load_measurements("synthetic_etr", robot))
+        >>> round(1e3 * found.summary.rms, 2)
+        1.25
     """
     check_tubes(robot, measurements)
     known = robot.calibration.registration if robot.calibration is not None else None

@@ -57,6 +57,16 @@ def plot_shape(
         ghosts: other equilibria, drawn translucent.
         remark: a line more of the heading, as of what the ghosts are.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side of the shape.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import tubeopt
+        >>> pose = tubeopt.load_robot("two_tube").fk([0.5, 0.0])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     figure = tubeopt.plot_shape(pose, f"{folder}/shape.png")
+        ...     Path(folder, "shape.png").exists()
+        True
     """
     figure = new_figure(7.0, 5.0)
     headed(figure, "\n".join(filter(None, (caption(equilibrium), remark))))
@@ -108,6 +118,13 @@ def plot_shapes(
         equilibria: what to draw, left to right.
         view: as in `plot_shape`.
         titles: a heading for each; None is the robot's name.   heading: above all of them.
+
+    Examples:
+        >>> import tubeopt
+        >>> robot = tubeopt.load_robot("two_tube")
+        >>> figure = tubeopt.plot_shapes([robot.fk([0, 0]), robot.fk([1, 0])], titles=["home", "turned"])
+        >>> len(figure.axes)
+        3
     """
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
     scenes, _ = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
