@@ -113,10 +113,11 @@ def test_pieces_and_tubes_off_the_centreline_have_the_answers_and_derivatives_of
         assert found.margin == pytest.approx(known.margin, abs=1e-6)
         jacobian, slopes = known.jacobian(), library.slopes()
         assert (slopes.compliance is None) == eccentric
-        assert slopes.position == pytest.approx(jacobian.position, abs=1e-5)
-        assert slopes.turn == pytest.approx(jacobian.rotation, rel=2e-5, abs=1e-5)
-        assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=1e-4)
-        assert slopes.margin == pytest.approx(jacobian.margin, abs=1e-3)
+        same = 1e-5 if eccentric else 1e-9  # differences, or the implicit function theorem
+        assert slopes.position == pytest.approx(jacobian.position, abs=same)
+        assert slopes.turn == pytest.approx(jacobian.rotation, rel=2 * same, abs=same)
+        assert slopes.tip_rotations == pytest.approx(jacobian.tip_rotations, abs=10 * same)
+        assert slopes.margin == pytest.approx(jacobian.margin, abs=100 * same)
     start = library.solve(*space.split(0.5 * space.inside() + 0.5 * space.middle()))
     # With all tubes bending to -y the tip of three equal tubes is as far there as it can be.
     target = start.tip_position + np.array([1e-3, 1e-3, 1e-3])

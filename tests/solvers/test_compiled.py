@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.equilibrium.test_random_pieces import random_robot as random_pieces
 from tests.examples import CONFIGS, CRL, THESIS
 from tests.stability.robots import random_robot
 from tubeopt import (
@@ -441,26 +442,34 @@ def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pyt
 
 @compiler
 def test_derivatives_are_the_general_ones_of_every_robot() -> None:
-    """By joint values and dimensions, to both sides: at home, where breakpoints coincide, and behind it."""
-    for robot in (load_robot(path) for path in sorted(CONFIGS.glob("*.yaml"))):
-        if not isinstance(robot, ConcentricRobot) or is_general(robot):
+    """By joint values, to both sides: at home, where breakpoints coincide, and behind it; also of pieces at random."""
+    random = np.random.default_rng(4)
+    robots = [load_robot(path) for path in sorted(CONFIGS.glob("*.yaml"))]
+    robots += [random_pieces(random)[0] for _ in range(6)]
+    for robot in robots:
+        if not isinstance(robot, ConcentricRobot):
             continue
         n, home = robot.n_tubes, robot.home_translations
         back = 0.2 * robot.tubes[0].curved_length / np.arange(1, n + 1)
-        for shift, side in ((home, 1), (home, -1), (home - back, 1)):
+        for shift, side in ((home, 1), (home, -1), (home - back, 1), (home - back, -1)):
             at = forward_kinematics(robot, np.linspace(-1.0, 2.0, n), shift)
-            told = compiled_slopes(at, (side,) * n, either=False, dimensions=True)
-            of = derivatives_of(at, PARAMETERS, side=side)
+            told = compiled_slopes(at, (side,) * n, either=False)
+            of = derivatives_of(at, side=side)
             assert told is not None
+            # Of pieces some arms are solved on a finer mesh, and the mesh hardly resolves a margin this close to 1.
+            if is_general(robot) and (not np.isfinite(told.off) or at.margin > 0.999):
+                continue
+            assert told.along is not None
             # A margin close to 1 is that of a mode that the mesh resolves to some digits only.
             for mine, other, same in (
                 (told.position, of.tip_position, 1e-9),
                 (told.turn, of.tip_rotation, 1e-9),
                 (told.tip_rotations, of.tip_rotations, 1e-9),
                 (told.energy, of.energy, 1e-9),
+                (told.along, of.position, 1e-6),
                 (told.margin, of.margin, 3e-6),
             ):
-                for a, b in zip(np.split(mine, 7, axis=-1), np.split(other, 7, axis=-1), strict=True):
+                for a, b in zip(np.split(mine, 2, axis=-1), np.split(other, 2, axis=-1), strict=True):
                     assert a == pytest.approx(b, rel=0, abs=same * np.abs(b).max() + 1e-14)
 
 
@@ -469,7 +478,9 @@ def test_columns_of_a_jacobian_are_those_asked_for() -> None:
     at = forward_kinematics(THESIS, [-1.0, 0.8, 2.0])
     every, some = at.jacobian(wrt=PARAMETERS), at.jacobian(wrt=("torsional_stiffness", "translations"))
     assert some.margin == pytest.approx(np.concatenate([every.margin[18:], every.margin[3:6]]), rel=1e-11)
-    assert at.jacobian().position == pytest.approx(every.position[:, :6], rel=1e-11)
+    joints, turned = at.jacobian(), at.jacobian(wrt=("translations", "rotations"))
+    assert turned.position == pytest.approx(np.roll(joints.position, 3, axis=1), rel=1e-11)
+    assert joints.position == pytest.approx(every.position[:, :6], rel=1e-9)  # the kernel's, and the general one's
 
 
 @pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")

@@ -72,17 +72,17 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
-    space, plain = joint_space(robot), _plain(robot)
+    space, centred = joint_space(robot), not robot.assembly(robot.home_translations).eccentric
     extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
     told = {
         "loads": str(int(loads)),
-        "compliance": str(int(plain or loads)),
-        "bodies": str(int(plain)),
+        "compliance": str(int(centred)),
+        "bodies": str(int(centred)),
         "most_turn": f"{MOST_TURN:g}.0",
         "most_back": f"{FAR:g}.0",
         "most_number": f"{MOST_NUMBER:g}",
-        "how": "" if plain else ", by differences of equilibria side by side",
+        "how": "" if centred else ", by differences of equilibria side by side",
     }
     texts = {
         "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes), **told),
@@ -119,15 +119,17 @@ def _filled(file: str, **values: str) -> str:
 
 def _source(robot: Robot, space: JointSpace, name: str) -> str:
     """The C text: what CasADi generates and the kernel, as they are for Python; the robot's numbers; the rest."""
-    home = robot.assembly(robot.home_translations)
-    slopes = "slopes.c" if _plain(robot) else "differences.c"
+    eccentric = robot.assembly(robot.home_translations).eccentric
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
-        kernel_text(robot.n_tubes, home.eccentric, _room(space), slopes=_plain(robot)),
+        kernel_text(robot.n_tubes, eccentric, _room(space)),
         _data(robot, space),
         with_included(HERE / "quadratic.c"),
-        *(with_included(C_FOLDER / file) for file in ("robot.c", slopes, "servo.c")),
+        *(
+            with_included(C_FOLDER / f"{part}.c")
+            for part in ("robot", "differences" if eccentric else "slopes", "servo")
+        ),
     ]
     return "".join(parts)
 
@@ -144,12 +146,6 @@ def _room(space: JointSpace) -> Room:
 def _shifts(space: JointSpace) -> list[Array]:
     """Translations (n,) of some configurations."""
     return [np.array(space.split(q)[1]) for q in islice(_configurations(space), CASES)]
-
-
-def _plain(robot: Robot) -> bool:
-    """Whether the kernel knows derivatives and compliance: on the centreline, of one arc each."""
-    home = robot.assembly(robot.home_translations)
-    return not (home.eccentric or home.general)
 
 
 def _data(robot: Robot, space: JointSpace) -> str:
@@ -169,9 +165,9 @@ def _data(robot: Robot, space: JointSpace) -> str:
     defines = {
         "JOINTS": m,
         "ORDERS": len(space.least),
-        "MOST_ROWS": f"({2 * m + len(space.least) + 1} + TUBEOPT_MOST_CONTACTS)"
-        if _plain(robot)
-        else 2 * m + len(space.least) + 1,
+        "MOST_ROWS": 2 * m + len(space.least) + 1
+        if robot.assembly(robot.home_translations).eccentric
+        else f"({2 * m + len(space.least) + 1} + TUBEOPT_MOST_CONTACTS)",
         "LONGEST_TUBE": space.length,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
         "LARGEST_TWIST": CONTINUATION.largest_twist,

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arguments import typed
-from ..robots.robot import is_general
 from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .directions import PARAMETERS
 from .linearised import Linearised, linearise, sharing
 from .result import Equilibrium, Jacobian
 
@@ -46,8 +44,9 @@ def compiled_slopes(
     if len(at.arc_length) < 2:
         return None
     still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
-    arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
-    start = Start(*arm, still, at.translations)
+    arm, points = at.arm, at.points
+    along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
+    start = Start(*along, still, at.translations)
     moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
     return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **asked)
 
@@ -55,14 +54,16 @@ def compiled_slopes(
 def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
     """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, or
     what it finds from here is not this equilibrium to the last digits."""
-    if not set(wrt) <= set(PARAMETERS) or side not in (1, -1):
+    if not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
-    found = compiled_slopes(equilibrium, (side,) * n, either=False, dimensions=not set(wrt) <= set(JOINTS))
+    found = compiled_slopes(equilibrium, (side,) * n, either=False)
     if found is None or found.off > SAME_ARM:
         return None
-    columns = [PARAMETERS.index(name) * n + i for name in wrt for i in range(n)]
     tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
+    if tuple(wrt) == JOINTS:
+        return Jacobian(JOINTS, *tables)
+    columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
     return Jacobian(tuple(wrt), *(table[..., columns] for table in tables))
 
 
@@ -104,6 +105,5 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
 
 def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Linearised:
     """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
-    plain = equilibrium.load is None and not is_general(equilibrium.robot)
-    by_kernel = _by_kernel(equilibrium, wrt, side) if plain else None
+    by_kernel = _by_kernel(equilibrium, wrt, side) if equilibrium.load is None else None
     return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel

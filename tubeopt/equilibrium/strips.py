@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -111,17 +111,20 @@ def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) 
 
 
 def _places(assembly: Assembly, tube: int) -> list[float]:
-    """Arc lengths (m) of the breakpoints of a tube in their order, but for where it is held."""
+    """Arc lengths (m) of the breakpoints of a tube in their order."""
     if assembly.lengthwise is None:
         return [float(assembly.transition[tube]), float(assembly.end[tube])]
-    own = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube][1:])
+    own = sorted(cut - float(assembly.transmission[tube]) for cut in assembly.lengthwise.cuts[tube])
     return [s for k, s in enumerate(own) if not k or s - own[k - 1] > ROUND_OFF]
 
 
 def _sections(assembly: Assembly, s: Array, near: Array, present: Mask) -> CrossSections:
-    """The tubes at arc lengths (X,), each on the side of (X, n), and (X, n) which are there."""
+    """The tubes at arc lengths (X,), each on the side of (X, n), straight behind where it is held, and (X, n) which are
+    there."""
     if assembly.lengthwise is not None:
-        return assembly.lengthwise.at(s[:, None] + assembly.transmission, near + assembly.transmission, present)
+        side = near + assembly.transmission
+        here = assembly.lengthwise.at(s[:, None] + assembly.transmission, side, present)
+        return replace(here, moment=here.moment * (side >= 0))
     kb = assembly.bending_stiffness * present
     none = np.zeros(kb.shape)
     moment = kb * assembly.curvature * (near > assembly.transition)

@@ -14,40 +14,26 @@ static void numbers_of(const Answer *a, double *out) {
     out[12 + N] = a->margin;
 }
 
-/* What an equilibrium close by, solved to round-off in `w`, has more; 1 where there is none. */
-static int solved_beside(tubeopt_memory *m, const tubeopt_joints *there, Workspace *w, double *out) {
+/* What the equilibrium at joint values close by has more; 1 where there is none. */
+static int beside_last(tubeopt_memory *m, const tubeopt_joints *there, double *out) {
     double here[NUMBERS];
-    if (step_in(m, there, w)) return 1;
+    if (step_in(m, there, &m->work)) return 1;
     numbers_of(m->answers + m->here, here);
     numbers_of(m->answers + !m->here, out);
     for (int k = 0; k < NUMBERS; k++) out[k] -= here[k];
     return 0;
 }
 
-#if !ECCENTRIC
-#include "chords.c"
-#else
-static int prepare_sides(tubeopt_memory *m) {
-    m->fresh = 0;
-    return 0;
-}
-
-/* What lies beside the last equilibrium has more. */
-static int beside(tubeopt_memory *m, const tubeopt_joints *there, double *out) {
-    return solved_beside(m, there, &m->work, out);
-}
-#endif
-
 /* Second order where `exact`. */
 static int look_ahead(tubeopt_memory *m, int exact) {
     double slope[NUMBERS];
     int blocked[JOINTS];
     only_backward(m, blocked);
-    if (prepare_sides(m)) return 1;
+    m->fresh = 0;
     const Answer *a = m->answers + m->here;
     for (int c = 0; c < JOINTS; c++) {
         double by = (!exact && blocked[c] ? -1 : 1) * (c < N ? TURNED : SHIFTED * LONGEST_TUBE);
-        if (differ(m, beside, c, by, exact, slope) && differ(m, beside, c, -by, exact, slope)) return 1;
+        if (differ(m, beside_last, c, by, exact, slope) && differ(m, beside_last, c, -by, exact, slope)) return 1;
         if (a->margin >= FLAT) slope[12 + N] = 0;
         put_slope(a->frame[a->pieces * STEPS], slope, c, &m->slopes);
     }

@@ -24,10 +24,6 @@ typedef tubeopt_slopes Slopes;
 
 struct tubeopt_memory {
     Workspace work;
-#if !SLOPES && !ECCENTRIC
-    Workspace side; /* beside the last equilibrium */
-    double numbers[13 + N];
-#endif
     Answer answers[2], first;                           /* the last equilibrium, room for the next; where a way began */
     int here, started, fresh;                           /* fresh: the workspace has the last equilibrium */
     const Answer *before;                               /* to which tubeopt_undo leads, NULL where nothing does */

@@ -20,28 +20,37 @@ typedef struct {
 /* Whether a tube turns by c t alone on a piece: it is even and on the centreline. */
 static int turns_evenly(const Unknowns *q, int p, int i) { return !ECCENTRIC && q->layout->even[p][i]; }
 
+/* t of a tube at point k of a piece. */
+static double torque_at(const Unknowns *q, const Profile *arm, int p, int k, int i) {
+    double torque = arm->torque[p][i];
+    int degree = q->tableau->degree;
+    for (int j = 0; j < degree; j++)
+        torque += q->layout->length[p] * q->tableau->matrix[k * degree + j] * arm->moment[p][j * N + i];
+    return torque;
+}
+
 /* The mean of 1 / kt on a piece; what the torque turns a tube by beyond it goes to arm->extra. */
 static double even_out(const Unknowns *q, Profile *arm, int p, int i) {
     const Tableau *t = q->tableau;
     double mean = 0;
-    int degree = t->degree;
-    for (int k = 0; k < degree; k++) mean += t->weights[k] * q->rate[p][k][i];
-    for (int k = 0; k < degree; k++) {
-        double torque = arm->torque[p][i];
-        for (int j = 0; j < degree; j++)
-            torque += q->layout->length[p] * t->matrix[k * degree + j] * arm->moment[p][j * N + i];
-        arm->extra[p][k * N + i] = torque * (q->rate[p][k][i] - mean);
-    }
+    for (int k = 0; k < t->degree; k++) mean += t->weights[k] * q->rate[p][k][i];
+    for (int k = 0; k < t->degree; k++)
+        arm->extra[p][k * N + i] = torque_at(q, arm, p, k, i) * (q->rate[p][k][i] - mean);
     return mean;
 }
 
-/* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and what t' gains at the
-   beginnings of pieces and at the tip, or NULL. Of an arm of length zero, theta and theta' at the plate. */
-static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N], Profile *arm) {
+/* What t' and theta' gain where pieces begin and at the tip, and theta' at the points (K, n) of tubes that vary. */
+typedef struct {
+    double kicks[MOST_PIECES + 1][N], jolts[MOST_PIECES + 1][N], twists[MOST_PIECES][MOST_DEGREE * N];
+} Gains;
+
+/* theta_i(s) as one polynomial per piece, from arm->moment and arm->extra, base rotations, and gains or NULL. Of an arm of
+   length zero, theta and theta' at the plate. */
+static void turn_along(const Unknowns *q, const double *alpha, const Gains *gains, Profile *arm) {
     const Layout *l = q->layout;
     const Tableau *t = q->tableau;
     double turn[MOST_PIECES][N], at[N] = {0};
-    for (int i = 0; i < N && kicks; i++) at[i] -= kicks[l->pieces][i];
+    for (int i = 0; i < N && gains; i++) at[i] -= gains->kicks[l->pieces][i];
     for (int p = l->pieces - 1; p >= 0; p--) {
         double h = l->length[p];
         for (int i = 0; i < N; i++) {
@@ -54,10 +63,12 @@ static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N
             at[i] -= h * gain;
             arm->torque[p][i] = at[i];
             arm->compliance[p][i] = l->even[p][i] ? l->rate[p][i] : even_out(q, arm, p, i);
+            for (int k = 0; k < t->degree && gains && !l->even[p][i]; k++)
+                arm->extra[p][k * N + i] += gains->twists[p][k * N + i];
             for (int k = 0; k < t->degree && !turns_evenly(q, p, i); k++)
                 extra += t->weights[k] * arm->extra[p][k * N + i];
             turn[p][i] = arm->compliance[p][i] * (h * at[i] + h * h * later) + h * extra;
-            if (kicks) at[i] -= kicks[p][i];
+            if (gains) at[i] -= gains->kicks[p][i];
         }
     }
     for (int i = 0; i < N; i++) {
@@ -66,7 +77,7 @@ static void turn_along(const Unknowns *q, const double *alpha, double (*kicks)[N
     }
     for (int p = 0; p <= l->pieces; p++)
         for (int i = 0; i < N; i++) {
-            arm->rotation[p][i] = at[i];
+            arm->rotation[p][i] = at[i] += gains ? gains->jolts[p][i] : 0;
             if (p < l->pieces) at[i] += turn[p][i];
         }
 }

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...block.transcription.collocated import STEPS
 from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
-from ...robots.robot import Robot, is_general
+from ...robots.robot import Robot
 from ...typing import Array, Mask
 from ..time_limit import check_time
 from .library import MOST_TUBES, Kernel, library
@@ -236,11 +236,11 @@ def solve_compiled(
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a solved arm by Q parameters, its 2n rotations and translations, and then, where asked for, the 5n
-    DIMENSIONS: of its tip (3, Q), the turn vector of its tip (3, Q), tip rotations (n, Q), margin and energy (Q,); the
-    compliance (6, 6) of the tip at no load, None where not asked for; and derivatives of the shape points (m, 3, 2n) at
-    fixed arc lengths by joint values, the last of which is the tip; None of an arm with another mesh. `off` is by how
-    much the rotations of the arm differ from those of the start, rad; infinite with another mesh."""
+    """Derivatives of a solved arm by its Q = 2n rotations and translations: of its tip (3, Q), the turn vector of its
+    tip (3, Q), tip rotations (n, Q), margin and energy (Q,); the compliance (6, 6) of the tip at no load, None where
+    not asked for; and of the shape points (m, 3, Q) at fixed arc lengths, the last of which is the tip; None of an arm
+    with another mesh. `off` is by how much the rotations of the arm differ from those of the start, rad; infinite with
+    another mesh."""
 
     position: Array
     turn: Array
@@ -261,14 +261,13 @@ def slopes_compiled(
     *,
     compliance: bool = False,
     either: bool = True,
-    dimensions: bool = False,
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
     coincide those of translations as they are `moved`, and of ends of tubes that move towards the first of its sides;
     of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or has none.
     """
     prepared = with_kernel(robot, 0)
-    if prepared is None or not prepared[0].differentiable or is_general(robot):
+    if prepared is None or not prepared[0].differentiable:
         return None
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
@@ -281,14 +280,11 @@ def slopes_compiled(
     off = 0.0 if kept else float(np.abs(room.fields["rotation"][:points].T - start.rotation).max()) if same else np.inf
     whole = 2 * n * (8 + n) + 36
     more = whole + points * 6 * n
-    out = np.empty(more + 5 * n * (8 + n) * dimensions)
+    out = np.empty(more)
     at = _place(out)
-    places = at, at + 8 * whole, at + 8 * more if dimensions else None
-    if not kernel.functions.differentiate(_asked(moved, compliance, either)[1], *room.at, *places):
+    if not kernel.functions.differentiate(_asked(moved, compliance, either)[1], *room.at, at, at + 8 * whole):
         return None
     table = out[: whole - 36].reshape(8 + n, 2 * n)
-    if dimensions:
-        table = np.concatenate([table, out[more:].reshape(5 * n, 8 + n).T], axis=1)
     return Slopes(
         position=table[:3],
         turn=table[3:6],
@@ -296,7 +292,7 @@ def slopes_compiled(
         margin=table[-2],
         energy=table[-1],
         compliance=out[whole - 36 : whole].reshape(6, 6) if compliance else None,
-        along=out[whole:more].reshape(points, 3, 2 * n) if same else None,
+        along=out[whole:].reshape(points, 3, 2 * n) if same else None,
         off=off,
     )
 

@@ -7,30 +7,34 @@
 
 #define FLAT (1 - 1e-9) /* margin above which nothing softens */
 
+/* A breakpoint that moves: the piece that begins there, and the tubes on the stretch that it uncovers and on what was
+   there. */
+typedef struct {
+    int piece;
+    Section tubes[2][N];
+} Jump;
+
 /* The solved arm at the points of all pieces, and how the margin leans on them. */
 typedef struct {
-    double theta[MOST_POINTS][N], bend_slope[MOST_POINTS][2 * N]; /* u_theta by columns */
+    const Profile *arm;
+    double direction[MOST_POINTS][N], kb[MOST_POINTS][N], m[MOST_POINTS][N]; /* theta + phase */
+    double bend_slope[MOST_POINTS][2 * N];                                   /* u_theta by columns */
     double frame[MOST_POINTS][9], position[MOST_POINTS][3];
     double lean[MOST_POINTS][3 * N], form; /* y'V''y by theta, kb, m, weighted, at the collocated points; its integral */
-    Profile mode, change;                  /* y times 1 - margin */
-    double moments[MOST_PIECES][MOST_DEGREE * N], kicks[MOST_PIECES + 1][N];
+    double released;                       /* 1 - margin */
+    Profile mode, change;                  /* y times that */
+    double moments[MOST_PIECES][MOST_DEGREE * N], sway[MOST_POINTS][2]; /* what t' and u gain at the points */
+    Gains gains;
+    Jump jumps[MOST_PIECES + 1];
     double shift[MOST_SHAPE][3]; /* of the shape points by a joint */
 } Around;
 
-/* A breakpoint that moves: the piece that begins there; tubes that are there, and those that bend, on the stretch that it
-   uncovers and on what was there. */
+/* What one parameter changes: so many breakpoints that move towards `side`, and base rotations; what energy and y'V''y gain
+   at fixed theta; how far the end of the arm moves along; and whether bends do at fixed theta. Beside it stand in Around
+   these breakpoints and what is gained at the points. */
 typedef struct {
-    int piece, present[2][N], curved[2][N];
-} Jump;
-
-/* What one parameter changes: breakpoints that move towards `side`, base rotations, and bends at the points at fixed theta,
-   or NULL; what energy and y'V''y gain at fixed theta; and how far the end of the arm moves along. Beside it, what the torque
-   gains at the points stands in Around. */
-typedef struct {
-    int count, side, pushed;
-    Jump jumps[2 * N];
+    int count, side, pushed, sways;
     double base[N], energy, formed;
-    const double (*sway)[2];
 } Change;
 
 /* What one parameter makes of the arm, per unit of it. */
@@ -42,82 +46,77 @@ static void add_cross(const double *a, const double *b, double *out) {
     for (int r = 0; r < 3; r++) out[r] += a[(r + 1) % 3] * b[(r + 2) % 3] - a[(r + 2) % 3] * b[(r + 1) % 3];
 }
 
-/* Tubes that are there, and those that bend, at arc length s, with `begins` and `ends` of curved parts moved on. */
-static void tubes_at(const Unknowns *q, const int *begins, const int *ends, double moved, double s, int *present,
-                     int *curved) {
-    for (int i = 0; i < N; i++) {
-        double begin = q->tubes->straight[i] - q->layout->transmission[i] + (begins[i] ? moved : 0);
-        present[i] = s < q->layout->end[i] + (ends[i] ? moved : 0);
-        curved[i] = present[i] && begin < s;
-    }
+/* A tube at arc length s, as it is on the side of `near`; straight behind its held end. */
+static Section beside(const Unknowns *q, int tube, double s, double near) {
+    double held = q->layout->transmission[tube];
+    int panel = panel_of(q->tubes->pieces, tube, near + held);
+    Section here = section_of(q->tubes->pieces, tube, panel, s + held, near < q->layout->end[tube]);
+    if (near + held < 0) here.moment = 0;
+    return here;
 }
 
-/* The breakpoints in front of the plate, each place once, where `begins` and `ends` of curved parts move to c->side. */
-static void add_jumps(const Unknowns *q, const int *begins, const int *ends, Change *c) {
+/* The breakpoints of tubes in front of the plate, each place once, where these tubes move to c->side. */
+static void add_jumps(const Unknowns *q, const int *mine, Around *a, Change *c) {
     const Layout *l = q->layout;
-    double places[2 * N], nudge = c->side * ROUND_OFF_LENGTH;
+    const Pieces *t = q->tubes->pieces;
+    double places[MOST_CUTS], nudge = c->side * ROUND_OFF_LENGTH;
     int count = 0;
-    for (int i = 0; i < N; i++) {
-        double begin = q->tubes->straight[i] - l->transmission[i];
-        if (ends[i]) places[count++] = l->end[i];
-        if (begins[i] && l->end[i] - begin > ROUND_OFF_LENGTH) places[count++] = begin;
-    }
+    for (int i = 0; i < N; i++)
+        for (int k = 0; mine[i] && k < t->most_cuts && isfinite(t->cuts[i * t->most_cuts + k]); k++)
+            places[count++] = t->cuts[i * t->most_cuts + k] - l->transmission[i];
     qsort(places, count, sizeof(double), compare);
     c->count = 0;
     for (int k = 0; k < count; k++) {
-        Jump *jump = c->jumps + c->count;
+        Jump *jump = a->jumps + c->count;
         double s = places[k];
         if (!(s > -nudge) || (k && s - places[k - 1] <= ROUND_OFF_LENGTH)) continue;
-        tubes_at(q, begins, ends, 2 * nudge, s + nudge, jump->present[0], jump->curved[0]);
-        tubes_at(q, begins, ends, 0, s + nudge, jump->present[1], jump->curved[1]);
-        if (!memcmp(jump->present[0], jump->present[1], sizeof jump->present[0]) &&
-            !memcmp(jump->curved[0], jump->curved[1], sizeof jump->curved[0]))
-            continue;
+        for (int i = 0; i < N; i++) {
+            jump->tubes[0][i] = beside(q, i, s, s + (mine[i] ? -nudge : nudge));
+            jump->tubes[1][i] = beside(q, i, s, s + nudge);
+        }
+        if (!memcmp(jump->tubes[0], jump->tubes[1], sizeof jump->tubes[0])) continue;
         jump->piece = 0;
         while (jump->piece < l->pieces && l->start[jump->piece] < s - 2 * ROUND_OFF_LENGTH) jump->piece++;
         c->count++;
     }
 }
 
-/* Cross-section on what a jump uncovers (0) or what was there (1); 0 where there is no tube. */
-static int section_of_jump(const Tubes *t, const Jump *jump, int which, double *kb, double *m) {
-    int any = 0;
-    for (int i = 0; i < N; i++) {
-        kb[i] = jump->present[which][i] ? t->kb[i] : 0;
-        m[i] = jump->curved[which][i] ? t->kb[i] * t->curvature[i] : 0;
-        any |= jump->present[which][i];
-    }
-    return any;
-}
-
-/* What t' (n), u (2), the energy per length and, with a mode y, y'V''y gain at a jump with rotations theta. */
-static double gains_of(const Tubes *t, const Jump *jump, int side, const double *theta, const double *y, double *kick,
-                       double *bend, double *stored) {
-    double form = 0;
-    memset(kick, 0, N * sizeof(double));
-    bend[0] = bend[1] = *stored = 0;
+/* What theta' and t' (n), u (2), energy per length and y'V''y, of the mode, gain at a jump where tubes are rotated by
+   `rotation`. */
+static void add_gains(const Unknowns *q, const Jump *jump, int side, const double *rotation, Around *a, double *bend,
+                      double *stored, double *formed) {
+    int p = jump->piece, ends = p == q->layout->pieces;
+    bend[0] = bend[1] = 0;
     for (int which = 0; which < 2; which++) {
-        double kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], stretch[N], part, sign = which ? -side : side;
-        if (!section_of_jump(t, jump, which, kb, m)) continue;
-        const double *in[4] = {theta, kb, m, y};
+        const Section *tubes = jump->tubes[which];
+        double theta[N], kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], stretch[N], part, all = 0;
+        double sign = which ? -side : side;
+        for (int i = 0; i < N; i++) {
+            double torque = ends ? 0 : a->arm->torque[p][i], swayed = ends ? 0 : a->mode.torque[p][i];
+            theta[i] = rotation[i] + tubes[i].phase - tubes[i].wound;
+            all += kb[i] = tubes[i].stiffness;
+            m[i] = tubes[i].moment;
+            a->gains.jolts[p][i] += sign * tubes[i].rate * torque;
+            *stored -= sign * tubes[i].rate * torque * torque / 2;
+            *formed -= sign * tubes[i].rate * swayed * swayed * a->released;
+        }
+        if (!(all > 0)) continue; /* no tube */
+        const double *in[4] = {theta, kb, m, a->mode.rotation[p]};
         double *balanced[3] = {moment, slope, &energy}, *bent[2] = {u, stretch}, *varied[2] = {&part, gradient};
         balance(in, balanced, 0, 0, 0);
         section_curvature(in, bent, 0, 0, 0);
         variation(in, varied, 0, 0, 0);
-        for (int i = 0; i < N; i++) kick[i] += sign * moment[i];
+        for (int i = 0; i < N; i++) a->gains.kicks[p][i] += sign * moment[i];
         for (int j = 0; j < 2; j++) bend[j] += sign * u[j];
         *stored += sign * energy;
-        form += sign * part;
+        *formed += sign * part;
     }
-    return form;
 }
 
 /* theta of a tube at point b of piece p. */
 static double inside(const Unknowns *q, const Profile *arm, int p, int b, int i) {
-    double h = q->layout->length[p], bent = 0;
     int k = q->tableau->degree;
-    for (int c = 0; c < k; c++) bent += TWICE_INSIDE[b * k + c] * arm->moment[p][c * N + i];
-    return arm->rotation[p][i] + h * arm->compliance[p][i] * (q->tableau->nodes[b] * arm->torque[p][i] + h * bent);
+    return rotation_at(q, arm, p, i, q->tableau->nodes[b], q->tableau->matrix + b * k, TWICE_INSIDE + b * k);
 }
 
 /* Frame and position at point b of piece p: polynomials through the shape points with the slopes R hat(u), R e3 there. */
@@ -136,15 +135,31 @@ static void pose_inside(const Answer *out, double h, int p, int b, double *frame
     }
 }
 
+/* Nothing is gained yet. */
+static void clear_gains(const Unknowns *q, Around *a) {
+    int pieces = q->layout->pieces;
+    memset(a->moments, 0, pieces * sizeof a->moments[0]);
+    memset(a->gains.kicks, 0, (pieces + 1) * sizeof a->gains.kicks[0]);
+    memset(a->gains.jolts, 0, (pieces + 1) * sizeof a->gains.jolts[0]);
+    memset(a->gains.twists, 0, pieces * sizeof a->gains.twists[0]);
+}
+
 /* The arm at the points of all pieces. */
 static void look_around(const Unknowns *q, const Profile *arm, const Answer *out, Around *a) {
     const Layout *l = q->layout;
     int k = q->tableau->degree;
+    a->arm = arm;
+    a->released = 1 - out->margin;
     for (int p = 0; p < l->pieces; p++)
         for (int b = 0; b < k; b++) {
             int x = p * k + b;
-            for (int i = 0; i < N; i++) a->theta[x][i] = inside(q, arm, p, b, i);
-            const double *in[3] = {a->theta[x], l->stiffness[p], l->moment[p]};
+            for (int i = 0; i < N; i++) {
+                Section here = section_on(q->tubes, l, p, i, q->tableau->nodes[b]);
+                a->direction[x][i] = inside(q, arm, p, b, i) + here.phase;
+                a->kb[x][i] = here.stiffness;
+                a->m[x][i] = here.moment;
+            }
+            const double *in[3] = {a->direction[x], a->kb[x], a->m[x]};
             double *res[1] = {a->bend_slope[x]};
             curvature_slope(in, res, 0, 0, 0);
             pose_inside(out, l->length[p], p, b, a->frame[x], a->position[x]);
@@ -163,25 +178,25 @@ static void add_stiffness(const Unknowns *q, const State *state, const double *y
         }
 }
 
-/* a->change by base rotations and what is in a->moments and a->kicks, and by what theta answers to these; H factorised. */
+/* a->change by base rotations and what is in a->moments and a->gains, and by what theta answers to these; H factorised. */
 static void respond(const Unknowns *q, const State *state, const double *h, const double *base, Around *a) {
     static const double none[N];
     double theta[MOST_POINTS][N], e[MOST_UNKNOWNS], change[MOST_UNKNOWNS];
     int k = q->tableau->degree;
-    memcpy(a->change.moment, a->moments, sizeof a->moments);
-    turn_along(q, base, a->kicks, &a->change);
+    memcpy(a->change.moment, a->moments, q->layout->pieces * sizeof a->moments[0]);
+    turn_along(q, base, &a->gains, &a->change);
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) theta[x][i] = inside(q, &a->change, q->piece[x], x % k, i);
     to_unknowns(q, none, theta, e);
     cholesky_solve(h, q->size, STRIDE, e);
     times_factor(q, e, change);
     add_stiffness(q, state, change, a);
-    memcpy(a->change.moment, a->moments, sizeof a->moments);
-    turn_along(q, base, a->kicks, &a->change);
+    memcpy(a->change.moment, a->moments, q->layout->pieces * sizeof a->moments[0]);
+    turn_along(q, base, &a->gains, &a->change);
 }
 
 /* The mode of the margin along the arm, and how y'V''y leans on the cross-sections. */
-static void lean_of_margin(const Unknowns *q, const State *state, const double *z, double released, Around *a) {
+static void lean_of_margin(const Unknowns *q, const State *state, const double *z, Around *a) {
     static const double none[N];
     double y[MOST_UNKNOWNS];
     times_factor(q, z, y);
@@ -191,21 +206,21 @@ static void lean_of_margin(const Unknowns *q, const State *state, const double *
     turn_along(q, none, NULL, &a->mode);
     a->form = 0;
     for (int x = 0; x < q->points; x++) {
-        double at[N] = {0}, form, gradient[3 * N], *res[2] = {&form, gradient};
-        const double *in[4] = {state->theta[x], q->layout->stiffness[q->piece[x]], q->layout->moment[q->piece[x]], at};
-        for (int j = 0; j < N; j++)
-            if (q->place[x][j] >= 0) at[j] = released * y[q->first[j] + q->place[x][j]];
+        double at[N] = {0}, direction[N], form, gradient[3 * N], *res[2] = {&form, gradient};
+        const double *in[4] = {direction, q->stiffness[x], q->moment[x], at};
+        for (int j = 0; j < N; j++) {
+            direction[j] = state->theta[x][j] + q->phase[x][j];
+            if (q->place[x][j] >= 0) at[j] = a->released * y[q->first[j] + q->place[x][j]];
+        }
         variation(in, res, 0, 0, 0);
         a->form += q->weight[x] * form;
         for (int c = 0; c < 3 * N; c++) a->lean[x][c] = q->weight[x] * gradient[c];
     }
 }
 
-/* Shift and turn of the tip (6: position, turn) by a->change, and by bends of `sway` (or NULL) beside it at the points;
-   into `shift` (or NULL) that of the shape points, at fixed arc lengths. Up to s the arm turns by int R du, and a point
+/* Shift and turn of the tip (6: position, turn) by a->change and, where it `sways`, by bends a->sway beside it; into `shift` (or NULL) that of the shape points, at fixed arc lengths. Up to s the arm turns by int R du, and a point
    there moves by that turn x p(s) less int R du x p. */
-static void tip_change(const Unknowns *q, const Answer *out, const Around *a, const double (*sway)[2], double *tip,
-                       double (*shift)[3]) {
+static void tip_change(const Unknowns *q, const Answer *out, const Around *a, int sways, double *tip, double (*shift)[3]) {
     const Layout *l = q->layout;
     int k = q->tableau->degree;
     double turned[6] = {0}; /* int R du x p, int R du */
@@ -215,7 +230,7 @@ static void tip_change(const Unknowns *q, const Answer *out, const Around *a, co
         memcpy(begun, turned, sizeof begun);
         for (int b = 0; b < k; b++) {
             int x = p * k + b;
-            double u[2] = {sway ? sway[x][0] : 0, sway ? sway[x][1] : 0};
+            double u[2] = {sways ? a->sway[x][0] : 0, sways ? a->sway[x][1] : 0};
             for (int i = 0; i < N; i++) {
                 double by = inside(q, &a->change, p, b, i);
                 for (int j = 0; j < 2; j++) u[j] += a->bend_slope[x][2 * i + j] * by;
@@ -269,25 +284,22 @@ static void swing(const Answer *out, const double *turn, int from, int at, doubl
     add_cross(turn, lever, shift);
 }
 
-/* What a change makes of the arm, with what the torque gains at the points in a->moments, and H factorised. The shape points
+/* What a change makes of the arm, with what is gained at the points in Around, and H factorised. The shape points
    go to a->shift where `whole`. */
 static void change_by(const Unknowns *q, const State *state, const Answer *out, const double *h, const Change *c, int whole,
                       Around *a, Column *column) {
-    double tip[6], turn[2 * N][3], energy = c->energy, formed = c->formed;
+    double tip[6], turn[MOST_PIECES + 1][3], energy = c->energy, formed = c->formed;
     int k = q->tableau->degree, last = q->layout->pieces * STEPS;
-    memset(a->kicks, 0, sizeof a->kicks);
     for (int j = 0; j < c->count; j++) {
-        double kick[N], u[2], stored;
-        int p = c->jumps[j].piece, at = p * STEPS;
-        formed += gains_of(q->tubes, c->jumps + j, c->side, out->rotation[at], a->mode.rotation[p], kick, u, &stored);
-        energy += stored;
-        for (int i = 0; i < N; i++) a->kicks[p][i] += kick[i];
+        double u[2];
+        int at = a->jumps[j].piece * STEPS;
+        add_gains(q, a->jumps + j, c->side, out->rotation[at], a, u, &energy, &formed);
         for (int r = 0; r < 3; r++) turn[j][r] = out->frame[at][3 * r] * u[0] + out->frame[at][3 * r + 1] * u[1];
     }
     respond(q, state, h, c->base, a);
-    tip_change(q, out, a, c->sway, tip, whole ? a->shift : NULL);
+    tip_change(q, out, a, c->sways, tip, whole ? a->shift : NULL);
     for (int j = 0; j < c->count; j++) {
-        int from = c->jumps[j].piece * STEPS;
+        int from = a->jumps[j].piece * STEPS;
         for (int r = 0; r < 3; r++) tip[3 + r] += turn[j][r];
         swing(out, turn[j], from, last, tip);
         for (int at = from; at < last && whole; at++) swing(out, turn[j], from, at, a->shift[at]);
@@ -305,10 +317,49 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
     column->margin = -(1 - out->margin) / a->form * formed;
 }
 
-/* A transmission that grows by `by`: it turns the base on, and at a fixed shape is a softer spring, kt / |beta|. */
-static void lengthen(const Unknowns *q, const Profile *arm, const Around *a, double released, int tube, double by, Change *c) {
-    double kt = q->tubes->kt[tube], twist = arm->torque[0][tube] / kt, swayed = a->mode.torque[0][tube] / kt;
-    c->base[tube] = by * twist;
-    c->energy -= by * kt * twist * twist / 2;
-    c->formed -= by * kt * swayed * swayed * released;
+/* A tube that moves forward: its transmission becomes shorter, by what lies there on the side from which it moves, and so
+   turns the base less; at a fixed shape it is a stiffer spring. */
+static void shorten(const Unknowns *q, const Around *a, int tube, Change *c) {
+    double torque = a->arm->torque[0][tube], swayed = a->mode.torque[0][tube];
+    double rate = beside(q, tube, 0, -c->side * ROUND_OFF_LENGTH).rate;
+    c->base[tube] = -rate * torque;
+    c->energy += rate * torque * torque / 2;
+    c->formed += rate * swayed * swayed * a->released;
+}
+
+/* Tubes that move forward carry what varies along them past the points. */
+static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c) {
+    const Layout *l = q->layout;
+    int k = q->tableau->degree, solved = 0;
+    memset(a->sway, 0, l->pieces * k * sizeof a->sway[0]);
+    for (int p = 0; p < l->pieces; solved += k * l->collocated[p++])
+        for (int b = 0, varies = 0; b < k; b++) {
+            double by[3 * N] = {0}, turned[3 * N * N], bent[3 * N * 2], stored[3 * N];
+            double weight = l->length[p] * q->tableau->weights[b], x = q->tableau->nodes[b];
+            int at = p * k + b;
+            for (int i = 0; i < N; i++) {
+                if (!mine[i] || l->even[p][i]) continue;
+                double place = l->start[p] + l->transmission[i] + x * l->length[p];
+                double torque = torque_at(q, a->arm, p, b, i), swayed = torque_at(q, &a->mode, p, b, i);
+                Section rate = passing_of(q->tubes->pieces, i, panel_on(q->tubes, l, p, i, x), place, l->present[p][i]);
+                varies = 1;
+                by[i] = -rate.phase;
+                by[N + i] = -rate.stiffness;
+                by[2 * N + i] = -rate.moment;
+                a->gains.twists[p][b * N + i] = -rate.rate * torque;
+                c->energy += weight * rate.rate * torque * torque / 2;
+                c->formed += weight * rate.rate * swayed * swayed * a->released;
+            }
+            if (!varies) break;
+            const double *in[3] = {a->direction[at], a->kb[at], a->m[at]};
+            double *out[8] = {0, 0, 0, 0, turned, 0, bent, stored};
+            linear(in, out, 0, 0, 0);
+            for (int r = 0; r < 3 * N; r++) {
+                for (int i = 0; i < N; i++) a->moments[p][b * N + i] += by[r] * turned[r * N + i];
+                for (int j = 0; j < 2; j++) a->sway[at][j] += by[r] * bent[r * 2 + j];
+                c->energy += weight * by[r] * stored[r];
+                if (l->collocated[p]) c->formed += by[r] * a->lean[solved + b][r];
+            }
+            c->sways = 1;
+        }
 }

@@ -9,14 +9,9 @@ CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const do
 }
 
 #if SLOPES
-/* `slopes_of` what `solve` has just left, and by dimensions too where these are not NULL. */
 CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes,
-                                       Along *along, Dimensions *dimensions) {
-    if (!slopes_of(asked, w, out, slopes, along)) return 0;
-    if (dimensions)
-        all_dimensions(&w->fine, &w->state, &w->arm, out, w->matrix, (int)asked->side[0], &w->around, &w->sections,
-                       dimensions);
-    return 1;
+                                       Along *along) {
+    return slopes_of(asked, w, out, slopes, along);
 }
 #endif
 

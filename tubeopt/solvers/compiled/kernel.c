@@ -27,9 +27,6 @@
 #include "change.c"
 #include "slopes.c"
 #endif
-#if DIMENSIONS
-#include "dimensions.c"
-#endif
 
 typedef struct {
     Layout layout;
@@ -42,9 +39,6 @@ typedef struct {
     double matrix[MOST_UNKNOWNS * STRIDE], mode[MOST_UNKNOWNS];
 #if SLOPES
     Around around;
-#endif
-#if DIMENSIONS
-    Sections sections;
 #endif
 } Workspace;
 

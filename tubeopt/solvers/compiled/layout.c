@@ -182,7 +182,13 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
     return 1; /* no piece: an arm of length zero */
 }
 
-/* A tube at fraction x of a piece, looked for a little inwards where it may jump. */
+/* The panel of a tube at fraction x of a piece, looked for a little inwards where it may jump. */
+static inline int panel_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
+    if (l->panel[p][tube] >= 0) return l->panel[p][tube];
+    return panel_of(t->pieces, tube, l->start[p] + l->transmission[tube] + (x + INWARDS * (0.5 - x)) * l->length[p]);
+}
+
+/* A tube at fraction x of a piece. */
 static inline Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
     if (l->even[p][tube])
         return (Section){l->stiffness[p][tube], l->moment[p][tube], l->phase[p][tube], l->rate[p][tube], l->wound[p][tube]};
@@ -191,15 +197,13 @@ static inline Section section_on(const Tubes *t, const Layout *l, int p, int tub
         double at = l->at[p][tube] + x * l->span[p][tube];
         return section_at(t->pieces, tube, panel, at < -1 ? -1 : at > 1 ? 1 : at, present);
     }
-    double held = l->start[p] + l->transmission[tube];
-    panel = panel_of(t->pieces, tube, held + (x + INWARDS * (0.5 - x)) * l->length[p]);
-    return section_of(t->pieces, tube, panel, held + x * l->length[p], present);
+    double place = l->start[p] + l->transmission[tube] + x * l->length[p];
+    return section_of(t->pieces, tube, panel_on(t, l, p, tube, x), place, present);
 }
 
 /* u*_z of a tube at fraction x of a piece, the same. */
 static double twist_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
-    double held = l->start[p] + l->transmission[tube], inside = held + (x + INWARDS * (0.5 - x)) * l->length[p];
     if (l->even[p][tube] || !l->present[p][tube]) return 0;
-    int panel = l->panel[p][tube] < 0 ? panel_of(t->pieces, tube, inside) : l->panel[p][tube];
-    return twist_of(t->pieces, tube, panel, held + x * l->length[p]);
+    double place = l->start[p] + l->transmission[tube] + x * l->length[p];
+    return twist_of(t->pieces, tube, panel_on(t, l, p, tube, x), place);
 }

@@ -82,7 +82,7 @@ class Kernel:
 
     @property
     def differentiable(self) -> bool:
-        """Whether it has derivatives: that of concentric tubes, for tubes of one arc each."""
+        """Whether it has derivatives: that of concentric tubes."""
         return hasattr(self.functions, "differentiate")
 
 
@@ -94,15 +94,12 @@ def cache_directory() -> Path:
 
 def source(n: int, eccentric: bool) -> str:
     """The C text of the kernel for n tubes, concentric or off the centreline."""
-    return kernel_text(n, eccentric, dimensions=not eccentric) + (HERE / "entries.c").read_text()
+    return kernel_text(n, eccentric) + (HERE / "entries.c").read_text()
 
 
-def kernel_text(
-    n: int, eccentric: bool = False, room: Room = ROOM, *, slopes: bool = True, dimensions: bool = False
-) -> str:
-    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside. With
-    `slopes` of concentric tubes of one arc each by joint values, and by `dimensions`, or without them."""
-    slopes = slopes and not eccentric
+def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
+    """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
+    slopes = not eccentric
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(section_functions(n, False)["balance"])
     generator.add(coupling_rate_function(n))
@@ -116,14 +113,13 @@ def kernel_text(
     ):
         generator.add(ca.Function(name, given, [ca.densify(out) for out in outputs], {"cse": True}))
     if slopes:
-        for name in ("curvature_slope", "variation", *["linear"] * dimensions):
+        for name in ("curvature_slope", "variation", "linear"):
             generator.add(section_functions(n, False)[name])
     if eccentric:
         generator.add(ca.Function("stretched", *signature(section_functions(n, True)["balance"]), {"cse": True}))
     constants = {
         "ECCENTRIC": int(eccentric),
         "SLOPES": int(slopes),
-        "DIMENSIONS": int(slopes and dimensions),
         "MOST_SECTIONS": room.pieces,
         "MOST_CUTS": MOST_CUTS,
         "N": n,
@@ -332,5 +328,5 @@ def library(n: int, eccentric: bool) -> Kernel | None:
     functions.solve_many.argtypes = [pointer, whole, *[pointer] * 4, whole, *[pointer] * 3]
     functions.solve_many.restype = None
     if kernel.differentiable:
-        functions.differentiate.argtypes = [pointer] * 6
+        functions.differentiate.argtypes = [pointer] * 5
     return kernel

@@ -110,19 +110,45 @@ static double compliant(const Pieces *t, int tube, double place) {
     return t->compliance[tube * t->most + panel] + step * sum;
 }
 
-/* u*_z of a tube: the slope of the integral. */
-static double twist_of(const Pieces *t, int tube, int panel, double place) {
-    const double *breaks = t->breaks + tube * (t->most + 1) + panel;
-    const double *c = coefficients_of(t, tube, panel) + 4;
-    double x = fraction(t, tube, panel, place), sum = 0, one = 1, second = 2 * x;
-    int count = count_of(t, tube, panel, 4);
-    for (int k = 1; k < count; k++) { /* T_k' = k U_k-1 */
+/* The slope of such a polynomial. */
+static double chebyshev_slope(const double *c, int n, double x) {
+    double sum = 0, one = 1, second = 2 * x;
+    for (int k = 1; k < n; k++) { /* T_k' = k U_k-1 */
         sum += k * c[k * LANES] * one;
         double next = 2 * x * second - one;
         one = second;
         second = next;
     }
-    return sum * 2 / (breaks[1] - breaks[0]);
+    return sum;
+}
+
+/* Slopes along a tube of what it is at `place` from its held end, on a panel; of `wound`, u*_z. */
+static Section passing_of(const Pieces *t, int tube, int panel, double place, int present) {
+    const double *breaks = t->breaks + tube * (t->most + 1) + panel, *c = coefficients_of(t, tube, panel);
+    double x = fraction(t, tube, panel, place), by = 2 / (breaks[1] - breaks[0]), here[4], slope[5];
+    int count = count_of(t, tube, panel, CHANNELS);
+    chebyshev_of_four(c, count, x, here);
+    for (int j = 0; j < 5; j++)
+        slope[j] = by * chebyshev_slope(c + j, j < 4 ? count : count_of(t, tube, panel, 4), x);
+    double bend = here[2], growing = slope[2], turning = 0;
+    if (isinf(t->direction[tube * t->most + panel])) {
+        bend = sqrt(here[2] * here[2] + here[3] * here[3]);
+        double solid = bend > 0 ? bend : 1;
+        growing = (here[2] * slope[2] + here[3] * slope[3]) / solid;
+        turning = (here[2] * slope[3] - here[3] * slope[2]) / (solid * solid);
+    }
+    Section s = {0, 0, slope[4] + turning, -slope[1] / (here[1] * here[1]), slope[4]};
+    if (!present) return s;
+    s.stiffness = slope[0];
+    s.moment = slope[0] * bend + here[0] * growing;
+    return s;
+}
+
+/* u*_z of a tube: the slope of the integral. */
+static double twist_of(const Pieces *t, int tube, int panel, double place) {
+    const double *breaks = t->breaks + tube * (t->most + 1) + panel, *c = coefficients_of(t, tube, panel) + 4;
+    double x = fraction(t, tube, panel, place);
+    return chebyshev_slope(c, count_of(t, tube, panel, 4), x) * 2 / (breaks[1] - breaks[0]);
 }
 
 /* The integral of u*_z of a tube up to `place`. */

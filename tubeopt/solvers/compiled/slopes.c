@@ -1,4 +1,4 @@
-/* What joint values, and a small wrench at the tip, change at a solved equilibrium of concentric tubes of one arc each. */
+/* What joint values, and a small wrench at the tip, change at a solved equilibrium of concentric tubes. */
 
 #define MODE_ERROR 1e-26 /* square of how far off its direction may be */
 #define ONE_VALUE 1e-9   /* between eigenvalues that are one */
@@ -32,17 +32,18 @@ static void put_column(const Column *column, const Around *a, int last, int c, d
     slopes->energy[c] = share * column->energy;
 }
 
-static void by_carriage(const Unknowns *q, const State *state, const Profile *arm, const Answer *out, const double *h,
-                        const long long *carriage, long long own, int side, Around *a, Slopes *slopes, Along *along) {
+static void by_carriage(const Unknowns *q, const State *state, const Answer *out, const double *h, const long long *carriage,
+                        long long own, int side, Around *a, Slopes *slopes, Along *along) {
     Change change = {.side = side};
     Column column;
     int mine[N], size = 0;
     for (int i = 0; i < N; i++) {
         size += mine[i] = carriage[i] == own;
-        if (mine[i]) lengthen(q, arm, a, 1 - out->margin, i, -1, &change);
+        if (mine[i]) shorten(q, a, i, &change);
     }
-    memset(a->moments, 0, sizeof a->moments);
-    add_jumps(q, mine, mine, &change);
+    clear_gains(q, a);
+    carry_along(q, mine, a, &change);
+    add_jumps(q, mine, a, &change);
     change.pushed = pushes(q, out, mine, side);
     change_by(q, state, out, h, &change, along != NULL, a, &column);
     for (int i = 0; i < N; i++)
@@ -51,14 +52,13 @@ static void by_carriage(const Unknowns *q, const State *state, const Profile *ar
 
 /* Column v of the compliance: a unit force (v < 3) or moment at the tip. */
 static void by_wrench(const Unknowns *q, const State *state, const Answer *out, const double *h, int v, Around *a,
-                      double (*sway)[2], Slopes *slopes) {
+                      Slopes *slopes) {
     static const double none[N];
     const Layout *l = q->layout;
     int k = q->tableau->degree, last = l->pieces * STEPS, held = 0;
     double unit[3] = {v % 3 == 0, v % 3 == 1, v % 3 == 2}, tip[6];
     while (held + 1 < N && l->end[held] < out->arc_length[last] - SAME_END) held++; /* as robots/order.py */
-    memset(a->moments, 0, sizeof a->moments);
-    memset(a->kicks, 0, sizeof a->kicks);
+    clear_gains(q, a);
     for (int x = 0; x < l->pieces * k; x++) {
         double moment[3] = {0}, lever[3], stiffness = 0;
         for (int r = 0; r < 3; r++) lever[r] = out->position[last][r] - a->position[x][r];
@@ -66,18 +66,18 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
             add_cross(lever, unit, moment);
         else
             memcpy(moment, unit, sizeof moment);
-        for (int i = 0; i < N; i++) stiffness += l->stiffness[x / k][i];
+        for (int i = 0; i < N; i++) stiffness += a->kb[x][i];
         for (int j = 0; j < 2; j++) {
             double pull = 0;
             for (int r = 0; r < 3; r++) pull += a->frame[x][3 * r + j] * moment[r];
             for (int i = 0; i < N; i++)
                 a->moments[x / k][x % k * N + i] -= pull * a->bend_slope[x][2 * i + j];
-            sway[x][j] = pull / stiffness;
+            a->sway[x][j] = pull / stiffness;
         }
     }
-    if (v >= 3) a->kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2];
+    if (v >= 3) a->gains.kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2];
     respond(q, state, h, none, a);
-    tip_change(q, out, a, (const double(*)[2])sway, tip, NULL);
+    tip_change(q, out, a, 1, tip, NULL);
     for (int r = 0; r < 6; r++) {
         double twisted = r < 3 ? 0 : out->frame[last][3 * (r - 3) + 2] * a->change.rotation[l->pieces][held];
         slopes->compliance[r][v] = tip[r] + twisted;
@@ -113,7 +113,6 @@ static int shared(const double *h, int n, const double *mode, double least) {
 static int all_slopes(const Unknowns *q, const State *state, const Profile *arm, double *mode, const Answer *out,
                       const Asked *asked, double *h, Around *a, Slopes *slopes, Along *along) {
     const long long *carriage = asked->carriage;
-    double sway[MOST_POINTS][2];
     second_variation(q, state, h);
     if (!cholesky(h, q->size, STRIDE)) return 0;
     memset(&a->mode, 0, sizeof a->mode);
@@ -125,7 +124,7 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         anywhere(all, q->size);
         for (int r = 0; r < q->size; r++) mode[r] += part * all[r];
         double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, 0, mode);
-        lean_of_margin(q, state, mode, 1 - out->margin, a);
+        lean_of_margin(q, state, mode, a);
         if (!asked->either && shared(h, q->size, mode, least)) a->form = NAN;
     }
     for (int i = 0; i < N; i++) {
@@ -134,12 +133,12 @@ static int all_slopes(const Unknowns *q, const State *state, const Profile *arm,
         Column column;
         int first = 1;
         change.base[i] = 1;
-        memset(a->moments, 0, sizeof a->moments);
+        clear_gains(q, a);
         change_by(q, state, out, h, &change, along != NULL, a, &column);
         put_column(&column, a, q->layout->pieces * STEPS, i, 1, slopes, along);
         for (int j = 0; j < i; j++) first &= carriage[j] != carriage[i];
-        if (first) by_carriage(q, state, arm, out, h, carriage, carriage[i], asked->side[i], a, slopes, along);
+        if (first) by_carriage(q, state, out, h, carriage, carriage[i], asked->side[i], a, slopes, along);
     }
-    for (int v = 0; v < 6 && asked->compliance; v++) by_wrench(q, state, out, h, v, a, sway, slopes);
+    for (int v = 0; v < 6 && asked->compliance; v++) by_wrench(q, state, out, h, v, a, slopes);
     return 1;
 }
