@@ -7,7 +7,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.corridors import MeshObstacle
-from tubeopt.bodies.triangles import oriented
+from tubeopt.bodies.triangles import Triangles, oriented
 from tubeopt.typing import Array, Index
 
 trimesh = pytest.importorskip("trimesh")
@@ -52,3 +52,16 @@ def test_a_surface_with_one_side_is_refused() -> None:
     quads = np.array(corner)
     with pytest.raises(InputError, match="one side"):
         oriented(RNG.normal(size=(n * n, 3)), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+
+
+def test_triangles_without_area_are_the_segments_and_points_that_they_are() -> None:
+    """An open surface of a triangle, of one that is a segment, and of one that is a point."""
+    a, b, c, d = 0.05 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]])
+    surface = Triangles(np.array([[a, b, c], [c, d, c], [-d, -d, -d]]), closed=False)
+    along = np.clip((POINTS - c) @ (d - c) / ((d - c) @ (d - c)), 0.0, 1.0)
+    point, segment = (np.linalg.norm(POINTS - place, axis=1) for place in (-d, c + along[:, None] * (d - c)))
+    every = np.repeat(np.array([[a, b, c]]), len(POINTS), axis=0)
+    triangle = np.linalg.norm(trimesh.triangles.closest_point(every, POINTS) - POINTS, axis=1)
+    true = np.min([point, segment, triangle], axis=0)
+    assert (np.argmin([point, segment, triangle], axis=0) == np.arange(3)[:, None]).any(1).all()
+    assert surface.signed_distance(POINTS) == pytest.approx(true, abs=1e-12)
