@@ -44,6 +44,16 @@ def test_cavities_are_turned_against_what_is_around_them(turned: tuple[float, fl
     assert np.abs(told - true[clear]).max() < 1.5e-3
 
 
+def test_bodies_that_overlap_are_one_however_they_are_turned() -> None:
+    """A smaller ball reaches out of a larger one, its triangles turned inwards: it is no cavity."""
+    (large, faces), (small, turned) = ball(0.04), ball(0.03, 1.0)
+    aside = np.array([0.035, 0.0, 0.0])
+    body = joined((large, faces), (small + aside, turned))
+    depth = np.maximum(0.04 - np.linalg.norm(POINTS, axis=1), 0.03 - np.linalg.norm(POINTS - aside, axis=1))
+    clear = np.abs(depth) > 2e-3
+    assert ((body.surface.signed_distance(POINTS[clear]) < 0) == (depth[clear] > 0)).all()
+
+
 def test_a_surface_with_one_side_is_refused() -> None:
     """Klein's bottle: a strip whose ends are joined after it was turned over."""
     n = 8
