@@ -7,6 +7,7 @@ import pytest
 
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
+from tubeopt.bodies.gaps import largest_gap
 from tubeopt.bodies.solids import COVERED, _bounds, _samples, field_of_mesh, field_of_points, field_of_surface
 from tubeopt.typing import Array
 
@@ -144,3 +145,12 @@ def test_what_lies_deep_in_a_surface_is_bounded_by_the_farthest_that_it_may_be()
         assert short.min() > 0
         assert 0.5 * field.node_error < short.max() <= field.node_error + 2 * CLOSE
         assert short[np.abs(true) < 1.9 * cell].max() < 2 * CLOSE
+        far = np.array([side / 2, side / 2, 10 * side])
+        assert (field.signed_distance(far) > 0) == (keep == "out")
+
+
+def test_the_largest_gap_of_two_rows_is_that_between_them() -> None:
+    """Each row has more points than neighbours are asked for."""
+    along = np.concatenate([np.arange(20.0), np.arange(24.0, 44.0)])
+    assert largest_gap(np.stack([along, 0 * along, 0 * along], axis=1)) == 5.0
+    assert largest_gap(np.stack([along[:20], 0 * along[:20], 0 * along[:20]], axis=1)) == 1.0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError
+from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Lookout, Scene, scene_of
 
@@ -106,3 +107,37 @@ def test_a_lookout_says_what_a_look_would_and_looks_seldom(monkeypatch: pytest.M
         assert told[-1] == bool((nearest(scene, points) > reach).all())
     assert 50 < sum(told) < 350
     assert asked[0] < 60
+
+
+def test_a_lookout_trusts_a_point_as_far_as_it_can_have_come_closer() -> None:
+    """Of 5 mm, where 1 mm are asked for, a way of 4 mm straight towards a plane leaves nothing to spare."""
+    wall = Scene((HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
+    for way, far in ((3.99e-3, True), (4.01e-3, False)):
+        lookout, reach = Lookout(wall), np.array([1e-3])
+        assert lookout.far(np.array([[0.0, 0.0, 5e-3]]), reach)
+        assert lookout.far(np.array([[0.0, 0.0, 5e-3 - way]]), reach) == far
+
+
+def test_a_scene_names_all_bodies_that_are_closer_than_a_reach() -> None:
+    """A ball, a plane and a ball far away, of which each distance is known."""
+    plane = HalfSpace((0.0, 0.0, -5e-3), (0.0, 0.0, 1.0))
+    scene = Scene((Sphere((0.0, 0.0, 0.0), 1e-3), plane, Sphere((1.0, 0.0, 0.0), 1e-3)))
+    point = np.array([[0.0, 0.0, 4e-3]])
+    for reach, close in ((2.999e-3, []), (3.001e-3, [0]), (8.999e-3, [0]), (9.001e-3, [0, 1])):
+        assert scene.close(point, reach) == close
+    assert scene.distances([2, 0, 1], point).ravel() == pytest.approx([np.hypot(1, 4e-3) - 1e-3, 3e-3, 9e-3])
+
+
+def test_the_nearest_of_long_bodies_is_not_the_one_with_the_nearest_centre() -> None:
+    random = np.random.default_rng(0)
+    size = np.array([0.1, 1e-3, 1e-3])
+    boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in random.normal(size=(40, 3)) * 0.1]
+    points = random.normal(size=(300, 3)) * 0.1
+    true = np.min([body.signed_distance(points) for body in boxes], axis=0)
+    assert Scene(tuple(boxes)).nearest(points) == pytest.approx(true, abs=1e-12)
+
+
+def test_a_scene_is_solid_where_all_its_bodies_are() -> None:
+    ball = Sphere((0.0, 0.0, 0.0), 1e-3)
+    table = DistanceField(np.ones((2, 2, 2)), np.ones(3))
+    assert [Scene(bodies).solid for bodies in ((ball,), (ball, table), (table,))] == [True, False, False]

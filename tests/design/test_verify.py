@@ -65,6 +65,17 @@ def test_a_certificate_is_kept_at_its_worst_translations_and_above_no_margin_tha
     assert searched == [1.0]
 
 
+def test_a_certificate_is_kept_at_its_floor_where_tubes_may_be_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = SnapFree(0.2, curvature_error=0.1)
+    monkeypatch.setattr(verify, "certified_at", lambda program, robot: [(0.0, 0.0)])
+    monkeypatch.setattr(verify, "worst_margin", lambda robot, row: SimpleNamespace(margin=1.0))
+    monkeypatch.setattr(verify, "count_snaps", lambda *_: (0, 0))
+    monkeypatch.setattr(verify, "_erring", lambda *_: [])
+    for short, kept in ((1.0e-4, True), (1.02e-4, False)):
+        monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row, short=short: one.floor - short)
+        assert verify._certificate(program_of(), ROBOT, one, 6)[0].kept == kept
+
+
 def test_errors_of_three_tubes_take_as_much_from_a_certificate_as_is_allowed_for() -> None:
     """Two soft curved tubes in a stiff straight one: the coupling grows by ((1 + c)(1 + s))^2 / (1 - s), over 1 - s."""
     soft = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0), (0.0, 0.05, 0.0)).tubes
