@@ -38,11 +38,11 @@ from ..runs.study_file import STUDY_KINDS
 from ..show.progress import working
 from ..show.reports import report
 from . import completion
-from .commands import ROBOT, Asked, flowing
+from .commands import COMMANDS, ROBOT, Asked, flowing
 from .failures import told_by_flag
 from .interruption import keeping
 from .messages import LOGGER
-from .output import Output, can_be_saved, present
+from .output import Output, can_be_saved, check_formats, present
 
 S = TypeVar("S", bound=Entry)
 F = TypeVar("F", bound=Study)
@@ -201,6 +201,7 @@ def answer(study: Study, output: Output) -> None:
 def ask(study: Study, output: Output) -> Any:
     """The answer to a study, with a bar while it is computed; nothing is computed that could not be saved."""
     can_be_saved(output.out)
+    check_formats(output, _command_of(study.kind))
     robot = getattr(study, "robot", None)
     for words in fit_warnings(robot) if robot is not None else ():
         LOGGER.warning(words)
@@ -211,6 +212,12 @@ def ask(study: Study, output: Output) -> Any:
             return study.ask(output.out, progress)
         except SolveError as error:
             raise _with_what_was_found(error, output.out) from None
+
+
+def _command_of(kind: str) -> str:
+    """What is typed for studies of a kind."""
+    typed = {row.kind: words for words, row in COMMANDS.items() if isinstance(row, Asked)}
+    return typed.get(kind, kind.replace("_", " "))
 
 
 def _with_what_was_found(error: SolveError, out: Path | None) -> SolveError:

@@ -18,7 +18,7 @@ from ..errors import InputError, NotProvedError, SolveError, choice
 from ..files.units import TO_MM, parse_number
 from ..show.page import WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
-from ..show.reports import report
+from ..show.reports import formats_of, report
 from .failures import error_record, failure
 from .interruption import keeping
 from .messages import LOGGER, warnings
@@ -186,6 +186,19 @@ def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None
         ending = typer.Exit(told[1])
     print(to_text(record), end="")
     return ending
+
+
+def check_formats(output: Output, command: str) -> None:
+    """Raise InputError, before any work is done, for a format in which a command saves nothing."""
+    if output.formats == PICTURE_FORMATS[0]:
+        return
+    known = formats_of(command)
+    for form in output.wanted:
+        if form not in known:
+            allowed = (
+                f"`tubeopt {command}` saves {', '.join(known)}" if known else f"`tubeopt {command}` has no formats"
+            )
+            raise InputError(f"--format is {form!r}; {allowed}")
 
 
 def can_be_saved(out: Path | None) -> None:

@@ -17,7 +17,7 @@ from ..show.reports import report, to_dict
 from .completion import files
 from .flags import answer, command
 from .interruption import keeping
-from .output import Output, can_be_saved, present
+from .output import Output, can_be_saved, check_formats, present
 
 
 @command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
@@ -72,6 +72,7 @@ def sweep(
     """
     question = load_sweep(study)
     can_be_saved(output.out)
+    check_formats(output, "sweep")
 
     def _into(directory: Path) -> Sweep:
         with working("sweeping", shown=not output.quiet) as progress:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ..files.files import write_text
 from .quantities import Quantity
-from .report import Report
+from .report import PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report
 from .report import report as registered
 
 MODULES = {
@@ -91,6 +92,22 @@ def reports() -> dict[str, type[Report[Any]]]:
     known: Mapping[Any, Any] = registered.registry
     kinds = {kind.command: kind for kind in known.values() if isinstance(kind, type) and issubclass(kind, Report)}
     return dict(sorted(kinds.items()))
+
+
+def formats_of(command: str) -> tuple[str, ...]:
+    """Formats in which the answer of a command can be saved besides JSON and CSV, with any of its flags."""
+    named = f'command = "{command}'
+    for module in MODULES:  # those alone that say so: all of them take seconds
+        if named in (Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8"):
+            importlib.import_module(f".{module}", __package__)
+    known: Any = registered.registry.values()
+    kinds = [kind for kind in known if getattr(kind, "command", "").partition(" --")[0] == command]
+
+    def has(name: str) -> bool:
+        return any(getattr(kind, name) is not getattr(Report, name) for kind in kinds)
+
+    pictures = PICTURE_FORMATS if has("pictures") or any(kind.drawn for kind in kinds) else ()
+    return (*pictures, *(TABLE_FORMATS if has("tables") else ()), *(SOLID_FORMATS if has("solids") else ()))
 
 
 def page() -> str:

@@ -1,0 +1,59 @@
+"""A format in which a command saves nothing is refused before anything is computed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import THESIS, Run, refused
+from tubeopt.cli.commands import COMMANDS, Asked
+from tubeopt.show.reports import formats_of, reports
+
+PICTURES = ("png", "pdf", "svg")
+
+
+@pytest.mark.parametrize(
+    ("command", "formats"),
+    [
+        ("fk", (*PICTURES, "parquet", "stl", "glb", "urdf", "mjcf")),
+        ("certify", PICTURES),
+        ("ik", (*PICTURES, "stl", "glb", "urdf", "mjcf")),
+        ("validate", PICTURES),
+        ("plan", (*PICTURES, "parquet")),
+        ("sweep", ("parquet",)),
+        ("force", ()),
+    ],
+)
+def test_formats_of_commands(command: str, formats: tuple[str, ...]) -> None:
+    assert formats_of(command) == formats
+
+
+def test_every_command_that_asks_has_a_report_of_its_name() -> None:
+    """Without one all its formats would be refused."""
+    known = {command.partition(" --")[0] for command in reports()}
+    assert {words for words, row in COMMANDS.items() if isinstance(row, Asked)} <= known
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        (("certify", THESIS, "--format", "stl"), "--format is 'stl'; `tubeopt certify` saves png, pdf, svg"),
+        (
+            ("plan", "plan_thesis_turn", "--format", "pdf,glb"),
+            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, parquet",
+        ),
+        (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
+        (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet"),
+        (("force", THESIS, "synthetic_forces", "--format", "pdf"), "--format is 'pdf'; `tubeopt force` has no formats"),
+        (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; it must be one of png, pdf, svg, "),
+    ],
+)
+def test_a_format_that_a_command_does_not_have(run: Run, tmp_path: Path, typed: tuple[str, ...], said: str) -> None:
+    (line,) = refused(run(*typed, "--out", str(tmp_path / "out")))
+    assert line.startswith(said)
+    assert not (tmp_path / "out").exists()
+
+
+def test_words_of_a_flag_are_shown_as_its_choices(run: Run) -> None:
+    assert "[newton|ipopt|energy]" in run("fk", "--help").out
