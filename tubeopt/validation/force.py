@@ -18,7 +18,19 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, choice, finite, instance, positive, vector, whole
+from ..errors import (
+    InputError,
+    Settings,
+    SolveError,
+    TimeLimitError,
+    choice,
+    finite,
+    instance,
+    undoubted,
+    vector,
+    whole,
+)
+from ..files.marks import SEEN_WITHIN, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -63,14 +75,17 @@ class ForceSolver(Settings):
 SETTLED, STEPS = 1e-2, 12
 """Of fits to measurements that are moved: a hundredth of a standard error, and the steps in which most are found."""
 
-SURE = 1e-3
-"""Step, in standard errors, below which a force has settled where steps end for another reason."""
+SURE, WITHIN = 1e-3, 4.0
+"""Steps, in standard errors, below which a force has settled where steps end for another reason, and below which a fit
+is as good as the noise, whatever the force is along that direction."""
 
 ROOT = np.sqrt(3.0)
 """Standard deviations by which measurements are moved."""
 
 NORMAL = scipy.special.ndtri(scipy.stats.qmc.Halton(3, scramble=False).random(1025)[1:])
 """(1024, 3) normal numbers, evenly spread."""
+
+EVERYWHERE = np.eye(3)
 
 DEFAULT_FORCE = ForceSolver()
 
@@ -173,7 +188,7 @@ class ForceEstimate(Displayed):
             drawn = replace(self.measured, position=position + noise * random.normal(size=position.shape))
             with suppress(SolveError):
                 start = _trial(self.equilibrium, self.base, self.force, drawn)
-                again = _estimate(*_settled(start, self.base, drawn, self.solver), self.base, drawn, self.solver)
+                again = _estimate(start, self.base, drawn, self.solver)
                 off = again.directions @ (self.force - again.force)
                 held += float(np.sum((off / again.errors) ** 2)) <= most
         return held / draws
@@ -202,7 +217,8 @@ class ForceEstimate(Displayed):
             along = abs(float(direction @ self.force))
             if along < 2 * error:
                 axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
-                parts.append(f"along ({axis}) it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN")
+                known = f"it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN"
+                parts.append(f"along ({axis}) {known if np.isfinite(error) else 'the measurement does not bound it'}")
         return str(ForceStatus.TOLD) if not parts else "not told from none: " + "; ".join(parts)
 
 
@@ -289,7 +305,7 @@ def estimate_forces(
         array([0.02, 0.02])
     """
     check_tubes(robot, measurements)
-    positive("noise", noise)
+    usual_length("noise", noise, SEEN_WITHIN)
     instance("solver", solver, ForceSolver)
     base, setup = _known(known), Setup.of(robot)
     if any(setup.drives.translation_compliance):
@@ -398,7 +414,9 @@ def estimate_force(  # noqa: PLR0913
     """
     instance("solver", solver, ForceSolver)
     alpha, shift = joint_values(robot, rotations, translations)
-    places = _measured(float(robot.assembly(shift).total_length), tip_position, points, positive("noise", noise))
+    places = _measured(
+        float(robot.assembly(shift).total_length), tip_position, points, usual_length("noise", noise, SEEN_WITHIN)
+    )
     return _fitted(robot, (alpha, shift), places, _known(known), guess, solver)
 
 
@@ -422,16 +440,17 @@ def _fitted(
     check_target(robot.tubes, "what is measured", measured.position)
     first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
     start = forward_kinematics(robot, *joints, load=first, guess=guess)
-    trial = _trial(start, base, np.subtract(first.force, base.force), measured)
-    trial, iterations = _settled(trial, base, measured, solver)
-    return _estimate(trial, iterations, base, measured, solver)
+    return _estimate(_trial(start, base, np.subtract(first.force, base.force), measured), base, measured, solver)
 
 
-def _settled(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> tuple[_Trial, int]:
-    """The fit from a trial, and the forces it tried; raises SolveError where it does not settle."""
-    model = _Pushed(trial, base, measured, solver)
+def _settled(
+    trial: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array = EVERYWHERE
+) -> tuple[_Trial, int]:
+    """The fit of a force that differs from that of a trial along orthonormal axes (3, m) only, and the forces it tried;
+    raises SolveError where it does not settle."""
+    model = _Pushed(trial, base, measured, solver, axes)
     count = len(trial.residual)
-    weights = Weights(np.ones(count), np.ones(count), np.full(3, np.inf))
+    weights = Weights(np.ones(count), np.ones(count), np.full(axes.shape[1], np.inf))
     steps = LeastSquaresSolver(
         iterations=solver.steps,
         settled=1e-12,  # a direction that is hardly seen is a small part of the cost
@@ -439,7 +458,7 @@ def _settled(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver)
         round_off=solver.settled**2 / count,
     )
     end = descend(model, weights, model.start, solver=steps).state.trial
-    if float(np.linalg.norm(end.jacobian @ _last_step(end))) <= max(SURE, solver.settled):
+    if float(np.linalg.norm(_remaining(end, axes))) <= max(SURE, solver.settled):
         return end, model.tried
     raise SolveError(
         f"the force did not settle in {solver.steps} steps: {_distance(end, measured) * 1e3:.3g} mm are left",
@@ -448,7 +467,8 @@ def _settled(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver)
 
 
 class _Force:
-    """A force x (3,), N, with its trial, which is solved from a trial near by where it is asked for."""
+    """A force, N, that is x (m,) along the axes, with its trial, which is solved from a trial near by where it is asked
+    for."""
 
     def __init__(self, model: _Pushed, x: Array, near: _Trial) -> None:
         self._model, self.x, self._near = model, x, near
@@ -456,7 +476,7 @@ class _Force:
     @cached_property
     def trial(self) -> _Trial:
         """Raises SolveError where there is none, or where points would move farther than the slopes say anything of."""
-        return self._near if self.x is self._near.force else self._model.tried_at(self.x, self._near)
+        return self._near if self is self._model.start else self._model.tried_at(self.x, self._near)
 
     def moved(self, step: Array) -> _Force:
         """The force after a step."""
@@ -466,29 +486,35 @@ class _Force:
 class _Pushed:
     """The coordinates of the measured points over their noise, under a force at the tip: what `descend` fits."""
 
-    bounds, freedoms = np.array([[-np.inf] * 3, [np.inf] * 3]), 0
+    freedoms = 0
 
-    def __init__(self, start: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> None:
-        self.start = _Force(self, start.force, start)
+    def __init__(self, start: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array) -> None:
+        self.bounds = np.outer([-np.inf, np.inf], np.ones(axes.shape[1]))
+        self._axes, self._held = axes, start.force - axes @ (axes.T @ start.force)
         self._base, self._measured, self._solver, self.tried = base, measured, solver, 0
+        self.start = _Force(self, axes.T @ start.force, start)
 
-    def tried_at(self, force: Array, near: _Trial) -> _Trial:
+    def tried_at(self, x: Array, near: _Trial) -> _Trial:
         """The trial of a force; raises SolveError where there is none."""
+        force = self._held + self._axes @ x
         self.tried += 1
         if self.tried > self._solver.steps:
             raise SolveError("the steps ran out")
         moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
         if moved > self._solver.longest_move * float(near.equilibrium.arc_length[-1]):
             raise SolveError("the force moves the arm farther than its slopes say anything of")
-        return _trial(near.equilibrium, self._base, force, self._measured)
+        try:
+            return _trial(near.equilibrium, self._base, force, self._measured)
+        except InputError as error:
+            raise SolveError(str(error)) from None
 
     def residuals(self, state: _Force) -> Array:
         """(3 P, 1) fitted less measured."""
         return -state.trial.residual[:, None]
 
     def jacobian(self, state: _Force) -> Array:
-        """(3 P, 1, 3) by the force."""
-        return state.trial.jacobian[:, None]
+        """(3 P, 1, m) by the force along the axes."""
+        return (state.trial.jacobian @ self._axes)[:, None]
 
     def costly(self, state: _Force) -> bool:
         """Derivatives come with the equilibrium."""
@@ -518,7 +544,8 @@ def _measured(
 
 def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
-    e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
+    with undoubted():  # forces that are tried
+        e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
@@ -544,17 +571,38 @@ def _turned_by(turns: Array, away: Array) -> Array:
     return np.cross(turns.T, away).T
 
 
-def _last_step(trial: _Trial) -> Array:
-    """(3,) the step of Gauss and Newton, N, in what is seen."""
-    return np.asarray(np.linalg.lstsq(trial.jacobian, trial.residual, rcond=UNSEEN)[0])
+def _remaining(trial: _Trial, axes: Array) -> Array:
+    """(3 P,) what the step of Gauss and Newton along axes (3, m) changes, over the noise, in what is seen."""
+    slopes = trial.jacobian @ axes
+    return np.asarray(slopes @ np.linalg.lstsq(slopes, trial.residual, rcond=UNSEEN)[0])
 
 
 def _distance(trial: _Trial, measured: Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
-def _estimate(trial: _Trial, iterations: int, base: Load, measured: Measured, solver: ForceSolver) -> ForceEstimate:
-    covariance, directions, errors = _spread(trial, base, measured, replace(solver, settled=SETTLED, steps=STEPS))
+def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> ForceEstimate:
+    """The estimate from a trial. Where the fit does not settle, the force along the directions that are seen worst is
+    that of the trial, if the rest settles within the noise and fits along them fail for moved measurements.
+    A short arm hardly gives to a force along it."""
+    quick, weakest = replace(solver, settled=SETTLED, steps=STEPS), np.linalg.svd(start.jacobian)[2].T
+    failed: SolveError | None = None
+    for axes in (EVERYWHERE, weakest[:, :2], weakest[:, :1]):
+        try:
+            trial, iterations = _settled(start, base, measured, solver, axes)
+        except TimeLimitError:
+            raise
+        except SolveError as error:
+            failed = failed or error
+            continue
+        if float(np.linalg.norm(_remaining(trial, EVERYWHERE))) <= WITHIN or axes is EVERYWHERE:
+            break
+    else:
+        assert failed is not None
+        raise failed
+    covariance, directions, errors = _spread(trial, base, measured, quick, axes)
+    if failed is not None and np.isfinite(errors).sum() > axes.shape[1]:
+        raise failed
     return ForceEstimate(
         force=trial.force,
         covariance=covariance,
@@ -570,21 +618,33 @@ def _estimate(trial: _Trial, iterations: int, base: Load, measured: Measured, so
     )
 
 
-def _spread(trial: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> tuple[Array, Array, Array]:
+def _spread(
+    trial: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array
+) -> tuple[Array, Array, Array]:
     """Covariance, its axes by row from the best to the worst told, and standard errors along these, to second order.
 
     A measurement that is off by z standard deviations along the k-th left singular vector of the Jacobian gives a
     force F(z) = F + a z + b z^2 / 2. Both vectors are taken from fits to measurements that are moved by the root of 3
     standard deviations, forth and back: these points integrate a Gaussian to the third order. The covariance is the
     mean of squares about F, scaled so that its ellipsoid of 95 % holds 95 % of the forces F(z) of normal z.
+
+    Fits to moved measurements differ along `axes` (3, m), as the fit to the measurement does, and along one of the
+    others where that one is asked for.
     """
-    left, size, right = np.linalg.svd(trial.jacobian, full_matrices=True)
+    left, size, right = np.linalg.svd(trial.jacobian @ axes, full_matrices=True)
+    right = right @ axes.T
+    if len(right) < 3:
+        rest = scipy.linalg.null_space(axes.T)
+        others = np.linalg.svd(trial.jacobian @ rest, full_matrices=False)
+        left = np.column_stack([left[:, : len(right)], others[0]])
+        size, right = np.append(size, others[1]), np.vstack([right, others[2] @ rest.T])
     linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, dtype=bool)
     for k in range(3):
         if k >= len(size) or size[k] <= UNSEEN * size[0]:
             lost[k] = True
             continue
-        sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], solver) for sign in (1.0, -1.0)]
+        along = axes if k < axes.shape[1] else np.column_stack([axes, right[k]])
+        sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], solver, along) for sign in (1.0, -1.0)]
         known = [side for side in sides if side is not None]
         lost[k] = len(known) < 2
         if sides[0] is not None and sides[1] is not None:
@@ -612,12 +672,13 @@ def _second_moment(linear: Array, bent: Array) -> Array:
     return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)
 
 
-def _moved(trial: _Trial, base: Load, measured: Measured, by: Array, solver: ForceSolver) -> Array | None:
-    """(3,) how the force changes, N, where residuals change `by` (3 P,) standard deviations; None if none is found."""
+def _moved(trial: _Trial, base: Load, measured: Measured, by: Array, solver: ForceSolver, axes: Array) -> Array | None:
+    """(3,) how the force changes along axes (3, m), N, where residuals change `by` (3 P,) standard deviations; None if
+    none is found."""
     other = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
     near = replace(trial, residual=trial.residual + by)
     try:
-        return np.asarray(_settled(near, base, other, solver)[0].force - trial.force)
+        return np.asarray(_settled(near, base, other, solver, axes)[0].force - trial.force)
     except (InputError, SolveError):
         return None
 
