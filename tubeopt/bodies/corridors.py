@@ -162,6 +162,18 @@ class MeshObstacle:
         return np.asarray(mesh.vertices)[faces]
 
     @property
+    def opened_by(self) -> str:
+        """Why it bounds no body, in words; empty where it does."""
+        if self.closed:
+            return ""
+        edges = np.sort(self._mesh.edges, axis=1)
+        count = np.unique(edges, axis=0, return_counts=True)[1]
+        single, crowded = int((count == 1).sum()), int((count > 2).sum())
+        parts = [f"{single} of its edges belong{'s' * (single == 1)} to one triangle only (a hole)"] * bool(single)
+        parts += [f"{crowded} of its edges belong{'s' * (crowded == 1)} to more than two triangles"] * bool(crowded)
+        return " and ".join(parts) or "its triangles have no consistent outer side"
+
+    @property
     def closed(self) -> bool:
         """Whether it bounds a body: each edge is that of two triangles, and the surface has two sides."""
         return self._outwards is not None
@@ -259,8 +271,8 @@ def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
     """Warn of an open surface, which has no inside."""
     if not body.closed:
         LOGGER.warning(
-            f"{path}: its surface is open, so the arm keeps clear of its triangles and nothing is known of an inside; "
-            "close the surface to bar its inside"
+            f"{path}: the surface bounds no body: {body.opened_by}. The arm keeps clear of its triangles, and may be "
+            "inside; repair the surface to keep the arm outside"
         )
 
 

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from importlib import import_module
+from importlib.util import find_spec
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -46,6 +49,9 @@ COVERED = ((1.0, 8.0), (0.5, 0.0))
 """Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a cell.
 """
 
+ROUND_OFF = 1e-9
+"""Share of the size of bodies by which the surface of their union may be off: distances are less by it."""
+
 MOST_SAMPLES = 2_000_000
 """Samples of a surface at most."""
 
@@ -68,12 +74,43 @@ def field_of_mesh(
     choice("keep", keep, KEEP)
     if keep == "in" and not mesh.closed:
         raise InputError(
-            f"{name}: its surface is open, so there is no inside to stay in; close the surface, or give keep: out, "
-            "by which the arm keeps clear of its triangles"
+            f"{name}: the surface bounds no body: {mesh.opened_by}. It has no inside to stay in; repair the "
+            "surface, or give keep: out, and the arm keeps clear of its triangles"
         )
     said = "" if mesh.closed else open_surface(name, len(mesh.faces))
-    surface = Triangles(mesh.surface.corners, mesh.closed, hollow=keep == "in")
-    return _field(surface, 0.0, AROUND[keep], cell, (name, said))
+    inner = united(mesh.surface.corners) if keep == "in" else None
+    corners = mesh.surface.corners if inner is None else inner
+    surface = Triangles(corners, mesh.closed, hollow=keep == "in")
+    return _field(surface, 0.0 if inner is None else ROUND_OFF * surface.size, AROUND[keep], cell, (name, said))
+
+
+def united(corners: Array) -> Array | None:
+    """(g, 3, 3) corners of the surface of the union of overlapping bodies, of the corners (f, 3, 3) of their surfaces;
+    None where no bodies overlap, where one is a cavity, and where manifold3d is not installed or fails.
+
+    Surfaces inside another body would else be walls: nothing would pass from one body to the next.
+    """
+    if find_spec("manifold3d") is None:
+        return None
+    places, number = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    faces = number.reshape(-1, 3)
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = scipy.sparse.coo_array((np.ones(len(edges)), edges.T), shape=(len(places),) * 2)
+    count, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    body = part[faces[:, 0]]
+    a, b, c = np.moveaxis(corners - corners.mean((0, 1)), 1, 0)
+    volume = np.bincount(body, (a * np.cross(b, c)).sum(1), count)
+    boxes = [(corners[body == k].min((0, 1)), corners[body == k].max((0, 1))) for k in range(count)]
+    pairs = combinations(boxes, 2)
+    if (volume <= 0).any() or not any((np.maximum(p[0], q[0]) < np.minimum(p[1], q[1])).all() for p, q in pairs):
+        return None
+    manifold3d = import_module("manifold3d")
+    solids = [manifold3d.Manifold(manifold3d.Mesh64(places, faces[body == k].astype(np.uint64))) for k in range(count)]
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    if whole.status() != manifold3d.Error.NoError or whole.is_empty():
+        return None
+    mesh = whole.to_mesh64()
+    return np.asarray(np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts).astype(int)])
 
 
 def field_of_surface(
