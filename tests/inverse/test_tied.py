@@ -29,7 +29,8 @@ CROSSED = (-0.005, -0.02)
 """Translations (m) at which the carriage of tube 1 would be 15 mm before that of tube 2."""
 
 REFUSED = (
-    "translations of {} of tubes 1 and 2 are -5 mm and -20 mm: the carriage of tube 1 would be before that of tube 2"
+    "translations of {} of tubes 1 and 2 are -5 mm and -20 mm: the carriage of tube 1 would be in front of the "
+    "carriage of tube 2"
 )
 
 
@@ -82,7 +83,7 @@ def test_trajectories_with_carriages_apart_are_followed_and_have_no_fault() -> N
     proof = tubeopt.verify_trajectory(TWO_TUBE, [0, 5], [[0, 0], [0.5, 0]], [APART, (-0.01, -0.01)])
     assert proof.holds
     crossed = tubeopt.verify_trajectory(TWO_TUBE, [0, 5], [[0, 0], [0.5, 0]], [CROSSED, (-0.01, -0.01)])
-    assert "the carriage of tube 1 would be before that of tube 2, by 15 mm" in crossed.faults[0]
+    assert "the carriage of tube 1 would be in front of the carriage of tube 2, by 15 mm" in crossed.faults[0]
 
 
 def test_reach_from_a_start_with_carriages_apart() -> None:

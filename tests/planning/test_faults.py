@@ -48,7 +48,7 @@ def test_a_clearance_under_any_force_is_less_by_the_deflection_of_a_cantilever()
         ({"margin": 0.2999}, "the margin falls to 0.2999", ""),
         ({"measured": 1.999e-3, "clearance": 1.99e-3}, "the arm comes as close as 1.999 mm", ""),
         ({"clearance": 1.999e-3}, "", "of the clearance of 2 mm only 1.999 mm are shown"),
-        ({"clearance": -np.inf, "lost": ((0.25, 0.5),)}, "", "one stable branch joins 25 % and 50 % of the time"),
+        ({"clearance": -np.inf, "lost": ((0.25, 0.5),)}, "", "one stable branch joins 25 % and 50 % of the trajectory"),
     ],
     ids=["all is kept", "margin", "closest place", "bound of the clearance", "branch"],
 )
@@ -56,7 +56,7 @@ def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: 
     kept = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "lost": ()}
     passage: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(kept | found))
     follower: Any = SimpleNamespace(wanted=Wanted(2e-3, 1e-5, 9), says="", flutters=False)
-    faults, unproved = proof._branch_faults(follower, passage, 0.3)
+    faults, unproved = proof._branch_faults(follower, passage, 0.3, np.array([0.0, 1.0]))
     assert [refuted in fault for fault in faults] == [True] * bool(refuted)
     assert [open_ in fault for fault in unproved] == [True] * bool(open_)
 

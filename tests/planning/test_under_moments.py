@@ -163,7 +163,7 @@ def test_two_branches_under_a_moment_are_not_joined() -> None:
     assert not loaded_branch(intervals_of(on, landed), np.maximum(sure, 0.01)).unbroken.any()
     proof = verify_trajectory(THESIS, [0, 1], ends, load=load)
     # The fold at 187.578 deg is that of tests/stability/test_moments_along_the_arm.py, by shooting.
-    assert proof.faults[0].startswith("the robot snaps: the branch ends after 93.78")
+    assert proof.faults[0].startswith("the robot snaps at 93.8 % of the trajectory")
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_what_has_no_positive_symmetric_part_is_refused_by_name() -> None:
     proof = verify_trajectory(robot, [0, 1], [[0.0], [0.1]], load=load)
     assert proof.least_margin > 0.5
     assert len(proof.faults) == 1
-    assert proof.faults[0].startswith("not proved: at 0 % of the time the margin is 0.")
+    assert proof.faults[0].startswith("not proved: at 0 % of the trajectory the margin is 0.")
     assert f"symmetric part of the linearised equations is {1 - 4 / np.pi:.3g}; a proof" in proof.faults[0]
 
 

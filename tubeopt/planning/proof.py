@@ -25,6 +25,7 @@ from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, finite, instance, positive
+from ..files.marks import FAR_FROM_BODIES, usual_length
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
@@ -210,7 +211,7 @@ def verify_trajectory(  # noqa: PLR0913
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
-    positive("clearance", clearance, zero=True)
+    usual_length("clearance", clearance, FAR_FROM_BODIES, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
     forced = under_any_force(robot, shift, max_force, load) if positive("max_force", max_force, zero=True) else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
@@ -219,7 +220,7 @@ def verify_trajectory(  # noqa: PLR0913
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
     passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
     pace = paced(follower, passage.links, float(t[-1] - t[0]), tip)
-    refuted, unproved = _branch_faults(follower, passage, min_margin)
+    refuted, unproved = _branch_faults(follower, passage, min_margin, t)
     unproved += _tip_faults(pace, tip, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, min_margin)
@@ -300,13 +301,13 @@ def _times(time: ArrayLike, count: int) -> Array:
     return t
 
 
-def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> tuple[list[str], list[str]]:
+def _branch_faults(follower: Follower, passage: Passage, min_margin: float, time: Array) -> tuple[list[str], list[str]]:
     """What is wrong with the branch, its margin and its clearance; and what of them is not shown."""
     faults, unproved, wanted = [], [], follower.wanted.clearance
     if passage.snap is not None:
-        after = f"{100 * passage.snap:.6g} % of the time"
-        flutter = f"the robot begins to flutter: its equilibrium turns unstable after {after} or a little later"
-        faults.append(flutter if follower.flutters else f"the robot snaps: the branch ends after {after}")
+        at = f"{100 * passage.snap:.3g} % of the trajectory ({time[0] + passage.snap * np.ptp(time):.3g} s)"
+        flutter = f"the robot begins to flutter at {at} or a little later: its equilibrium becomes unstable"
+        faults.append(flutter if follower.flutters else f"the robot snaps at {at}")
     elif passage.margin < min_margin:
         faults.append(f"the margin falls to {passage.margin:.4g}; it must be at least {min_margin:g}")
     reached = passage.steps[-1].at
@@ -322,7 +323,7 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
         for step in passage.steps:
             if a <= step.at <= b and (sure := follower.sure(step.equilibrium)) <= 0:
                 return faults, [*unproved, _not_sure(step, sure)]
-        where = f"{100 * a:.8g} % and {100 * b:.8g} % of the time"
+        where = f"{100 * a:.8g} % and {100 * b:.8g} % of the trajectory"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
     if passage.measured < wanted:
         shown = passage.measured * 1e3
@@ -336,9 +337,9 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float) -> t
 def _not_sure(step: Step, sure: float) -> str:
     """Why nothing is proved next to a step whose linearised equations have no positive symmetric part."""
     return (
-        f"not proved: at {100 * step.at:.4g} % of the time the margin is {step.equilibrium.margin:.3g}, but the least "
-        f"eigenvalue of the symmetric part of the linearised equations is {sure:.3g}; a proof under moments needs it "
-        "above 0"
+        f"not proved: at {100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}, but the "
+        f"least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}; a proof under moments "
+        "needs it above 0"
     )
 
 

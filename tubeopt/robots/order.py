@@ -91,7 +91,7 @@ def demands(
         names = carriage_name(group[i]), carriage_name(group[o])
         # Held behind: beta_o - beta_i >= gap, with beta = translation - straight_length.
         behind = carriage_gap + outer.straight_length - inner.straight_length
-        words = f"the carriage of {names[0]} would be before that of {names[1]}"
+        words = f"the carriage of {names[0]} would be in front of the carriage of {names[1]}"
         found.append(Demand(o, i, behind, f"carriages of {names[0]} and {names[1]} touching", words))
         if not robot.nested_curves:
             words = f"the curve of {names[0]} would begin inside {names[1]}"

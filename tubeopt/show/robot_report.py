@@ -71,7 +71,7 @@ class RobotReport(Report[AnyRobot]):
         return self.answer.name or "robot"
 
     def table(self) -> Group:
-        """A row per property, a column per tube; then why home is not at translations 0, and the warnings."""
+        """A row per property, a column per tube; then why the translations at home are not 0, and the warnings."""
         tubes = self.record()["tubes"]
         cells = []
         for quantity in NESTED:
@@ -87,13 +87,13 @@ class RobotReport(Report[AnyRobot]):
 
 
 def _home_in_words(robot: Robot) -> str:
-    """Why home is not at translations 0; empty where it is."""
+    """Why the translations at home are not 0; empty where it is."""
     if not robot.home_translations.any():
         return ""
     inside = ends_inside(robot, np.array([tube.curved_length for tube in robot.tubes]))
     if inside and robot.nested_curves:
-        return f"home is not at translations 0, where {ends_in_words(inside)}"
-    return "home is not at translations 0, which limits or order of the tubes do not allow"
+        return f"the translations at home are not 0: at 0, {ends_in_words(inside)}"
+    return "the translations at home are not 0: limits or order of the tubes do not allow 0"
 
 
 def _cell(value: float | str | None) -> str:

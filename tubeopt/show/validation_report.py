@@ -101,8 +101,8 @@ def _both_ways(v: Validation) -> str | None:
         return None
     p = v.parity
     return (
-        f"{p.pairs} places passed there and back: {p.history * TO_MM:.2f} mm of the error depends on the way, "
-        f"{p.static * TO_MM:.2f} mm does not"
+        f"{p.pairs} places were measured in both directions: {p.history * TO_MM:.2f} mm of the error depends on "
+        f"the direction, {p.static * TO_MM:.2f} mm does not"
     )
 
 
