@@ -11,8 +11,8 @@ from typing import Annotated
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, SolveError, TimeLimitError, instance, positive, whole
-from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_fields, unit
+from ..errors import InputError, SolveError, TimeLimitError, instance, whole
+from ..files.marks import BETWEEN_TUBES, NOT_NEGATIVE, POSITIVE, Usual, check_fields, unit, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
@@ -146,7 +146,7 @@ def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float
         raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
     if len(task.objectives) > 1:
         raise InputError("a choice from stock ranks by one objective; the task has several")
-    positive("clearance", clearance, zero=True)
+    usual_length("clearance", clearance, BETWEEN_TUBES, zero=True)
     choices = list(combinations(stock, task.robot.n_tubes, clearance))
     if not choices:
         raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")

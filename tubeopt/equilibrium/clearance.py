@@ -36,7 +36,7 @@ from ..errors import InputError
 from ..robots.assembly import Assembly
 from ..robots.concentric import ConcentricRobot
 from ..robots.fit import drawn_clearance
-from ..robots.friction import per_pair
+from ..robots.friction import clearances
 from ..typing import Array
 from .result import Equilibrium
 
@@ -129,7 +129,7 @@ def clearance_correction(
     if not isinstance(robot, ConcentricRobot):
         raise InputError("robot is eccentric; clearance between tubes is that of concentric ones")
     given = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
-    room = per_pair("clearance", given, robot.n_tubes)
+    room = clearances(given, robot.n_tubes)
     ends = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])
     leavings = tuple(found for o in ends if (found := _leaving(e, o, room[o - 1])) is not None)
     position, turn, radius = e.position.copy(), np.zeros(3), np.zeros(len(e.position))

@@ -16,6 +16,7 @@ from ..constants import GRAVITY
 from ..display import Displayed
 from ..errors import InputError, choice, implausible, triple, whole
 from ..robots.assembly import Assembly, cut
+from ..robots.limits import MOST_BEND
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
@@ -77,11 +78,6 @@ def check_load(robot: Robot, load: Load, translations: tuple[float, ...]) -> Non
     if not isinstance(load, Load):
         raise InputError(f"load is {load!r}; it must be a Load")
     _check(robot, load, translations)
-
-
-MOST_BEND = 20.0
-"""Force times length squared over bending stiffness: beyond, it deflects the tip of a straight arm by more than 0.86 of
-the length, as no needle is used."""
 
 
 LARGEST_BEND = 1000.0

@@ -69,6 +69,22 @@ class Usual:
     most: float
 
 
+FAR_FROM_BODIES = Usual(1e-5, 0.1)
+"""m, by which an arm keeps clear."""
+
+TOLERATED = Usual(1e-9, 0.1)
+"""m, between a tip and where it is wanted."""
+
+BETWEEN_TUBES = Usual(1e-6, 5e-3)
+"""m, radial, of a tube in the next one."""
+
+SEEN_WITHIN = Usual(1e-7, 0.02)
+"""m, the noise of a measured coordinate."""
+
+REGION = Usual(1e-4, 1.0)
+"""m, the size of a region of the body."""
+
+
 @dataclass(frozen=True)
 class OneOf:
     """The words that a field may be."""
@@ -214,6 +230,13 @@ def check_usual(what: Any, owner: str = "") -> None:
     """
     for name, file_unit, usual in _with_usual(what.__class__):
         check_size(f"{name} of {owner}" if owner else name, getattr(what, name), usual, file_unit)
+
+
+def usual_length(name: str, value: float, usual: Usual, *, zero: bool = False) -> float:
+    """A length, m, as float where it is above 0 (0 or more with `zero`), with a warning where it is unusual."""
+    number = positive(name, value, zero=zero)
+    check_size(name, number, usual, "mm")
+    return number
 
 
 def check_size(label: str, value: Any, usual: Usual, file_unit: str) -> None:

@@ -20,6 +20,7 @@ from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
+from ..files.marks import REGION, usual_length
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
@@ -54,9 +55,9 @@ class EntryRegion(Displayed):
     """Half angle of the cone about z, rad, below a right one."""
 
     def __post_init__(self) -> None:
-        positive("radius of the entry", self.radius, zero=True)
+        usual_length("radius of the entry", self.radius, REGION, zero=True)
         for size in vector("box of the entry", self.box, 3, "along x, y and z"):
-            positive("box of the entry", size, zero=True)
+            usual_length("box of the entry", size, REGION, zero=True)
         if self.places is not None:
             object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))
         positive("cone of the entry", self.cone, zero=True)

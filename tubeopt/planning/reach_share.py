@@ -23,6 +23,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
+from ..files.marks import TOLERATED, usual_length
 from ..inverse.clock import LateError
 from ..robots.limits import check_target
 from ..robots.robot import Robot
@@ -124,7 +125,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     check_target(robot.tubes, "targets", places)
-    tolerance = positive("tolerance", tolerance)
+    tolerance = usual_length("tolerance", tolerance, TOLERATED)
     task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
@@ -196,7 +197,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
 
 def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
     """Raise InputError for what `evaluate_reach` does not take."""
-    positive("tolerance", tolerance)
+    usual_length("tolerance", tolerance, TOLERATED)
     if not 0 <= finite("min_margin", min_margin) < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
     instance("options", options, PlanOptions)

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, instance, positive
+from ..errors import InputError, Settings, SolveError, instance
+from ..files.marks import TOLERATED, usual_length
 from ..inverse import IkSession, inverse_kinematics
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
@@ -100,7 +101,7 @@ def follow_tip_path(  # noqa: PLR0913
         >>> motion.proof.holds, bool(motion.deviation.max() <= 5e-4)
         (True, True)
     """
-    positive("tolerance", tolerance)
+    usual_length("tolerance", tolerance, TOLERATED)
     instance("solver", solver, TipPathSolver)
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock

@@ -10,7 +10,7 @@ from ..errors import InputError, items
 from ..typing import Array
 from .assembly import Assembly, assemble
 from .calibration import Calibration
-from .friction import Friction, check_friction, per_pair
+from .friction import Friction, check_friction, clearances
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube
@@ -60,7 +60,7 @@ class ConcentricRobot(Robot):
         self.check_drives(yields=True)
         check_friction(self.friction, len(tubes))
         if self.clearance is not None:
-            object.__setattr__(self, "clearance", per_pair("clearance", self.clearance, len(tubes)))
+            object.__setattr__(self, "clearance", clearances(self.clearance, len(tubes)))
 
     @property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:

@@ -9,7 +9,7 @@ from typing import Annotated
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
-from ..files.marks import NOT_NEGATIVE, Range, Usual, check_usual, unit
+from ..files.marks import BETWEEN_TUBES, NOT_NEGATIVE, Range, Usual, check_size, check_usual, unit
 
 PAIRWISE = ("torque", "plate", "jumps", "ends")
 """What a friction holds for every pair of neighbours."""
@@ -106,6 +106,13 @@ def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[f
             "every pair of neighbours, or 1"
         )
     return values * (n_tubes - 1) if len(values) == 1 else values
+
+
+def clearances(given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
+    """(n - 1,) the radial room, m, of every tube in the next one, of one for each or one for all; raises InputError."""
+    room = per_pair("clearance", given, n_tubes)
+    check_size("clearance", room, BETWEEN_TUBES, "mm")
+    return room
 
 
 def check_friction(friction: Friction | None, n_tubes: int) -> None:

@@ -127,6 +127,20 @@ def reading_fault(tube: Tube, key: str, value: float) -> str:
     return ""
 
 
+MOST_BEND = 20.0
+"""Force times length squared over bending stiffness: beyond, it deflects the tip of a straight arm by more than 0.86 of
+the length, as no needle is used."""
+
+
+def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -> None:
+    """Warn of a force, N, that no arm of these tubes of a length, m, is made for: it was probably meant in mN."""
+    if not length:
+        return
+    usual = MOST_BEND * sum(float(tube.bending_stiffness) for tube in tubes) / length**2
+    if force > usual:
+        implausible(f"{name} is {force:g} N; on this arm it is usually at most {usual:.3g} N: was {force:g} mN meant?")
+
+
 def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:
     """Raise InputError naming a place (3,) or one of places (N, 3), m, that is farther from the plate than FAR times
     the longest tube: it was in mm."""

@@ -21,6 +21,7 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, redu
 from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
+from ..robots.limits import check_force
 from ..robots.robot import Robot, is_even, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import check_time
@@ -135,7 +136,8 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     """
     shift = shifts(robot, translations)
     assembly = robot.assembly(shift)
-    if positive("max_force", max_force, zero=True) and assembly.eccentric:
+    check_force(robot.tubes, "max_force", positive("max_force", max_force, zero=True), assembly.total_length)
+    if max_force and assembly.eccentric:
         raise InputError(f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof")
     if assembly.eccentric:
         return proof(assembly)[0]

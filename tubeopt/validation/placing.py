@@ -16,7 +16,8 @@ import numpy as np
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
-from ..errors import InputError, Settings, SolveError, instance, positive
+from ..errors import InputError, Settings, SolveError, instance
+from ..files.marks import SEEN_WITHIN, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -110,7 +111,7 @@ def where_to_measure(  # noqa: PLR0913
         SolveError: too few configurations of the robot have the margin.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
-    positive("noise", noise)
+    usual_length("noise", noise, SEEN_WITHIN)
     instance("search", search, PlacementSearch)
     if not 0 <= min_margin < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")

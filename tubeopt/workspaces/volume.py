@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, positive
+from ..files.marks import REGION, usual_length
 from ..typing import Array
 from .table import Workspace, held
 from .voxels import Keys, Voxels, cells, default_size, of_first_half, on_surface, voxels
@@ -124,7 +125,7 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
         InputError: a radius that is not positive, fewer than five points, points that lie in a plane.
     """
     if radius is not None:
-        positive("radius", radius)
+        usual_length("radius", radius, REGION)
     table = workspace.some(20_000)
     tips = np.asarray(table[held(table, min_margin), -7:-4])
     value, reach = alpha_shape(tips, radius)
