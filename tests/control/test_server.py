@@ -439,3 +439,40 @@ def test_a_client_that_leaves_before_it_is_welcome_leaves_room_for_a_commander()
         assert (await told(await client(server), "welcome"))["role"] == "commander"
 
     run(talk)
+
+
+def test_a_role_that_does_not_exist_is_refused_with_those_that_do() -> None:
+    async def talk(server: RobotServer) -> None:
+        for role in ("comander", None, ["watcher"]):
+            socket = await websockets.connect(f"ws://127.0.0.1:{server.port}", compression=None)
+            CONNECTED.append(socket)
+            await socket.send(json.dumps({"op": "hello", "token": server.token, "role": role}))
+            with pytest.raises(websockets.ConnectionClosed, match="it must be commander or watcher"):
+                await told(socket, "welcome")
+
+    run(talk)
+
+
+def test_a_client_that_is_no_websocket_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    async def talk(server: RobotServer) -> None:
+        for greeting in (b"\x16\x03\x01\x02", b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\n", b""):
+            _, writer = await asyncio.open_connection("127.0.0.1", server.port)
+            writer.write(greeting)
+            writer.close()
+            await writer.wait_closed()
+        await asyncio.sleep(0.1)
+        assert (await told(await client(server), "welcome"))["role"] == "commander"
+
+    run(talk)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("kind", ["servo_jp", "move_jp"])
+def test_joint_values_out_of_order_are_refused_where_they_are_commanded(kind: str) -> None:
+    arm, before = enabled(), tip(enabled())
+    for translations in ([0.0, -0.08, -0.02], [-0.1, -0.03, -0.02]):
+        with pytest.raises(InputError, match=r"joint values are out of range: .*mm"):
+            arm.command({"op": kind, "rotations": [0.0] * 3, "translations": translations}, 0.0)
+    assert not arm.busy
+    tick(arm, 0.001)
+    assert np.array_equal(tip(arm), before)

@@ -64,9 +64,9 @@ def test_limits_move_home_and_a_robot_that_has_nothing_in_order_has_the_home_of_
     [
         (THESIS, (0.0, 0.0, 0.0), 1, ""),
         (TWO_TUBE, (0.0, 0.0), 1, ""),
-        (TWO_TUBE, (-0.02, -0.005), 2, "the end of tube 2, since tube 1 ends 15 mm inside tube 2"),
-        (CRL, (0.0, 0.0, 0.0), 2, "the end of tube 2, since tube 1 ends 59 mm inside tube 2"),
-        (CRL, (0.06, -0.01, 0.0), 1, "the end of tube 1, since tube 2 ends 10 mm inside tube 3"),
+        (TWO_TUBE, (-0.02, -0.005), 2, "the end of tube 2; tube 1 ends 15 mm inside tube 2"),
+        (CRL, (0.0, 0.0, 0.0), 2, "the end of tube 2; tube 1 ends 59 mm inside tube 2"),
+        (CRL, (0.06, -0.01, 0.0), 1, "the end of tube 1; tube 2 ends 10 mm inside tube 3"),
     ],
 )
 def test_the_tip_is_the_tube_that_ends_farthest(

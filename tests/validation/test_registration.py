@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
 from tubeopt.validation import BasePose, register
+from tubeopt.validation.registration import Directions
 
 RANDOM = np.random.default_rng(2)
 POINTS = RANDOM.uniform(-0.04, 0.04, (12, 3)) + np.array([0.0, 0.0, 0.09])
@@ -71,6 +72,18 @@ def test_an_axis_along_or_against_z(z: float) -> None:
     np.testing.assert_allclose(found.apply(POINTS * [1.0, z, z]), POINTS, atol=1e-14)
 
 
+@pytest.mark.parametrize("angle", [60.0, 120.0, 180.0])
+def test_directions_decide_the_yaw_where_an_axis_is_wrong(angle: float) -> None:
+    """Of all that is matched the best rotation about the axis agrees; of tips alone it may not."""
+    directions = RANDOM.normal(size=POINTS.shape) * [1.0, 1.0, 0.2]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    off = Rotation.from_euler("x", angle, degrees=True).apply([0.0, 0.0, 1.0])
+    found = register(
+        POINTS, POINTS, "base-axis", base=BasePose(axis=tuple(off)), directions=Directions(directions, directions)
+    )
+    np.testing.assert_allclose(found.rotation @ off, [0.0, 0.0, 1.0], atol=1e-9)
+
+
 def test_yaw_and_tilt() -> None:
     found = register(Rotation.from_euler("z", -30, degrees=True).apply(POINTS), POINTS)
     assert np.degrees([found.yaw, found.tilt]) == pytest.approx([30.0, 0.0], abs=1e-6)
@@ -89,7 +102,7 @@ def test_what_cannot_be_told_is_refused() -> None:
         register(line, line)
     with pytest.raises(InputError, match="needs at least 3"):
         register(POINTS[:2], POINTS[:2])
-    with pytest.raises(InputError, match="every tip lies on the axis"):
+    with pytest.raises(InputError, match="all rotations about the axis fit alike, as of tips on the axis"):
         register(line, line, "base-axis")
     with pytest.raises(InputError, match=r"registration is 'rigd'.*did you mean 'rigid'"):
         register(POINTS, POINTS, "rigd")

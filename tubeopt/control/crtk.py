@@ -215,7 +215,11 @@ class CrtkRobot:
                     f"{high[tubes][i]:g} {unit}"
                 )
             joints.append(values)
-        configuration(self.servo.space, "joints", (joints[0], joints[1]))  # raises InputError for what no joint gives
+        q = configuration(
+            self.servo.space, "joints", (joints[0], joints[1])
+        )  # raises InputError for what no joint gives
+        if words := self.servo.space.outside(q):
+            raise InputError(f"the commanded joint values are out of range: {words}")
         return Command(joints=(joints[0], joints[1]))
 
     def _pose(self, message: Mapping[str, Any]) -> Command:

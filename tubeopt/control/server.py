@@ -28,12 +28,16 @@ from ..errors import InputError, SolveError, finite, instance, whole
 from .crtk import CrtkRobot
 
 LOGGER = logging.getLogger("tubeopt")
+logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
 
 REMEMBERED = 100_000
 """Steps of the loop whose times are kept."""
 
 CLOSING = 1.0
 """Seconds that a client has to close its connection once the server ends."""
+
+ROLES = ("commander", "watcher")
+"""What a client may be."""
 
 LONGEST_WORDS = 300
 """Characters of an error that is reported."""
@@ -271,7 +275,10 @@ class RobotServer:
             raise InputError("the token is another one")
         if len(self._clients) >= self.options.clients:
             raise InputError(f"there are {self.options.clients} clients already")
-        if told.get("role") == "commander":
+        role = told.get("role", "watcher")
+        if role not in ROLES:
+            raise InputError(f"role is {role!r}; it must be {' or '.join(ROLES)}")
+        if role == "commander":
             if self._commander is not None:
                 raise InputError("there is a commander already")
             self._commander, client.commander = client, True

@@ -57,7 +57,7 @@ class EquilibriumBatch(Displayed):
     translations: Array
     """(N, n) m."""
     tip_position: Array
-    """(N, 3) end of the longest tube in the plate frame, m."""
+    """(N, 3) end of the tube that reaches farthest, in the plate frame, m."""
     tip_rotation: Array
     """(N, 3, 3) its frame."""
     tip_rotations: Array

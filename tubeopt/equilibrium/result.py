@@ -200,7 +200,7 @@ class Equilibrium(Displayed):
 
     @property
     def tip_position(self) -> Array:
-        """(3,) end of the longest tube in the plate frame, m."""
+        """(3,) end of the tube that reaches farthest, in the plate frame, m."""
         return np.asarray(self.position[-1])
 
     @property

@@ -291,9 +291,10 @@ class JointSpace:
         ranges = translation_ranges(self.robot.tubes, self.limits)
         shift = in_order(self.robot, ranges, self._order, choose)
         if shift is None:
+            gap = f" with carriages {self.carriage_gap * TO_MM:.4g} mm apart" if self.carriage_gap else ""
             raise InputError(
-                "limits leave no joint values that keep the tubes in order: every tube must be held behind, and end "
-                "beyond, the one around it"
+                f"limits leave no joint values that keep the tubes in order{gap}: every tube must be held behind, and "
+                "end beyond, the one around it"
             )
         return self._independent(rotations, shift)
 

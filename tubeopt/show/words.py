@@ -60,7 +60,7 @@ def tip_in_words(robot: Robot, end: Array) -> str:
     tip, inside = tip_tube(end), ends_inside(robot, end)
     if tip is None:
         return "at the plate, since all tubes are withdrawn"
-    return f"the end of tube {tip + 1}, since {ends_in_words(inside)}" if inside else ""
+    return f"the end of tube {tip + 1}; {ends_in_words(inside)}" if inside else ""
 
 
 def order_remarks(robot: Robot, translations: Array) -> list[str]:

@@ -194,9 +194,11 @@ def _about_axis(measured: Array, predicted: Array, base: BasePose, d: Directions
     pairs = np.vstack([[0.0, 0.0, 1.0], *there]), np.vstack([base.axis, *here])
     weights = np.append(np.inf, np.ones(len(pairs[0]) - 1))
     rotation = scipy.spatial.transform.Rotation.align_vectors(*pairs, weights=weights)[0].as_matrix()
-    if ((from_base @ rotation.T)[:, :2] * predicted[:, :2]).sum() <= IN_LINE**2 * len(measured):
+    # Of all that is matched: |sum of conj(x + iy) (x' + iy')|, since the rotation about the axis is the best one.
+    agreement = ((np.vstack(here) @ rotation.T)[:, :2] * np.vstack(there)[:, :2]).sum()
+    if agreement <= IN_LINE**2 * len(measured):
         raise InputError(
-            "registration is 'base-axis' and every tip lies on the axis, about which the frame could turn; measure "
+            "registration is 'base-axis' and all rotations about the axis fit alike, as of tips on the axis; measure "
             "bent configurations, or use none"
         )
     return Registration("base-axis", rotation, -rotation @ np.array(base.position))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,6 +12,8 @@ from http import HTTPStatus
 from typing import Any
 
 from ...errors import InputError
+
+logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
 
 UNTITLED = b"<title>Viser</title>"
 
