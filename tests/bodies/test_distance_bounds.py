@@ -151,6 +151,6 @@ def test_what_lies_deep_in_a_surface_is_bounded_by_the_farthest_that_it_may_be()
 
 def test_the_largest_gap_of_two_rows_is_that_between_them() -> None:
     """Each row has more points than neighbours are asked for."""
-    along = np.concatenate([np.arange(20.0), np.arange(24.0, 44.0)])
-    assert largest_gap(np.stack([along, 0 * along, 0 * along], axis=1)) == 5.0
+    along = np.concatenate([np.arange(20.0), np.arange(69.0, 89.0)])
+    assert largest_gap(np.stack([along, 0 * along, 0 * along], axis=1)) == 50.0
     assert largest_gap(np.stack([along[:20], 0 * along[:20], 0 * along[:20]], axis=1)) == 1.0

@@ -130,8 +130,8 @@ def test_a_scene_names_all_bodies_that_are_closer_than_a_reach() -> None:
 
 def test_the_nearest_of_long_bodies_is_not_the_one_with_the_nearest_centre() -> None:
     random = np.random.default_rng(0)
-    size = np.array([0.1, 1e-3, 1e-3])
-    boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in random.normal(size=(40, 3)) * 0.1]
+    size, places = np.array([128, 1, 1]) / 1024, np.round(random.normal(size=(40, 3)) * 100) / 1024  # without round-off
+    boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in places]
     points = random.normal(size=(300, 3)) * 0.1
     true = np.min([body.signed_distance(points) for body in boxes], axis=0)
     assert Scene(tuple(boxes)).nearest(points) == pytest.approx(true, abs=1e-12)

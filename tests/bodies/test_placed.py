@@ -37,6 +37,6 @@ def test_a_body_is_as_far_from_a_point_in_whatever_frame_both_are(body: Obstacle
     # What a mesh says of points far from it depends on its table.
     one, other = (each.surface if isinstance(each, MeshObstacle) else each for each in (seen, body))
     assert one.signed_distance(frame.seen(points)) == pytest.approx(other.signed_distance(points), abs=1e-9)
-    scenes = [Scene((each,)) for each in (seen, body)]
+    scenes = [Scene((each,)) for each in (seen, body.body if isinstance(body, Turned) else body)]
     assert scenes[0].solid == scenes[1].solid
     assert scenes[0].stands_for == scenes[1].stands_for
