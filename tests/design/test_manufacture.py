@@ -82,6 +82,20 @@ def test_shares_and_spreads_are_those_of_the_samples(monkeypatch: pytest.MonkeyP
     assert found.spread == pytest.approx([np.sqrt((np.arange(1, 101) ** 2).mean()) * 1e-3, 0.0])
 
 
+def test_uniform_errors_come_to_their_half_width_and_both_stiffnesses_err_alike() -> None:
+    tube = two_tubes().tubes[0]
+    errors = Tolerances(curvature=0.01, stiffness=0.02, distribution="uniform")
+    made = [tubes[0] for tubes in sample_tubes([tube], errors, 2000)]
+    bent, bending, torsional = (
+        np.array([getattr(each, name) for each in made]) / getattr(tube, name) - 1
+        for name in ("curvature", "bending_stiffness", "torsional_stiffness")
+    )
+    for off, most in ((bent, 0.01), (bending, 0.02)):
+        assert [off.min(), off.max()] == pytest.approx([-most, most], rel=1e-2)
+        assert np.abs(off).max() <= most * (1 + 1e-12)
+    assert torsional == pytest.approx(bending, abs=1e-12)
+
+
 def test_uniform_errors_stay_within_their_half_width() -> None:
     found = tolerance_analysis(equal_pair(0.1, 0.05, 5.0), Tolerances(curvature=0.01, distribution="uniform"))
     high = tolerance_analysis(equal_pair(0.1, 0.05, 5.0 * 1.01), Tolerances(), samples=2).certificate[0]

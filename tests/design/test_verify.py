@@ -5,13 +5,14 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from tests.examples import nested
 from tubeopt import ConcentricRobot, SolveError, snap_free_certificate
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.design import verify
+from tubeopt.design import requirements, verify
 from tubeopt.design.requirements import Avoid, Reach, SnapFree, SnapFreeInUse, StrokeForce, Target
 
 ROBOT = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0))
@@ -188,3 +189,10 @@ def test_snaps_are_counted_in_whole_turns_forth_and_back(monkeypatch: pytest.Mon
         assert np.abs(turn[0]) == pytest.approx(1.0)
         assert turn[1] == 0
         assert (way[0], way[1]) == (pytest.approx(way[4]), pytest.approx(way[3]))
+
+
+def test_a_deployment_is_off_by_the_length_of_each_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requirements, "deviations", lambda *_: ca.DM([3e-3, 4e-3, 0.0, 0.0, 0.0, 7e-3]))
+    asked: Any = SimpleNamespace(poses=())
+    left = np.array(requirements.Deployment(6e-3).expression(asked)).ravel()
+    assert left == pytest.approx([1e-3, -1e-3], abs=1e-9)
