@@ -134,6 +134,7 @@ def test_the_nearest_of_long_bodies_is_not_the_one_with_the_nearest_centre() -> 
     boxes = [Box(tuple(c.tolist()), tuple((c + size).tolist())) for c in places]
     points = random.normal(size=(300, 3)) * 0.1
     true = np.min([body.signed_distance(points) for body in boxes], axis=0)
+    assert boxes[0].balls()[1] == pytest.approx(np.linalg.norm(boxes[0].balls()[0] - boxes[0].low, axis=1))
     assert Scene(tuple(boxes)).nearest(points) == pytest.approx(true, abs=1e-12)
 
 
