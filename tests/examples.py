@@ -9,9 +9,13 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tubeopt import ConcentricRobot, Material, Tube, load_robot
-from tubeopt.equilibrium.member import PlainPoint, Point, Unloaded
+from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem
+from tubeopt.equilibrium.member import Point
+from tubeopt.equilibrium.unloaded import PlainPoint, Unloaded
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.eccentric import EccentricRobot
+from tubeopt.solvers.newton import NewtonResult
+from tubeopt.solvers.settings import NEWTON, Newton
 from tubeopt.typing import Array
 
 CONFIGS = Path(__file__).parents[1] / "configs" / "robots"
@@ -63,6 +67,20 @@ def unstable_home(robot: ConcentricRobot, rotations: Array) -> PlainPoint:
     result = member.solve(np.zeros(member.problem.size))
     assert result.converged
     return Point.of(member, result)
+
+
+def newton(
+    problem: ReducedProblem, rotations: Array, z: Array, iterations: int | None = None
+) -> NewtonResult[Evaluation]:
+    """By Newton's method from z (U,)."""
+    return Unloaded(THESIS, problem, rotations, ()).solve(z, iterations)
+
+
+def descend(
+    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
+) -> NewtonResult[Evaluation]:
+    """By descent of the energy from z (U,)."""
+    return Unloaded(THESIS, problem, rotations, ()).descend(z, settings)
 
 
 def eccentric_assembly(offset: float = 1.92 * MM / np.sqrt(3)) -> Assembly:

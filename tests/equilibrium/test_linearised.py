@@ -29,8 +29,9 @@ from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
 from tubeopt.equilibrium.linearised import Linearised, linearise
-from tubeopt.equilibrium.member import Point, Unloaded
+from tubeopt.equilibrium.member import Point
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly
+from tubeopt.equilibrium.unloaded import Unloaded
 from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array
 

@@ -183,7 +183,7 @@ def test_many_tubes_that_overlap() -> None:
     alpha, shift = np.array([0.3, -0.8, 1.4, 0.1, -1.9, 0.7]), np.linspace(0.01, 0.0, 6)
     answer = binding.solve_compiled(robot, alpha, shift)
     assert answer is not None
-    assert answer["points"] == 54
+    assert len(answer.found.points.point) == 54
     check_same(forward_kinematics(robot, alpha, shift), general(robot, alpha, shift))
 
 

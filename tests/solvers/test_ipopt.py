@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.examples import CRL, THESIS, configurations, eccentric_assembly, unstable_home
+from tests.examples import CRL, THESIS, configurations, eccentric_assembly, newton, unstable_home
 from tubeopt import InputError, Ipopt, SolveError
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
@@ -18,7 +18,6 @@ from tubeopt.block.transcription.reduced import ReducedProblem, reduce, residual
 from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.ipopt import _program, solve_ipopt
-from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 
 FORMULATIONS = ("equations", "energy")

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, nested, unstable_home
+from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, descend, nested, newton, unstable_home
 from tubeopt import ConcentricRobot, Discretisation
 from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from tubeopt.block.transcription.second_variation import margin
+from tubeopt.equilibrium import unloaded as module
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.solvers import newton as module
-from tubeopt.solvers.newton import descend, leave_saddle, newton
+from tubeopt.solvers.newton import leave_saddle
 from tubeopt.solvers.settings import Newton
 
 

@@ -18,13 +18,13 @@ from ..block.transcription.responsive import Responsive
 from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.member import PlainPoint, Point, Unloaded
+from ..equilibrium.member import Point
 from ..equilibrium.problem import reduced_assembly
+from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import SolveError
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
-from ..solvers.newton import descend
 from ..stability.certificate import worst_case, worst_of_pair
 from ..typing import Array
 
@@ -61,7 +61,7 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
         result = member.solve(member.unknowns(rotations + twist), iterations=12)
         if result.converged:
             return Point.of(member, result)
-    result = descend(problem, rotations, np.zeros(problem.size))
+    result = member.descend(np.zeros(problem.size))
     if not result.converged:
         raise SolveError("no equilibrium was found at a pose of the design")
     return Point.of(member, result)

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import time
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from ..block.transcription import arm as arms
-from ..block.transcription.arm import CollocationPoints, Found
+from ..block.transcription.arm import Found
 from ..block.transcription.collocated import ENDS, STEPS
-from ..block.transcription.loaded import LoadedProblem, base_wrench, compliance, monotonicity, tip_position, tip_slopes
-from ..block.transcription.loaded_arm import elastic_energy, loaded_arm
-from ..block.transcription.reduced import ReducedProblem, pull_rate
-from ..block.transcription.whole_arm import evaluate_arm
+from ..block.transcription.loaded import LoadedProblem, monotonicity
+from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
-from ..robots.robot import Robot, is_even
+from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .member import Loaded, LoadedPoint, Member, Place, Point, Unloaded, interpolate
+from .loaded import Loaded
+from .member import Member, Place, Point
 from .problem import (
     DEFAULT_DISCRETISATION,
-    EXTRA_POINTS,
     LOADED_DISCRETISATION,
     Discretisation,
     assembly_of,
@@ -32,6 +29,7 @@ from .problem import (
     loading_of,
 )
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
+from .unloaded import Unloaded
 
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
@@ -39,73 +37,9 @@ SHORT = 0.01
 FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
 
 
-def found_at(point: Place, rubbed: tuple[arms.Profile, float] | None = None) -> Found:
-    """Shape, energy and estimated errors of a solved point; `rubbed`: torsion along the arm without a load and the
-    error (rad) of the mesh, where friction shapes them too."""
-    member = point.member
-    if isinstance(member, Loaded):
-        return _found_loaded(point)
-    problem, state = member.problem, point.state
-    torsion, defect = (point.torsion, None) if rubbed is None else rubbed
-    arm = evaluate_arm(problem, member.rotations, state, torsion)
-    # The inverse of the linearised equation amplifies a defect by at most one over the margin.
-    error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), 1e-6)
-    return Found.of(
-        arm,
-        problem.assembly,
-        points=CollocationPoints(problem.arc_length, state.theta + problem.assembly.wound(problem.arc_length)),
-        margin=point.margin,
-        energy=arm.energy,
-        residual=member.residual(state),
-        errors=(error, arm.shape_error + error * lever(problem), 0.0),
-        iterations=point.iterations,
-        index=0 if point.margin > 0 else member.index(state),
-    )
-
-
-def _found_loaded(point: LoadedPoint) -> Found:
-    member, state, problem, profile = point.member, point.state, point.member.problem, point.torsion
-    arm = loaded_arm(problem, profile, state)
-    return Found.of(
-        arm,
-        problem.torsion.assembly,
-        points=CollocationPoints(problem.torsion.arc_length, state.theta + problem.wound, state.curvature),
-        margin=point.margin,
-        energy=elastic_energy(problem, profile, state),
-        residual=member.residual(state),
-        errors=mesh_errors(point),
-        iterations=point.iterations,
-        index=0 if point.margin > 0 else member.index(state),
-        work=state.work,
-        # What follows from the solved state at once need not be solved for again.
-        compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
-        base_wrench=base_wrench(problem, state),
-    )
-
-
-def mesh_errors(point: LoadedPoint) -> tuple[float, float, float]:
-    """Estimated errors of theta, rad, of the tip, m, and of the margin: what a Newton step on a finer rule changes."""
-    member = point.member
-    there = member.on(degree=member.discretisation.degree + EXTRA_POINTS)
-    problem, state = there.problem, there.at(there.carried(point))
-    # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
-    least = CONTINUATION.least_stiffness
-    shift = least if abs(point.margin) < least else 0.0
-    step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
-    split = problem.torsion.size
-    theta = np.abs(problem.torsion.factor @ step[:split]).max(initial=0.0)
-    moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
-    moved -= tip_position(member.problem, point.state)
-    # Only of arms that loads hardly soften is the margin less sure than the shape.
-    close = point.margin > CONTINUATION.hardly_softened and member.descends
-    margin = abs(there.margin(state) - point.margin) if close else 0.0
-    # Between the points theta is up to 1.6 times as far off as at them (measured).
-    return 2 * float(theta), float(np.linalg.norm(moved)), margin
-
-
 def to_equilibrium(point: Place, start: str, began: float = 0.0) -> Equilibrium:
     """The equilibrium of a solved point; `start`: how it was reached; `began`: when (s), 0 where that is not known."""
-    return answered(point.member, found_at(point), start, began)
+    return answered(point.member, point.member.found(point), start, began)
 
 
 def answered(member: Member[Any], found: Found, start: str, began: float = 0.0, method: str = "newton") -> Equilibrium:
@@ -159,7 +93,7 @@ def built(
 
 def error_of(equilibrium: Equilibrium) -> float:
     """`largest_error` of an equilibrium; under a load by the whole length of the arm."""
-    even = equilibrium.load is not None or is_even(equilibrium.robot)
+    even = equilibrium.load is not None or equilibrium.robot.even
     length = float(equilibrium.arc_length[-1])
     return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
 
@@ -253,7 +187,7 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]
         and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
     ):
         return sample_rotation(start, start.point), start.point_curvature
-    return sample_rotation(start, s), interpolate(_own(start), start.point_curvature, problem)
+    return sample_rotation(start, s), _own(start).mesh.interpolated(start.point_curvature, s)
 
 
 def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
@@ -268,7 +202,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     own = equilibrium.point
     if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
         theta = equilibrium.point_rotation
-        if not is_even(equilibrium.robot):
+        if not equilibrium.robot.even:
             placed = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
             theta = theta - placed.wound(arc_length)
         return theta
@@ -279,7 +213,7 @@ def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:
     """The same (..., len(arc_length), n) of arms (..., 2, m, n), rotation and torsion at arc lengths s (m,)."""
     rotation, torsion = arms[..., 0, :, :], arms[..., 1, :, :]
-    even = is_even(robot)
+    even = robot.even
     phi = rotation if even else rotation - robot.assembly(translations).wound(s)
     if len(s) < 2:
         return np.repeat(phi, len(arc_length), axis=-2)
@@ -296,17 +230,3 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
     value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
     value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
     return np.asarray(value)
-
-
-@lru_cache(maxsize=16)
-def lever(problem: ReducedProblem) -> float:
-    """By how much a tip can move with a wrong theta, m per rad: |dp| <= int |du / dtheta| |dtheta| (L - s) ds.
-
-    The curvature u itself can vanish where tubes oppose each other, its change with theta does not: sum |m_i| / sum
-    kb_i bounds it.
-    """
-    mesh = problem.mesh
-    if not len(mesh.length):
-        return 0.0
-    ahead = mesh.start[-1] + mesh.length[-1] - mesh.start - mesh.length / 2
-    return float((pull_rate(problem) * mesh.length) @ ahead)

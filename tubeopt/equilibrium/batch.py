@@ -16,7 +16,7 @@ from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
-from ..robots.robot import Robot, check_robot, is_even
+from ..robots.robot import Robot, check_robot
 from ..solvers.compiled.binding import solve_many_compiled
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
@@ -261,7 +261,7 @@ def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
     """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     length, n = (np.minimum(shift, straight) + curved).max(1), robot.n_tubes
-    return np.asarray(largest_error(found[:, n + 14], found[:, n + 15], length, even=is_even(robot)) <= tolerance)
+    return np.asarray(largest_error(found[:, n + 14], found[:, n + 15], length, even=robot.even) <= tolerance)
 
 
 def _grow_rows(

@@ -10,22 +10,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from ..block.transcription.arm import ArmShape, CollocationPoints, Found, arc_lengths
-from ..block.transcription.collocated import STEPS
+from ..block.transcription.arm import Found, arc_lengths
 from ..block.transcription.loaded import LoadedProblem
 from ..robots.load import Load
-from ..robots.robot import Robot, is_even
+from ..robots.robot import Robot
 from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.settings import CONTINUATION, NEWTON, Newton
 from ..typing import Array, Mask
 from .answer import answered, at_points, built, largest_error, sample_arms, sample_rotation
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
-from .member import Loaded, interpolate
+from .loaded import Loaded
 from .method import Asked
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, check_load, loaded_rules
 from .result import Equilibrium, Statistics
@@ -47,24 +45,24 @@ def unloaded(
         along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
         start, most = Start(*along, turn, guess.translations), largest_twist(guess.margin)
     for refinement in (0, 1):
-        answer = solve_compiled(robot, rotations, translations, start, refinement)
-        if answer is None or answer["largest_change"] > most:
+        solved = solve_compiled(robot, rotations, translations, start, refinement)
+        if solved is None or solved.largest_change > most:
             return None
-        if start is not None and answer["contraction"] > CONTINUATION.largest_ratio:
+        if start is not None and solved.contraction > CONTINUATION.largest_ratio:
             return None
-        found = _found(answer)
+        found = solved.found
         length = float(found.arm.arc_length[-1])
-        if largest_error(*found.errors[:2], length, even=is_even(robot)) > asked.tolerance:
+        if largest_error(*found.errors[:2], length, even=robot.even) > asked.tolerance:
             continue
         statistics = Statistics(
             method="newton",
-            iterations=answer["iterations"],
-            elements=answer["elements"],
+            iterations=found.iterations,
+            elements=solved.elements,
             degree=DEFAULT_DISCRETISATION.degree,
             start="tubes without torsion" if start is None else "guess",
-            seconds=time.perf_counter() - asked.began - answer["loading"],
+            seconds=time.perf_counter() - asked.began - solved.loading,
             refinement=refinement,
-            loading=answer["loading"],
+            loading=solved.loading,
         )
         return built(robot, (rotations, translations), found, statistics)
     return None
@@ -80,30 +78,6 @@ def _tied(robot: Robot) -> bool:
 def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     """Raise InputError where tubes that move together are moved apart; the kernel sees the tubes only."""
     robot.assembly(np.array(shift))
-
-
-def _found(answer: dict[str, Any]) -> Found:
-    """Copies of what the kernel found: its next solve overwrites the fields."""
-    m, points = answer["pieces"] * STEPS + 1, answer["points"]
-    return Found(
-        ArmShape(
-            arc_length=answer["arc_length"][:m].copy(),
-            rotation=answer["rotation"][:m].T.copy(),
-            torsion=answer["torsion"][:m].T.copy(),
-            curvature=answer["curvature"][:m].copy(),
-            position=answer["position"][:m].copy(),
-            frame=answer["frame"][:m].copy(),
-        ),
-        tip_rotations=answer["tip_rotations"].copy(),
-        section_start=answer["section_start"][: answer["sections"]].copy(),
-        tube_end=answer["tube_end"].copy(),
-        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
-        margin=answer["margin"],
-        energy=answer["energy"],
-        residual=answer["residual"],
-        errors=(answer["mesh_error"], answer["tip_error"], 0.0),
-        iterations=answer["iterations"],
-    )
 
 
 def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | None:
@@ -123,18 +97,19 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
     else:
         return None
     margin, settings = start.margin, asked.method.newton
+    coarse: Found | None = None
     for refinement in range(settings.loaded_refinements + 1):
         rules = loaded_rules(robot, shift, load, refinement)
-        found = solve_loaded_compiled(rules, (rotations, turn), given, margin)
-        if found is None:
+        if coarse is not None:
+            known = [coarse.points.point_rotation - problem.wound, coarse.points.point_curvature]
+            table = problem.mesh.interpolated(np.concatenate(known, axis=1), rules.problem.torsion.arc_length)
+            given, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, coarse.margin
+        problem, coarse = rules.problem, solve_loaded_compiled(rules, (rotations, turn), given, margin)
+        if coarse is None:
             return None
-        if not _too_coarse(found, rules.problem, asked.tolerance, settings):
+        if not _too_coarse(coarse, problem, asked.tolerance, settings):
             d = replace(LOADED_DISCRETISATION, refinement=refinement)
-            return answered(Loaded(robot, rules.problem, rotations, shift, d), found, word, asked.began)
-        finer = loaded_rules(robot, shift, load, refinement + 1).problem
-        known = [found.points.point_rotation - rules.problem.wound, found.points.point_curvature]
-        table = interpolate(rules.problem, np.concatenate(known, axis=1), finer)
-        margin, given, turn = found.margin, (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn
+            return answered(Loaded(robot, problem, rotations, shift, d), coarse, word, asked.began)
     return None
 
 
@@ -192,7 +167,7 @@ def grow_many(
     first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
     if first is None:
         return None
-    s = first["arc_length"][: first["pieces"] * STEPS + 1].copy()
+    s = first.found.arm.arc_length
     arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
     unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
     assert unloaded is not None

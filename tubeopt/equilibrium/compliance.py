@@ -13,7 +13,8 @@ from ..robots.load import Load, PointLoad
 from ..robots.order import SAME_END, twisted_tube
 from ..typing import Array
 from .answer import point_of
-from .member import Loaded, LoadedPoint, Point
+from .loaded import Loaded, LoadedPoint
+from .member import Point
 from .result import Equilibrium
 
 

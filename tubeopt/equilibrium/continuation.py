@@ -14,9 +14,11 @@ from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
-from .member import Loaded, Member, Place, Point, Unloaded
+from .loaded import Loaded
+from .member import Member, Place, Point
 from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
+from .unloaded import Unloaded
 
 P = TypeVar("P", bound=Place)
 

@@ -42,10 +42,12 @@ from ..solvers.newton import full_steps
 from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
-from .answer import answered, at_points, found_at, lever, sample_rotation
-from .member import Loaded, Point, Unloaded, interpolate
+from .answer import answered, at_points, sample_rotation
+from .loaded import Loaded
+from .member import Point
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
+from .unloaded import Unloaded, lever
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""
@@ -239,7 +241,7 @@ def bent_at(held: Held, contact: Contact) -> Array | None:
         return own if contact.loaded is not None else None
     if own is None or held.contact.loaded is None:
         return np.zeros((len(contact.loaded.softness), 2))
-    return interpolate(held.contact.loaded, own, contact.loaded)
+    return held.contact.loaded.mesh.interpolated(own, contact.loaded.torsion.arc_length)
 
 
 def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
@@ -252,7 +254,7 @@ def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
         balance = (state.gradient + contact.rows.T @ held.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-        shape = found_at(Point(0.0, member, torsion, held.margin), (held.profile, error))
+        shape = member.found(Point(0.0, member, torsion, held.margin), (held.profile, error))
         plain = answered(member, shape, start, method="increment")
     friction = FrictionState(
         friction=contact.friction,
@@ -304,7 +306,7 @@ def _bending_error(held: Held) -> float:
     assert contact.loaded is not None
     s = finer.torsion.arc_length
     z = to_unknowns(finer.torsion, held.rotations, arms.interpolate(contact.problem, held.profile, s))
-    q = interpolate(contact.loaded, bent, finer) / finer.softness[:, None]
+    q = contact.loaded.mesh.interpolated(bent, s) / finer.softness[:, None]
     state = loaded.evaluate(finer, held.rotations, np.concatenate([z, q.ravel()]))
     missed = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
     return float((finer.torsion.weight * finer.softness * missed) @ (finer.torsion.assembly.total_length - s))

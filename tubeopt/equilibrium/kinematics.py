@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import (
-    Evaluation,
-    ReducedProblem,
-    evaluate,
-    on_centreline,
-    to_unknowns,
-    worst_equation,
-)
-from ..block.transcription.second_variation import margin
+from ..block.transcription.arm import profile
+from ..block.transcription.reduced import Evaluation, evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.newton import NewtonResult, descend, leave_saddle, newton
+from ..solvers.newton import NewtonResult, leave_saddle
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION, NEWTON, Ipopt, Newton
+from ..solvers.settings import CONTINUATION, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .answer import FOLDED, answered, error_of, found_at, point_of, to_equilibrium, unsolved
+from .answer import FOLDED, answered, error_of, point_of, to_equilibrium, unsolved
 from .compiled import along, nearby, unloaded
 from .continuation import (
     Family,
@@ -40,10 +34,12 @@ from .continuation import (
     small_motion,
     step_to,
 )
-from .member import Loaded, Member, Place, PlainPoint, Point, Unloaded
+from .loaded import Loaded
+from .member import Member, Place, Point
 from .method import TOLERANCE, Asked, Method, method_of
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation, check_load
 from .result import Equilibrium, Status
+from .unloaded import PlainPoint, Unloaded
 from .verification import verify_equilibrium
 
 KINEMATICS_LIMIT = 60.0
@@ -141,7 +137,7 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
     by, first, before = asked.method, point.member.discretisation.refinement, np.inf
     finest = max(by.newton.refinements if point.member.load is None else by.newton.loaded_refinements, first)
     for level in range(first, finest + 1):
-        shape = found_at(point)
+        shape = point.member.found(point)
         found = answered(point.member, shape, start, asked.began, by.name)
         error = error_of(found)
         if error <= asked.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
@@ -167,7 +163,7 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
             return point, "tubes without torsion"
     except SolveError as error:
         failure = f" ({error})"
-    result = _from_home(member.problem, member.rotations)
+    result = _from_home(member)
     point = Point.of(member, result)
     if point.margin <= 0 or not result.converged:
         raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
@@ -188,42 +184,38 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
     """Solved from unknowns x (U,) by a method; raises SolveError where it does not converge."""
     problem, rotations = member.problem, member.rotations
     if by.name == "newton":
-        solve = _by_centreline if problem.assembly.eccentric else descend
-        result = solve(problem, rotations, x, settings=by.newton)
+        result = _by_centreline(member, x, by.newton) if problem.assembly.eccentric else member.descend(x, by.newton)
     elif by.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
-        guess = member.along(member.at(x))
+        guess = profile(problem, rotations, evaluate(problem, rotations, x))
         result = solve_ipopt(problem, rotations, guess, "energy" if by.name == "energy" else "equations", by.ipopt)
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Point.of(member, result)
 
 
-def _by_centreline(
-    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
-) -> NewtonResult[Evaluation]:
+def _by_centreline(member: Unloaded, x: Array, settings: Newton) -> NewtonResult[Evaluation]:
     """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
-    concentric = on_centreline(problem)
-    theta = evaluate(problem, rotations, z).theta
-    start = descend(concentric, rotations, to_unknowns(concentric, rotations, theta), settings=settings)
-    return newton(problem, rotations, to_unknowns(problem, rotations, start.state.theta), settings=settings)
+    concentric = member.on_centreline()
+    start = concentric.descend(concentric.unknowns(member.at(x).theta), settings)
+    return member.solve(member.unknowns(start.state.theta), settings=settings)
 
 
-def _from_home(problem: ReducedProblem, rotations: Array) -> NewtonResult[Evaluation]:
+def _from_home(member: Unloaded) -> NewtonResult[Evaluation]:
     """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
-    concentric = on_centreline(problem)
+    concentric, rotations = member.on_centreline(), member.rotations
     steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / CONTINUATION.home_turn)))
-    z = np.zeros(concentric.size)
+    z = np.zeros(concentric.problem.size)
     for k in range(1, steps + 1):
-        alpha = rotations * k / steps
-        result = descend(concentric, alpha, z)
-        if result.converged and margin(concentric, result.state) <= 0:
-            sides = [descend(concentric, alpha, start) for start in leave_saddle(concentric, result.state)]
+        here = replace(concentric, rotations=rotations * k / steps)
+        result = here.descend(z)
+        if result.converged and here.margin(result.state) <= 0:
+            sides = [here.descend(start) for start in leave_saddle(here.problem, result.state)]
             result = min(sides, key=lambda side: side.state.energy)
         z = result.state.z
-    if problem.assembly.eccentric:
-        result = newton(problem, rotations, to_unknowns(problem, rotations, result.state.theta))
+    if member.problem.assembly.eccentric:
+        result = member.solve(member.unknowns(result.state.theta))
     return result
 
 

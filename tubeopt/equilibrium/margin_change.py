@@ -22,7 +22,7 @@ from .answer import point_of
 from .directions import check_wrt
 from .jacobian import jacobian
 from .linearised import sharing
-from .member import LoadedPoint
+from .loaded import LoadedPoint
 from .problem import loaded_problem, loading_of
 from .result import Equilibrium
 

@@ -15,8 +15,8 @@ from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.member import PlainPoint
 from ..equilibrium.result import Equilibrium, refuse_load
+from ..equilibrium.unloaded import PlainPoint
 from ..errors import InputError, SolveError
 from ..solvers.settings import CONTINUATION
 from ..typing import Array, Of

@@ -101,6 +101,11 @@ class Robot(Displayed, ABC):
                 )
         check_calibration(self.calibration, len(self.tubes), yields=yields)
 
+    @cached_property
+    def even(self) -> bool:
+        """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube."""
+        return all(tube.even for tube in self.tubes)
+
     @property
     def n_tubes(self) -> int:
         """Number of tubes n, and of rotations and translations."""
@@ -216,12 +221,6 @@ def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
 
 
 @lru_cache(maxsize=64)
-def is_even(robot: Robot) -> bool:
-    """Whether stiffnesses, and the curvature of the curved part, are the same all along each tube of the robot."""
-    return all(tube.even for tube in robot.tubes)
-
-
-@lru_cache(maxsize=64)
 def is_general(robot: Robot) -> bool:
-    """Whether a tube of the robot is written as pieces: how its numbers lie. No answer depends on it; see `is_even`."""
+    """Whether a tube of the robot is written as pieces: how its numbers lie. What answers depend on is `even`."""
     return any(tube.general for tube in robot.tubes)

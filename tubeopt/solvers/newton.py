@@ -1,6 +1,6 @@
-"""Newton's method on any equations of equilibrium, and energy descent on those without a load.
+"""Newton's method on any equations of equilibrium, and energy descent on those with an energy.
 
-`newton` goes where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
+`full_steps` go where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
 that it ends in a minimum, or in a saddle if symmetry holds it there.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.loaded import LoadedProblem, LoadedState
-from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
+from ..block.transcription.reduced import Evaluation, ReducedProblem
 from ..block.transcription.second_variation import least, stiffnesses
 from ..typing import Array
 from .settings import NEWTON, Newton
@@ -80,55 +80,37 @@ def full_steps(
     return NewtonResult(state, False, iterations, contraction)
 
 
-def newton(
-    problem: ReducedProblem, rotations: Array, z: Array, *, iterations: int | None = None, settings: Newton = NEWTON
-) -> NewtonResult[Evaluation]:
-    """Full Newton steps from z (U,), by default as many as in `settings`."""
-    return full_steps(
-        evaluate(problem, rotations, z),
-        lambda state, change: evaluate(problem, rotations, state.z + change),
-        lambda _, change: torsional_turn(problem, change),
-        lambda state: residual(problem, state),
-        settings,
-        settings.iterations if iterations is None else iterations,
-    )
-
-
 def descend(
-    problem: ReducedProblem, rotations: Array, z: Array, *, settings: Newton = NEWTON
-) -> NewtonResult[Evaluation]:
-    """The minimum of the energy to which `damped_newton` leads from z (U,), polished by Newton's method.
-
-    For tubes off the centreline, which have no such energy, call it on the concentric problem.
-    """
+    state: E,
+    moved: Callable[[E, Array], E],
+    turn: Callable[[E, Array], float],
+    residual: Callable[[E], float],
+    settings: Newton = NEWTON,
+) -> NewtonResult[E]:
+    """The minimum of the energy to which `damped_newton` leads, polished by `full_steps`; arguments as of these."""
     check_time()
-    state, iterations, ended = damped_newton(
-        evaluate(problem, rotations, z),
-        lambda state, step: evaluate(problem, rotations, state.z + step),
-        lambda step: torsional_turn(problem, step),
-        settings,
-    )
+    state, iterations, ended = damped_newton(state, moved, turn, settings)
     if not ended:
         return NewtonResult(state, False, iterations, 0.0)
     # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
-    last = newton(problem, rotations, state.z, iterations=4, settings=settings)
+    last = full_steps(state, moved, turn, residual, settings, 4)
     return NewtonResult(last.state, last.converged, iterations, 0.0)
 
 
 def damped_newton(
-    state: E, moved: Callable[[E, Array], E], turn: Callable[[Array], float], settings: Newton = NEWTON
+    state: E, moved: Callable[[E, Array], E], turn: Callable[[E, Array], float], settings: Newton = NEWTON
 ) -> tuple[E, int, bool]:
     """Newton on an energy with the Hessian made positive and steps shortened until the energy falls (Armijo).
 
     Args:
-        moved: the state after a step.   turn: largest turn of a step, rad.
+        moved: the state after a step.   turn: largest turn of a step from a state, rad.
 
     Returns:
         The last state, iterations, and whether no step downhill is longer than `last_step`.
     """
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
-        size = turn(step)
+        size = turn(state, step)
         if size <= settings.last_step:
             return state, iteration, True
         step *= min(1.0, settings.longest_step / size)

@@ -16,13 +16,14 @@ from ..block.transcription.second_variation import least as least_value
 from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.member import PlainPoint, Point, Unloaded
+from ..equilibrium.member import Point
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
+from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import InputError, positive
 from ..physics.certificate import PARAMETERS, Pattern, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.limits import check_force
-from ..robots.robot import Robot, is_even, shifts
+from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, Sentence
@@ -149,7 +150,7 @@ def convexity(robot: Robot, translations: Array) -> float:
     """Least eigenvalue of the second variation of concentric tubes, relative to its torsional part, at any rotations
     along them at all, equilibria or not: a lower bound, never more than the certificate."""
     value = worst_case(_problem(robot, translations))[0]
-    return value if is_even(robot) else value - abs(worst_case(_problem(robot, translations, 1))[0] - value)
+    return value if robot.even else value - abs(worst_case(_problem(robot, translations, 1))[0] - value)
 
 
 def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
@@ -176,7 +177,7 @@ def estimated_certificate(robot: Robot, shift: Array) -> float:
     if assembly.eccentric:
         return proof(assembly)[0]
     problem = reduced_assembly(assembly)
-    if is_even(robot):
+    if robot.even:
         return least_value(np.eye(problem.size) + _coupled(problem)) if problem.size else 1.0
     value, pair = worst_case(problem)[0], pair_of(problem)
     return value if pair is None else max(value, least_margin_of_pair(pair).bound)
@@ -237,7 +238,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
     problem, opposition, proved = _problem(robot, shift), None, None
-    if not is_even(robot):
+    if not robot.even:
         proved, opposition = _of_pieces(robot, shift)
     margin, y, following = worst_case(problem, opposition)
     if margin >= 1 - 1e-12:

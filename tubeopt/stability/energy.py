@@ -153,5 +153,7 @@ def _held_minimum(
             hessian = hessian + np.outer(a, a) / d**2
         return _Held(at, energy, gradient, hessian)
 
-    end = damped_newton(held(z), lambda here, step: held(here.z + step), lambda step: torsional_turn(problem, step))[0]
+    end = damped_newton(held(z), lambda here, step: held(here.z + step), lambda _, step: torsional_turn(problem, step))[
+        0
+    ]
     return end.z, end.energy

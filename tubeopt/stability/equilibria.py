@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem
 from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.member import PlainPoint, Point, Unloaded
+from ..equilibrium.member import Point
 from ..equilibrium.result import Equilibrium
+from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.newton import descend
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
@@ -82,7 +82,7 @@ def _without_load(member: Unloaded, search: EquilibriaSearch) -> list[PlainPoint
     problem, rotations = member.problem, member.rotations
     surely = search.certain if problem.assembly.even else search.certain_of_pieces
     if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
-        result = descend(problem, rotations, np.zeros(problem.size))
+        result = member.descend(np.zeros(problem.size))
         if result.converged:
             return [Point.of(member, result)]
     found = list[PlainPoint]()

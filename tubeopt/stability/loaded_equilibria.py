@@ -16,7 +16,8 @@ import scipy
 
 from ..equilibrium.answer import sample_rotation, to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, Point
+from ..equilibrium.loaded import Loaded, LoadedPoint
+from ..equilibrium.member import Member, Place, Point
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError

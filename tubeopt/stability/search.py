@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..equilibrium.member import Point, Unloaded
+from ..equilibrium.member import Point
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
+from ..equilibrium.unloaded import Unloaded
 from ..errors import SolveError
-from ..robots.robot import Robot, is_even
+from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
 from .folds import fall
@@ -135,7 +136,7 @@ def search_snap(
     search = Search(robot, translations, effort, progress)
     if len(search.coupled) < 2:
         return None, search
-    if not is_even(robot):
+    if not robot.even:
         return _of_pieces(search), search
     if len(search.coupled) == 2:
         return _pair(search), search

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import SolveError
-from ..robots.robot import Robot, is_even
+from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Sentence
@@ -182,7 +182,7 @@ def judge(
         return Verdict(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, effort, progress)
-    decided = len(search.coupled) == 2 and (found is not None or is_even(robot))
+    decided = len(search.coupled) == 2 and (found is not None or robot.even)
     verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
     if found is None:
         return verdict

@@ -13,10 +13,11 @@ from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
 from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.member import Point, Unloaded
+from ..equilibrium.member import Point
 from ..equilibrium.result import Equilibrium
+from ..equilibrium.unloaded import Unloaded
 from ..errors import InputError, vector
-from ..robots.robot import Robot, is_even, shifts
+from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
@@ -86,7 +87,7 @@ def worst_margin(
     n, shift = robot.n_tubes, tuple(shifts(robot, translations).tolist())
     member = Unloaded.of(robot, np.zeros(n), shift)
     problem = member.problem
-    pair = None if is_even(robot) else pair_of(problem)
+    pair = None if robot.even else pair_of(problem)
     if pair is None:
         ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
     else:

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.shooting import shoot
-from tests.examples import CRL, MM, THESIS, configurations, opposed
+from tests.examples import CRL, MM, THESIS, configurations, newton, opposed
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.reduced import ReducedProblem
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.solvers.newton import newton
 
 ROTATIONS = np.array([0.3, -0.8, 1.2])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested
+from tests.examples import CRL, MM, THESIS, eccentric_assembly, nested, newton
 from tubeopt import ConcentricRobot, Problem, ProblemSolution, ProblemStatus, forward_kinematics
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
@@ -14,7 +14,6 @@ from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.block.violation import violations_of, worst
 from tubeopt.equilibrium.problem import Discretisation, reduced_problem
 from tubeopt.solvers.ipopt import EQUILIBRIUM, inside_points
-from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 
 CASES = [

@@ -8,14 +8,13 @@ from hypothesis import given, settings
 from scipy.integrate import solve_ivp
 
 from benchmarks.shooting import sections_of
-from tests.examples import CRL, DEG, MM, THESIS, TWO_TUBE, eccentric_assembly, opposed, poses, unstable_home
+from tests.examples import CRL, DEG, MM, THESIS, TWO_TUBE, eccentric_assembly, newton, opposed, poses, unstable_home
 from tubeopt import ConcentricRobot, Discretisation, Equilibrium, forward_kinematics
 from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.reduced import ReducedProblem, evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin
 from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.solvers.newton import newton
 from tubeopt.typing import Array
 
 ROTATIONS = np.array([0.3, -0.8, 2.0])

@@ -97,10 +97,11 @@ def turned_along(t: Tableau, length: Array, arm: Profile, x: tuple[float, ...]) 
 def interpolate(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
     """theta (len(arc_length), n) at any arc length; constant beyond the ends."""
     mesh = problem.mesh
-    piece, x = _places(mesh, arc_length)
+    piece, x = mesh.places(arc_length)
     h = mesh.length[piece][:, None]
-    even = x[:, None] * h * arm.torque[piece] + h**2 * _inside(mesh, arm.moment, (piece, x), 2)
-    return np.asarray(arm.rotation[piece] + arm.compliance[piece] * even + h * _inside(mesh, arm.extra, (piece, x), 1))
+    even = x[:, None] * h * arm.torque[piece] + h**2 * mesh.interpolated(arm.moment, arc_length, integrals=2)
+    wound = h * mesh.interpolated(arm.extra, arc_length, integrals=1)
+    return np.asarray(arm.rotation[piece] + arm.compliance[piece] * even + wound)
 
 
 def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array:
@@ -108,21 +109,9 @@ def torque_at(problem: ReducedProblem, arm: Profile, arc_length: Array) -> Array
     mesh = problem.mesh
     if not len(mesh.length):
         return np.zeros((len(arc_length), arm.torque.shape[1]))
-    piece, x = _places(mesh, arc_length)
-    torque = arm.torque[piece] + mesh.length[piece][:, None] * _inside(mesh, arm.moment, (piece, x), 1)
+    piece, _ = mesh.places(arc_length)
+    torque = arm.torque[piece] + mesh.length[piece][:, None] * mesh.interpolated(arm.moment, arc_length, integrals=1)
     return np.where((arc_length < mesh.start[-1] + mesh.length[-1])[:, None], torque, 0.0)
-
-
-def _places(mesh: Mesh, arc_length: Array) -> tuple[Index, Array]:
-    """The pieces in which arc lengths lie, and how far inside, 0 to 1."""
-    piece = np.clip(np.searchsorted(mesh.start, arc_length, side="right") - 1, 0, len(mesh.start) - 1)
-    return piece, np.clip((arc_length - mesh.start[piece]) / mesh.length[piece], 0.0, 1.0)
-
-
-def _inside(mesh: Mesh, values: Array, places: tuple[Index, Array], integrals: int) -> Array:
-    """(S, n) at places: polynomials through values (P, K, n), integrated from where pieces begin as if of length 1."""
-    piece, x = places
-    return np.asarray(np.einsum("ak,aki->ai", mesh.tableau.lagrange(x, integrals=integrals), values[piece]))
 
 
 @dataclass(frozen=True, eq=False)

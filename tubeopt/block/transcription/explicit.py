@@ -25,7 +25,7 @@ import numpy as np
 
 from ...physics.shape import exponential
 from ...physics.torsion import section_functions
-from ...robots.robot import Robot, is_even
+from ...robots.robot import Robot
 from ...robots.steps import steps_of, varies
 from ...typing import Array
 from .functions import determinant_function
@@ -73,7 +73,7 @@ class Kind:
 def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
     """Which function a robot's arm is; that of tubes that vary along a piece, which is cut into steps, in half as many
     per section."""
-    if not is_even(robot):
+    if not robot.even:
         known = steps_of(robot.tubes)
         steps = (steps + 1) // 2 if varies(robot.tubes) else steps
         lengths = np.diff(known.cuts, axis=1, prepend=0.0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...physics.certificate import coupling_rate_function
 from ...robots.assembly import Assembly
-from ...typing import Array, Mask
+from ...typing import Array, Index, Mask
 from .buffered import mapped
 from .tableau import Tableau, tableau
 
@@ -55,6 +55,18 @@ class Mesh:
     length: Array
     section: NDArray[np.intp]
     collocated: Mask
+
+    def places(self, arc_length: Array) -> tuple[Index, Array]:
+        """The pieces in which arc lengths lie, and how far inside each, 0 to 1; beyond the ends the nearest place."""
+        piece = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
+        return piece, np.clip((arc_length - self.start[piece]) / self.length[piece], 0.0, 1.0)
+
+    def interpolated(self, values: Array, arc_length: Array, *, integrals: int = 0) -> Array:
+        """(S, k) at arc lengths (S,): the polynomials through values at the collocation points that all pieces would
+        have (P, K, k); or how often integrated from where a piece begins, as if it had length 1."""
+        piece, x = self.places(arc_length)
+        inner = values.reshape(len(self.start), self.tableau.degree, -1)[piece]
+        return np.asarray(np.einsum("ak,aki->ai", self.tableau.lagrange(x, integrals=integrals), inner))
 
 
 def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:

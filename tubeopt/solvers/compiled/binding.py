@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...block.transcription.arm import ArmShape, CollocationPoints, Found
 from ...block.transcription.collocated import STEPS
 from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
@@ -213,22 +214,70 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
     return flat, places[0], places[1], ctypes.byref(guess)
 
 
+class Solved(NamedTuple):
+    """An equilibrium as the kernel found it, and how."""
+
+    found: Found
+    elements: int
+    """Of the mesh."""
+    largest_change: float
+    """Of a twist from the start, rad."""
+    contraction: float
+    """Largest ratio of successive steps."""
+    loading: float
+    """Seconds in which the kernel was got ready."""
+
+
 def solve_compiled(
     robot: Robot, rotations: Array, translations: Array, start: Start | None = None, refinement: int = 0
-) -> dict[str, Any] | None:
-    """The stable equilibrium at joint values (n,), as the fields of the C struct Answer, with the seconds in which the
-    kernel was got ready as `loading`; overwritten by the next call.
+) -> Solved | None:
+    """The stable equilibrium at joint values (n,).
 
     None where the kernel declines or there is none, or none of a mesh that is halved `refinement` times.
     """
-    check_time()
     began = time.perf_counter()
     prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
+    loading = time.perf_counter() - began
+    answer = _solve(prepared, rotations, translations, start)
+    if answer is None:
+        return None
+    elements, change, ratio = answer["elements"], answer["largest_change"], answer["contraction"]
+    return Solved(_found(answer), elements, change, ratio, loading)
+
+
+def _found(answer: dict[str, Any]) -> Found:
+    """Copies of what the kernel found."""
+    m, points = answer["pieces"] * STEPS + 1, answer["points"]
+    return Found(
+        ArmShape(
+            arc_length=answer["arc_length"][:m].copy(),
+            rotation=answer["rotation"][:m].T.copy(),
+            torsion=answer["torsion"][:m].T.copy(),
+            curvature=answer["curvature"][:m].copy(),
+            position=answer["position"][:m].copy(),
+            frame=answer["frame"][:m].copy(),
+        ),
+        tip_rotations=answer["tip_rotations"].copy(),
+        section_start=answer["section_start"][: answer["sections"]].copy(),
+        tube_end=answer["tube_end"].copy(),
+        points=CollocationPoints(answer["point"][:points].copy(), answer["point_rotation"][:points].copy()),
+        margin=answer["margin"],
+        energy=answer["energy"],
+        residual=answer["residual"],
+        errors=(answer["mesh_error"], answer["tip_error"], 0.0),
+        iterations=answer["iterations"],
+    )
+
+
+def _solve(
+    prepared: tuple[Kernel, Any, int], rotations: Array, translations: Array, start: Start | None
+) -> dict[str, Any] | None:
+    """The fields of the C struct Answer, which the next call overwrites; None where the kernel declines."""
+    check_time()
     kernel, _, tubes = prepared
     room = room_of(kernel)
-    room.fields["loading"] = time.perf_counter() - began
     memory, alpha, shift, guess = _pack(rotations, translations, start)
     status = kernel.functions.solve(tubes, alpha, shift, guess, *room.at)
     room.solved = (prepared, memory[: 2 * len(rotations)].tobytes()) if status == SOLVED else None
@@ -272,7 +321,7 @@ def slopes_compiled(
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
     kept = room.has(prepared, rotations.tobytes() + translations.tobytes(), start)
-    if not kept and solve_compiled(robot, rotations, translations, start) is None:
+    if not kept and _solve(prepared, rotations, translations, start) is None:
         return None
     points = room.fields["pieces"] * STEPS + 1
     s = room.fields["arc_length"][:points]
