@@ -16,7 +16,7 @@ from ..equilibrium.along import curvature_at, position_at
 from ..equilibrium.answer import sure_margin, to_equilibrium
 from ..equilibrium.arm_change import PLACES
 from ..equilibrium.directions import Change, Directions
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import under_load
 from ..equilibrium.linearised import linearise
 from ..equilibrium.margin_change import margin_slopes
 from ..equilibrium.result import Equilibrium
@@ -240,16 +240,11 @@ def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
 # --- loads ------------------------------------------------------------------------------------------------------------
 
 
-def loaded(plain: Equilibrium, load: Load) -> Equilibrium:
-    """The equilibrium into which one without load grows; raises SolveError where the robot does not bear it there."""
-    return forward_kinematics(plain.robot, plain.rotations, plain.translations, load=load, guess=plain)
-
-
 def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, Array]:
     """(3,) m and (3, X) of a load that grows on a pose; raises SolveError where the robot does not bear it there."""
     pose, chain = state.pose(index), state.chain(index)
     plain = to_equilibrium(pose.solved, "guess")
-    pushed = loaded(plain, load)
+    pushed = under_load(plain, load)
     of = linearise(pushed, pose.wrt, more=pose.more, along=pose.along)
     change = (of.tip_position - pose.derivatives.tip_position) @ chain
     return pushed.tip_position - plain.tip_position, change
@@ -259,7 +254,8 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
     """`sure_margin` of a pose under a load, and its change (X,); raises SolveError where the robot does not bear it
     there, or breakpoints meet at the pose that part."""
     plain, names, rows = _unloaded(state, index)
-    pushed, pieces = loaded(plain, load), np.eye(state.layout.size)[state.free_pieces]
+    pushed, pieces = under_load(plain, load), np.eye(state.layout.size)[state.free_pieces]
+    least = sure_margin(pushed)
     if load.has_energy:
         pose, chain = state.pose(index), state.chain(index)
         slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
@@ -268,7 +264,7 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
         slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
     if not np.isfinite(slope).all():
         raise SolveError(f"the margin of pose {index} under a load has no derivative: breakpoints meet there")
-    return sure_margin(pushed), slope
+    return least, slope
 
 
 def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:

@@ -199,15 +199,12 @@ def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:
     """theta (len(arc_length), n) of an equilibrium: as solved at its own collocation points, else cubic Hermite; phi
     where a tube is made of pieces."""
-    own = equilibrium.point
-    if len(own) == len(arc_length) and np.abs(own - arc_length).max(initial=0.0) <= ROUND_OFF:
-        theta = equilibrium.point_rotation
-        if not equilibrium.robot.even:
-            placed = assembly_of(equilibrium.robot, tuple(equilibrium.translations.tolist()))
-            theta = theta - placed.wound(arc_length)
-        return theta
-    arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
-    return sample_arms(equilibrium.robot, equilibrium.translations, equilibrium.arc_length, arm, arc_length)
+    own, robot, shift = equilibrium.point, equilibrium.robot, equilibrium.translations
+    if len(own) != len(arc_length) or np.abs(own - arc_length).max(initial=0.0) > ROUND_OFF:
+        arm = np.stack([equilibrium.rotation.T, equilibrium.torsion.T])
+        return sample_arms(robot, shift, equilibrium.arc_length, arm, arc_length)
+    theta = equilibrium.point_rotation
+    return theta if robot.even else theta - assembly_of(robot, tuple(shift.tolist())).wound(arc_length)
 
 
 def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_length: Array) -> Array:

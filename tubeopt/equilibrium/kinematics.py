@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,16 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..block.transcription.arm import profile
-from ..block.transcription.reduced import Evaluation, evaluate, worst_equation
+from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.newton import NewtonResult, leave_saddle
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
-from .answer import FOLDED, answered, error_of, point_of, to_equilibrium, unsolved
+from .answer import FOLDED, answered, error_of, to_equilibrium, unsolved
 from .compiled import along, nearby, unloaded
 from .continuation import (
     Family,
@@ -127,6 +125,13 @@ def forward_kinematics(  # noqa: PLR0913
     return verify_equilibrium(found) if verify else found
 
 
+def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
+    """The equilibrium at the same joint values into which one grows with a load, or goes over as its load becomes
+    another; raises SolveError where it is lost."""
+    robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
+    return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
+
+
 def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
     """The equilibrium of a point that was reached from `start`, on the first mesh whose estimated error is small
     enough, as far as finer ones help.
@@ -163,7 +168,7 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
             return point, "tubes without torsion"
     except SolveError as error:
         failure = f" ({error})"
-    result = _from_home(member)
+    result = member.from_home()
     point = Point.of(member, result)
     if point.margin <= 0 or not result.converged:
         raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
@@ -184,7 +189,7 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
     """Solved from unknowns x (U,) by a method; raises SolveError where it does not converge."""
     problem, rotations = member.problem, member.rotations
     if by.name == "newton":
-        result = _by_centreline(member, x, by.newton) if problem.assembly.eccentric else member.descend(x, by.newton)
+        result = member.descend(x, by.newton)
     elif by.name == "energy" and problem.assembly.eccentric:
         raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
     else:
@@ -193,30 +198,6 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
     if not result.converged:
         raise SolveError(f"{Status.NOT_CONVERGED}: {worst_equation(problem, result.state)}")
     return Point.of(member, result)
-
-
-def _by_centreline(member: Unloaded, x: Array, settings: Newton) -> NewtonResult[Evaluation]:
-    """Newton for tubes off the centreline from where the energy of the same tubes on it leads."""
-    concentric = member.on_centreline()
-    start = concentric.descend(concentric.unknowns(member.at(x).theta), settings)
-    return member.solve(member.unknowns(start.state.theta), settings=settings)
-
-
-def _from_home(member: Unloaded) -> NewtonResult[Evaluation]:
-    """Turn all tubes together from home, descending in energy at each step; then leave any saddle."""
-    concentric, rotations = member.on_centreline(), member.rotations
-    steps = max(1, int(np.ceil(np.abs(rotations).max(initial=0.0) / CONTINUATION.home_turn)))
-    z = np.zeros(concentric.problem.size)
-    for k in range(1, steps + 1):
-        here = replace(concentric, rotations=rotations * k / steps)
-        result = here.descend(z)
-        if result.converged and here.margin(result.state) <= 0:
-            sides = [here.descend(start) for start in leave_saddle(here.problem, result.state)]
-            result = min(sides, key=lambda side: side.state.energy)
-        z = result.state.z
-    if member.problem.assembly.eccentric:
-        result = member.solve(member.unknowns(result.state.theta))
-    return result
 
 
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
@@ -255,12 +236,11 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
             here = [here, *along(family, here, asked)][-1]
         if here.t == 1.0:
             return here.pose
+    near, shortest = _start(family, here), CONTINUATION.shortest_step if grows else CONTINUATION.sharpest_step
     if grows:
-        near, stable, shortest = point_of(guess, family.load, d), True, CONTINUATION.shortest_step
-    else:
-        near, shortest = _start(family, here), CONTINUATION.sharpest_step
-        # Without a load the branch of the guess is followed whether it stays stable or not.
-        stable = family.load is not None and near.margin > 0
+        near = Point.near(near.member, near.state.x, FOLDED)
+    # Without a load the branch of the guess is followed whether it stays stable or not.
+    stable = grows or (family.load is not None and near.margin > 0)
     point = reach(family, near, stable=stable, shortest=shortest)
     if point.t < 1.0 and grows:
         why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"

@@ -25,8 +25,8 @@ from ..block.transcription.second_variation import margin, softest, unstable_dir
 from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.newton import NewtonResult, descend, torsional_turn
-from ..solvers.settings import NEWTON, Newton
+from ..solvers.newton import NewtonResult, descend, leave_saddle, torsional_turn
+from ..solvers.settings import CONTINUATION, NEWTON, Newton
 from ..typing import Array
 from .member import Member, Place, Point, pieces_of
 from .problem import DEFAULT_DISCRETISATION, Discretisation, reduced_problem
@@ -67,14 +67,34 @@ class Unloaded(Member[Evaluation]):
         """Of the torsion."""
         return evaluate(self.problem, self.rotations, x)
 
-    def on_centreline(self) -> Unloaded:
-        """With all tubes on the centreline: these have the energy that is to fall."""
-        return replace(self, problem=on_centreline(self.problem))
-
     def descend(self, x: Array, settings: Newton = NEWTON) -> NewtonResult[Evaluation]:
         """The minimum of the energy to which a descent leads from x (U,); for tubes off the centreline, which have no
-        such energy, of those `on_centreline`."""
+        such energy, what Newton's method finds from that of the same tubes on it."""
+        if self.problem.assembly.eccentric:
+            there = self._on_centreline()
+            start = there.descend(there.unknowns(self.at(x).theta), settings)
+            return self.solve(self.unknowns(start.state.theta), settings=settings)
         return descend(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual, settings)
+
+    def from_home(self) -> NewtonResult[Evaluation]:
+        """By turning all tubes together from home, with a descent in energy at each step, off any saddle."""
+        there = self._on_centreline()
+        z = np.zeros(there.problem.size)
+        steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / CONTINUATION.home_turn)))
+        for k in range(1, steps + 1):
+            here = replace(there, rotations=self.rotations * k / steps)
+            result = here.descend(z)
+            if result.converged and here.margin(result.state) <= 0:
+                sides = [here.descend(start) for start in leave_saddle(here.problem, result.state)]
+                result = min(sides, key=lambda side: side.state.energy)
+            z = result.state.z
+        if self.problem.assembly.eccentric:
+            result = self.solve(self.unknowns(result.state.theta))
+        return result
+
+    def _on_centreline(self) -> Unloaded:
+        """With all tubes on the centreline: these have the energy that is to fall."""
+        return replace(self, problem=on_centreline(self.problem))
 
     def turn(self, state: Evaluation, step: Array) -> float:
         """Of a tube."""

@@ -14,7 +14,7 @@ from ..inverse.clock import Clock
 from ..typing import Array
 from .goals import End
 from .motion import Motion
-from .proof import verify_trajectory
+from .proof import Kept, proved
 from .question import PlanTask
 from .smooth import smooth
 from .timing import Limits, at_full_speed, stopping_at, through
@@ -112,23 +112,11 @@ def build(
     q[0], q[-1] = begin, last
     q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
     table = np.array([space.joint(row) for row in q])
+    table[0] = [*first.rotations, *first.translations]
     n = space.robot.n_tubes
-    proof = verify_trajectory(
-        space.robot,
-        t,
-        table[:, :n],
-        table[:, n:],
-        start=first,
-        obstacles=task.obstacles,
-        min_margin=task.min_margin - 1e-6,
-        clearance=task.clearance - task.reserve,
-        rate_limits=rates,
-        limits=space.limits,
-        clock=clock,
-        max_force=task.max_force,
-        load=task.chart.load,
-        effort=task.effort.proof,
-    )
+    least, clearance = task.min_margin - 1e-6, task.clearance - task.reserve
+    kept = Kept(task.obstacles, least, clearance, rates, space.limits, task.max_force)
+    proof = proved(first, t, table, kept, clock, task.effort.proof)
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.timing.hurry and len(proof.faults) == 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 from ..bodies.frames import Frame
 from ..display import Displayed
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..inverse.configurations import configuration
 from ..inverse.descent import reach
-from ..inverse.goal import pose_question, unit_vector
+from ..inverse.goal import Goal, unit_vector
 from ..inverse.joints import JointSpace
 from ..inverse.outline import Outline
 from ..inverse.posture import posture_of, start_at
@@ -109,19 +109,12 @@ class End:
 def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, name: str = "start") -> Equilibrium:
     """The equilibrium that a plan begins with, under the load; raises InputError and SolveError where there is none."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
-    if isinstance(known, Equilibrium):
-        if known.robot != space.robot:
-            raise InputError(f"{name} is an equilibrium of another robot")
-        return known if load is None or known.load == load else under_load(known, load)
-    q = configuration(space, name, start)
-    rotations, shift = space.split(q)
-    return forward_kinematics(space.robot, rotations, shift, load=load)
-
-
-def under_load(equilibrium: Equilibrium, load: Load) -> Equilibrium:
-    """The equilibrium at the same joint values into which one grows with a load; raises SolveError where it is lost."""
-    robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
-    return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
+    if not isinstance(known, Equilibrium):
+        rotations, shift = space.split(configuration(space, name, start))
+        return forward_kinematics(space.robot, rotations, shift, load=load)
+    if known.robot != space.robot:
+        raise InputError(f"{name} is an equilibrium of another robot")
+    return known if load is None or known.load == load else under_load(known, load)
 
 
 def check_start(task: PlanTask, start: Equilibrium) -> None:
@@ -280,9 +273,21 @@ def _beside(
     if near is None or wanted is None or task.chart.load is not None:
         return []
     space, found = task.chart.space, list[Equilibrium]()
-    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
+    options, weights = _options(task, clock.left), 1 / space.scale
     for place in wanted.places():
-        question = replace(pose_question(space.robot, (place.position, place.direction), **asks), clock=clock)
+        question = Goal(
+            space,
+            place.position,
+            place.direction,
+            task.min_margin + 2 * FINISHED,
+            task.scene,
+            None,
+            False,
+            space.middle(),
+            weights,
+            options,
+            clock=clock,
+        )
         points = near(question.position)
         for q in task.chart.joints(points):
             start = start_at(space, q)
@@ -335,14 +340,19 @@ def _asked(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> d
 
 def kept(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
     """What joint values for a place of the tip have to keep, with a margin of at least `floor`, and their time."""
+    options = _options(task, seconds)
+    return {"min_margin": floor, "limits": task.chart.space.limits, "obstacles": task.obstacles, "options": options}
+
+
+def _options(task: PlanTask, seconds: float) -> InverseOptions:
+    """How joint values are asked for in a time, s."""
     space = task.chart.space
-    options = InverseOptions(
+    return InverseOptions(
         clearance=task.clearance,
         carriage_gap=space.carriage_gap,
         section_length=space.section_length,
         time_limit=max(seconds, LEAST_SECONDS),
     )
-    return {"min_margin": floor, "limits": space.limits, "obstacles": task.obstacles, "options": options}
 
 
 def _in_range(space: JointSpace, name: str, rotations: Array, translations: Array) -> None:

@@ -151,6 +151,24 @@ class Proof(Displayed):
         return self.least_clearance
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What a trajectory must keep; as of `verify_trajectory`."""
+
+    bodies: tuple[Obstacle, ...]
+    """Obstacles."""
+    min_margin: float
+    """Least margin."""
+    clearance: float
+    """Of the arm from them, m."""
+    rate_limits: RateLimits | None
+    """Of the actuators and the tip."""
+    limits: JointLimits | None
+    """Of the joints."""
+    max_force: float
+    """On the tip, N."""
+
+
 @typed
 @small
 def verify_trajectory(  # noqa: PLR0913
@@ -212,20 +230,30 @@ def verify_trajectory(  # noqa: PLR0913
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
     usual_length("clearance", clearance, FAR_FROM_BODIES, zero=True)
+    positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
-    forced = under_any_force(robot, shift, max_force, load) if positive("max_force", max_force, zero=True) else None
+    kept = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
+    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock or Clock(LONG_TIME_LIMIT), effort)
+
+
+def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock, effort: ProofSearch) -> Proof:
+    """What is found on a trajectory through joint values (T, 2n) at times t (T,), s, which begins with an equilibrium
+    at the first of them."""
+    robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
+    forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    wanted = Wanted(clearance + moved, effort.accuracy, effort.cells)
-    follower = Follower(robot, scene_of(bodies), wanted, clock or Clock(LONG_TIME_LIMIT), effort, load)
+    wanted = Wanted(kept.clearance + moved, effort.accuracy, effort.cells)
+    follower = Follower(robot, scene_of(kept.bodies), wanted, clock, effort, load)
+    rate_limits = kept.rate_limits
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
-    passage = follow(follower, first, t, np.concatenate([alpha, shift], axis=1))
+    passage = follow(follower, first, t, joints)
     pace = paced(follower, passage.links, float(t[-1] - t[0]), tip)
-    refuted, unproved = _branch_faults(follower, passage, min_margin, t)
+    refuted, unproved = _branch_faults(follower, passage, kept.min_margin, t)
     unproved += _tip_faults(pace, tip, pushed=forced is not None)
     if forced is not None:
-        unproved += _force_faults(forced, min_margin)
+        unproved += _force_faults(forced, kept.min_margin)
     late = bool(unproved) and follower.clock.over
-    proof = _judge(follower, (passage, pace), refuted, joint_range(robot, limits), (t, alpha, shift), rate_limits)
+    proof = _judge(follower, (passage, pace), refuted, joint_range(robot, kept.limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
 

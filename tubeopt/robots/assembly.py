@@ -188,13 +188,13 @@ def assemble(
                 f"{name} of tube {i + 1} is {translations[i]:g} m, which pulls it out of its actuator; "
                 f"it must be at most its straight_length, {straight[i]:g} m"
             )
+    curvature, bending, torsional = (
+        _numbers(tubes, name) for name in ("arc", "bending_stiffness", "torsional_stiffness")
+    )
     check_reach(tubes, translations.tolist())
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
-    curvature, bending, torsional = (
-        _numbers(tubes, name) for name in ("arc", "bending_stiffness", "torsional_stiffness")
-    )
     table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
     cuts = merge([0.0, *(s for s in _breakpoints(transition, end, table, beta) if s > 0)])
     middle = (cuts[:-1] + cuts[1:])[:, None] / 2

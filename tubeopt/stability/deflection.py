@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -134,23 +135,29 @@ def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, loa
     """
     way = np.atleast_2d(np.asarray(translations, dtype=float))
     whole = max_force + (0.0 if load is None else most_borne(robot, way, load))
-    first = snap_free_certificate(robot, way[0], max_force=whole)
+    first, found = snap_free_certificate(robot, way[0], max_force=whole), []
+    for near, far in _boxes(way):
+        bundle, margin = bundle_of(robot, near, far), first
+        if not np.array_equal(near, far):
+            margin = 1 - bundle.softened(whole, pairs=True) if bundle.total_length else 1.0
+        tip = np.array([bundle.total_length])
+        found.append((margin, float(_moved(bundle, margin, max_force, tip)[0])))
+    least, most = np.array(found).T
+    return ForceBound(max_force, float(least.min()), float(most.max()))
+
+
+def _boxes(way: Array) -> list[tuple[Array, Array]]:
+    """Least and greatest translations (n,) in each box of a way (T, n); of one that rests one box without size."""
     if (way == way[0]).all():
-        bundle = bundle_of(robot, way[0])
-        return ForceBound(max_force, first, _farthest(bundle, first, max_force))
+        return [(way[0], way[0])]
     along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way, axis=0)).max(1))])
     edges = np.linspace(0, along[-1], min(MOST_BOXES, math.ceil(along[-1] / BOX)) + 1)
     corners = np.stack([np.interp(edges, along, column) for column in way.T], axis=1)
-    found = []
-    for k in range(len(edges) - 1):
-        inside = np.concatenate([corners[k : k + 2], way[(along >= edges[k]) & (along <= edges[k + 1])]])
-        bundle = bundle_of(robot, inside.min(0), inside.max(0))
-        margin = 1.0
-        if bundle.total_length:
-            margin -= bundle.softened(whole, pairs=True)
-        found.append((margin, _farthest(bundle, margin, max_force)))
-    least, most = np.array(found).T
-    return ForceBound(max_force, float(least.min()), float(most.max()))
+    each = [
+        np.concatenate([corners[k : k + 2], way[(along >= a) & (along <= b)]])
+        for k, (a, b) in enumerate(pairwise(edges))
+    ]
+    return [(inside.min(0), inside.max(0)) for inside in each]
 
 
 def most_borne(robot: Robot, way: Array, load: Load) -> float:
@@ -175,7 +182,3 @@ def most_borne(robot: Robot, way: Array, load: Load) -> float:
     spread = 0.0 if isinstance(along[0], Stretch) else length * float(np.linalg.norm(along))
     weight = np.linalg.norm(load.gravity or ZERO) * masses(robot.tubes, load)
     return float(np.linalg.norm(pushed, axis=1).sum() + weight @ ends) + spread
-
-
-def _farthest(bundle: Bundle, margin: float, force: float) -> float:
-    return float(_moved(bundle, margin, force, np.array([bundle.total_length]))[0])

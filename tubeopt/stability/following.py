@@ -16,7 +16,7 @@ from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.friction import Held, to_held_equilibrium
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
 from ..errors import InputError, SolveError, vector
@@ -186,7 +186,7 @@ def _start(
         refuse_load(first)
     refuse_friction(first)
     if load is not None and first.load != load:
-        first = forward_kinematics(robot, first.rotations, first.translations, load=load, guess=first)
+        first = under_load(first, load)
     own = np.concatenate([first.rotations, first.translations])
     if np.allclose(own, joint, rtol=0, atol=1e-12):
         return first

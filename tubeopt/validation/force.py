@@ -16,7 +16,7 @@ from ..block.transcription.loaded import tip_slopes
 from ..block.transcription.loaded_arm import position_slopes
 from ..display import Displayed
 from ..equilibrium.answer import point_of
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import (
     InputError,
@@ -545,7 +545,7 @@ def _measured(
 def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
     with undoubted():  # forces that are tried
-        e = forward_kinematics(near.robot, near.rotations, near.translations, load=load, guess=near)
+        e = under_load(near, load)
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset

@@ -101,9 +101,10 @@ def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
     """`source` without the functions that Python calls: of it, only what CasADi makes can be seen from outside."""
     slopes = not eccentric
     generator = ca.CodeGenerator("mechanics.c")
-    generator.add(section_functions(n, False)["balance"])
+    concentric, own = section_functions(n, False), section_functions(n, eccentric)
+    generator.add(concentric["balance"])
     generator.add(coupling_rate_function(n))
-    section = section_functions(n, eccentric)["section"]
+    section = own["section"]
     symbols = section.sx_in()
     moment, stretch, curvature, bending = section.call(symbols)
     for name, given, outputs in (
@@ -114,9 +115,9 @@ def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
         generator.add(ca.Function(name, given, [ca.densify(out) for out in outputs], {"cse": True}))
     if slopes:
         for name in ("curvature_slope", "variation", "linear"):
-            generator.add(section_functions(n, False)[name])
+            generator.add(concentric[name])
     if eccentric:
-        generator.add(ca.Function("stretched", *signature(section_functions(n, True)["balance"]), {"cse": True}))
+        generator.add(ca.Function("stretched", *signature(own["balance"]), {"cse": True}))
     constants = {
         "ECCENTRIC": int(eccentric),
         "SLOPES": int(slopes),
@@ -319,8 +320,8 @@ def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) 
 @lru_cache(maxsize=16)
 def library(n: int, eccentric: bool) -> Kernel | None:
     """The compiled kernel for n tubes, as `source`; None where it cannot be had."""
-    what = "eccentric" if eccentric else "concentric"
-    kernel = load_kernel((n, what), lambda: source(n, eccentric), _answer(n))
+    kind, answer = (n, "eccentric" if eccentric else "concentric"), _answer(n)
+    kernel = load_kernel(kind, lambda: source(n, eccentric), answer)
     if kernel is None:
         return None
     pointer, whole, functions = ctypes.c_void_p, ctypes.c_longlong, kernel.functions
