@@ -13,6 +13,7 @@ import numpy as np
 from ..block.own import OwnRequirement
 from ..block.quantities import CLEARANCES, Look, Quantity, recorded
 from ..equilibrium.answer import sure_margin
+from ..equilibrium.kinematics import under_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..physics.strain import surface_strain
@@ -23,7 +24,7 @@ from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
 from .drawn import draw
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
-from .state import STRONGEST, loaded
+from .state import STRONGEST
 
 MISSED = 1e-6
 """Part of a limit, or of a step of an own requirement, by which it may be missed."""
@@ -140,9 +141,9 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
             case "clearance":
                 return np.full(CLEARANCES, least_room(one.at[0], robot, found))
             case "deflection":
-                return loaded(found, one.at[0]).tip_position - found.tip_position
+                return under_load(found, one.at[0]).tip_position - found.tip_position
             case "margin_under":
-                return np.array([sure_margin(loaded(found, one.at[0]))])
+                return np.array([sure_margin(under_load(found, one.at[0]))])
             case "stroke_force":
                 limit = find_stroke_force(
                     robot, found.rotations, found.translations, equilibrium=found, up_to=STRONGEST

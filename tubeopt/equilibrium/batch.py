@@ -23,6 +23,7 @@ from ..typing import Array, Index, Mask, Sentence
 from .answer import largest_error
 from .compiled import grow_many
 from .kinematics import forward_kinematics
+from .method import TOLERANCE
 from .result import Equilibrium
 
 CHUNK = 2048
@@ -111,7 +112,7 @@ def forward_kinematics_batch(  # noqa: PLR0913
     translations: ArrayLike | None = None,
     *,
     load: Load | None = None,
-    tolerance: float = 1e-8,
+    tolerance: float = TOLERANCE,
     workers: int = 1,
     on_failure: str = "return",
     progress: Callable[[int], object] | None = None,
@@ -151,6 +152,23 @@ def forward_kinematics_batch(  # noqa: PLR0913
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 0:
         raise InputError(f"workers is {workers!r}; it must be 0 (one per core) or a number of threads")
     _admissible(robot, shift)
+    raises = on_failure == "raise"
+    return solved_batch(robot, alpha, shift, load, tolerance, workers=workers, raises=raises, progress=progress)
+
+
+def solved_batch(
+    robot: Robot,
+    alpha: Array,
+    shift: Array,
+    load: Load | None = None,
+    tolerance: float = TOLERANCE,
+    *,
+    workers: int = 1,
+    raises: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> EquilibriumBatch:
+    """That of `forward_kinematics_batch` at rotations and translations (N, n) that are known to be admissible;
+    `raises`: for the first configuration without an equilibrium."""
     table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
     compliance = np.full((len(alpha) if load is not None else 0, 6, 6), np.nan)
     failures: list[tuple[int, str]] = []
@@ -179,7 +197,7 @@ def forward_kinematics_batch(  # noqa: PLR0913
         done += count
         if progress is not None:
             progress(done)
-        if failures and on_failure == "raise":
+        if failures and raises:
             row, reason = min(failures)
             raise SolveError(f"configuration {row}: {reason}")
     return replace(_batch(robot, alpha, shift, table, sorted(failures)), compliance=compliance)

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, field
 
 from ..solvers.time_limit import LateError as LateError
 from ..solvers.time_limit import time_left
 
 
+@dataclass(eq=False)
 class Clock:
     """Time that is left of a limit; the longer time `within` which it lies tells how crowded the machine is."""
 
-    def __init__(self, limit: float, within: Clock | None = None) -> None:
-        self.began, self.limit = time.perf_counter(), min(limit, time_left())
-        self.since: tuple[float, float] = (self.began, time.process_time()) if within is None else within.since
-        """Wall and processor time from which crowding is told, s."""
+    limit: float
+    """s, at most what is left of the time limit around it."""
+    within: Clock | None = None
+    """The clock of which this is a share."""
+    began: float = field(default_factory=time.perf_counter, init=False)
+    """On the clock, s."""
+    worked: float = field(default_factory=time.process_time, init=False)
+    """Time of the processor when it began, s."""
+
+    def __post_init__(self) -> None:
+        self.limit = min(self.limit, time_left())
 
     @property
     def seconds(self) -> float:
@@ -33,7 +42,9 @@ class Clock:
     @property
     def crowding(self) -> float:
         """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
-        passed, worked = time.perf_counter() - self.since[0], time.process_time() - self.since[1]
+        if self.within is not None:
+            return self.within.crowding
+        passed, worked = time.perf_counter() - self.began, time.process_time() - self.worked
         return max(1.0, passed / worked) if worked > 0 else 1.0
 
     @property

@@ -17,7 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..display import in_full
-from ..equilibrium.batch import forward_kinematics_batch
+from ..equilibrium.batch import solved_batch
 from ..errors import InputError
 from ..files.files import atomic_write
 from ..robots.assembly import Assembly
@@ -80,7 +80,7 @@ def build_table(
     while tried < size and not clock.over:
         began, some = clock.seconds, q[tried : tried + count]
         joint = space.joint(some)
-        found = forward_kinematics_batch(space.robot, joint[:, :n], joint[:, n:])
+        found = solved_batch(space.robot, joint[:, :n], joint[:, n:])
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
         tried += count

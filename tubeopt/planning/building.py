@@ -120,7 +120,8 @@ def build(
     if not (proof.holds or proof.open):
         hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < hurry < task.effort.timing.hurry and len(proof.faults) == 1:
-            return build(task, first, end, motion.slower(hurry), found)
+            slower = motion.slower(hurry)
+            return build(task, first, end, slower, found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
     late = Clock(task.effort.shares.late_seconds)

@@ -24,7 +24,7 @@ from ..inverse.descent import reach
 from ..inverse.goal import Goal, unit_vector
 from ..inverse.joints import JointSpace
 from ..inverse.outline import Outline
-from ..inverse.posture import posture_of, start_at
+from ..inverse.posture import start_at
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -139,11 +139,10 @@ def ends(
     many as are `enough`, and where these lead nowhere, from the start.
 
     Raises:
-        InputError: a goal that is none, or out of range.
+        InputError: a goal that is out of range.
         SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
     """
     clock = clock or Clock(math.inf)
-    check_goal(task.chart.space.robot, goal)
     found, whole = _beside(task, goal, near, enough, clock), False
     if not found:
         found, whole = _equilibria(task, start, goal, clock)
@@ -393,6 +392,6 @@ def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[E
 
 
 def _end(task: PlanTask, e: Equilibrium, turns: Sequence[int]) -> End:
-    q = posture_of(task.chart.space, e).q
+    q = task.chart.space.join(e.rotations, e.translations)
     whole = 2 * np.pi * np.pad(turns, (0, len(q) - len(turns)))
     return End(task.chart.of(e) + whole, q + whole, tuple(turns))

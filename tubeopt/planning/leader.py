@@ -25,7 +25,7 @@ from ..solvers.parallel.blas import small
 from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .building import passing
-from .goals import ends, start_equilibrium
+from .goals import check_goal, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import damped_step, step_constraints
@@ -123,6 +123,7 @@ def follow_the_leader(  # noqa: PLR0913
 def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     """The equilibrium at the end."""
     space = task.chart.space
+    check_goal(space.robot, goal)
     if isinstance(goal, Equilibrium):
         ends(task, goal, goal)
         return goal

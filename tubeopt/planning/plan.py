@@ -22,7 +22,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Faults, build, motions_near, no_time
-from .goals import End, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import End, check_goal, check_start, ends, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
 from .timing import Limits, stopping_at
@@ -76,6 +76,7 @@ def plan_trajectory(  # noqa: PLR0913
         True
     """
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, load, (start, goal))
+    check_goal(robot, goal)
     with task.in_time():
         return _planned(task, start, goal)
 
