@@ -22,11 +22,11 @@ from tubeopt import (
     SolveError,
     Tube,
     forward_kinematics,
-    forward_kinematics_batch,
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
+from tubeopt.equilibrium.batch import solved_batch
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.descent import reach
 from tubeopt.inverse.goal import pose_question, unit_vector
@@ -438,9 +438,9 @@ class TestStarts:
         part = start_table(space, 64, Once(60.0))
         assert 0 < part.tried < 64
         solved: list[int] = []
-        solve = forward_kinematics_batch
+        solve = solved_batch
         monkeypatch.setattr(
-            "tubeopt.inverse.table.forward_kinematics_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
+            "tubeopt.inverse.table.solved_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
         )
         whole = start_table(space, 64)
         assert sum(solved) == 64 - part.tried

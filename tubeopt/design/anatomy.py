@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..block.quantities import CLEARANCES
+from ..block.transcription.arm import between
 from ..block.transcription.standing import hat
 from ..typing import Array, Index
 from .pose import Pose
@@ -31,11 +32,9 @@ def _between(pose: Pose, share: Array) -> tuple[Index, Array, Array, Array]:
     """For parts (K,) of the arm: the shape point before, the length to the next, how far along it, 0 to 1, and what
     `_cubic` weighs (4, K, 3)."""
     s, position, tangent = pose.arm.arc_length, pose.arm.position, pose.arm.frame[:, :, 2]
-    at = share * s[-1]
-    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
-    h = s[k + 1] - s[k]
+    k, h, x = between(s, share * s[-1])
     nodes = np.stack([position[k], h[:, None] * tangent[k], position[k + 1], h[:, None] * tangent[k + 1]])
-    return k, h, (at - s[k]) / h, nodes
+    return k, h, x, nodes
 
 
 def arm_points(pose: Pose, share: Array) -> Array:

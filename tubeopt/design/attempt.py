@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from ..solvers.time_limit import check_time
 from ..typing import Array
 from .objectives import KINDS, AnyObjective, key_of
 from .program import BOUNDED, Program, Reached
-from .rows import Rows, cubed, fixed_rows, folded, rows_of, squared
+from .rows import Rows, cubed, fixed_rows, rows_of, squared
 from .state import State
 
 FEASIBLE = 1e-7
@@ -297,6 +297,21 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
     return np.clip(x, program.lower, program.upper)
 
 
+def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
+    """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
+    sides = [1 if group.vector is None else 6 for group in groups]
+    counts = [each * len(group.values) for each, group in zip(sides, groups, strict=True)]
+    *parts, rest = np.split(optimum.multipliers, np.cumsum(counts))
+    of_cubes = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
+    return replace(optimum, multipliers=np.concatenate([*of_cubes, rest]))
+
+
+def prices(groups: Sequence[Rows], multipliers: Array) -> list[float]:
+    """What each group of rows costs, per step of its limit: the sum of its multipliers, of all rows."""
+    *parts, _ = np.split(multipliers, np.cumsum([len(group.values) for group in groups]))
+    return [float(part.sum()) for part in parts]
+
+
 def improve(
     program: Program,
     start: Array,
@@ -343,7 +358,7 @@ def improve(
         bound_multipliers=optimum.bound_multipliers * size / scale,
     )  # fmt: skip
     if form is cubed:
-        optimum = folded(optimum, known.groups)
+        optimum = _folded(optimum, known.groups)
     reached = attempt(program, optimum.x, optimum)
     if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
         return reached

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..block.quantities import Quantity
-from ..solvers.smooth import Optimum
 from ..typing import Array
 from .layout import FreePose
 from .order import gaps_of, order_gaps
@@ -152,18 +151,3 @@ def cubed(group: Rows) -> Rows:
     if group.slack is not None:
         jacobian[:, group.slack[1]] += 1.0
     return replace(group, values=values, jacobian=jacobian)
-
-
-def folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
-    """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
-    sides = [1 if group.vector is None else 6 for group in groups]
-    counts = [each * len(group.values) for each, group in zip(sides, groups, strict=True)]
-    *parts, rest = np.split(optimum.multipliers, np.cumsum(counts))
-    folded = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
-    return replace(optimum, multipliers=np.concatenate([*folded, rest]))
-
-
-def prices(groups: Sequence[Rows], multipliers: Array) -> list[float]:
-    """What each group of rows costs, per step of its limit: the sum of its multipliers, of all rows."""
-    *parts, _ = np.split(multipliers, np.cumsum([len(group.values) for group in groups]))
-    return [float(part.sum()) for part in parts]

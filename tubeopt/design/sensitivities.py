@@ -8,10 +8,9 @@ import numpy as np
 import scipy
 
 from ..typing import Array
-from .attempt import Attempt
+from .attempt import Attempt, prices
 from .cells import cell_of, cell_rows
 from .parameters import UNITS
-from .rows import prices
 from .statements import Limit
 
 

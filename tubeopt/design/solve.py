@@ -8,11 +8,11 @@ import numpy as np
 
 from ..errors import SolveError
 from ..typing import Array
-from .attempt import Attempt, Report, attempt, improve, to_feasibility
+from .attempt import Attempt, Report, attempt, improve, prices, to_feasibility
 from .cells import Cell, cell_of, cell_rows, swapped
 from .collocation import collocate
 from .program import Program
-from .rows import cubed, prices
+from .rows import cubed
 from .starts import with_joints
 from .state import State
 

@@ -211,8 +211,9 @@ def _value_and_change(state: State, one: Quantity) -> tuple[Array, Array]:
             ended = state.joint_slopes(one.pose)[1] + state.slopes["curved_length"]
             chain, thicker = state.chain(one.pose), 0.5 * state.slopes["outer_diameter"]
             return arm_clearance(state.pose(one.pose), one.at[0], chain, thicker, ended)
+    chain = state.chain(one.pose)
     value, change = _of_pose(state.pose(one.pose), one)
-    return value, change @ state.chain(one.pose)
+    return value, change @ chain
 
 
 def _row(found: tuple[float, Array]) -> tuple[Array, Array]:
@@ -253,11 +254,11 @@ def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, 
 def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Array]:
     """`sure_margin` of a pose under a load, and its change (X,); raises SolveError where the robot does not bear it
     there, or breakpoints meet at the pose that part."""
+    pose, chain = state.pose(index), state.chain(index)
     plain, names, rows = _unloaded(state, index)
     pushed, pieces = under_load(plain, load), np.eye(state.layout.size)[state.free_pieces]
     least = sure_margin(pushed)
     if load.has_energy:
-        pose, chain = state.pose(index), state.chain(index)
         slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
     else:
         free = [(step, robots) for _, step, robots in _free_pieces(state)]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..block.transcription.collocated import ENDS
+from ..block.transcription.arm import between
+from ..block.transcription.collocated import ENDS, THROUGH_ENDS
 from ..typing import Array
 from .linearised import Linearised
 
@@ -48,16 +49,14 @@ def _longer(of: Linearised) -> Array:
 
 def _place(of: Linearised, fraction: float) -> tuple[int, float]:
     """The piece in which a fraction of the length lies, and how far inside, 0 to 1."""
-    s = fraction * of.cuts[-1]
-    k = int(np.clip(np.searchsorted(of.cuts[:-1], s, side="right") - 1, 0, len(of.cuts) - 2))
-    return k, float((s - of.cuts[k]) / (of.cuts[k + 1] - of.cuts[k]))
+    (k,), _, (x,) = between(of.cuts, np.array([fraction * of.cuts[-1]]))
+    return int(k), float(x)
 
 
 def _weights(of: Linearised, fraction: float) -> tuple[int, Array, Array]:
     """The piece in which a fraction of the length lies, and weights (5,) of its shape points in value and change per m,
     by the polynomial through them."""
     k, x = _place(of, fraction)
-    table = np.linalg.inv(np.vander(ENDS, increasing=True))
     powers = np.arange(len(ENDS))
     rates = powers * np.power(x, np.maximum(powers - 1, 0))
-    return k, np.power(x, powers) @ table, rates @ table / (of.cuts[k + 1] - of.cuts[k])
+    return k, np.power(x, powers) @ THROUGH_ENDS, rates @ THROUGH_ENDS / (of.cuts[k + 1] - of.cuts[k])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..block.transcription import arm as arms
-from ..block.transcription.arm import Found
-from ..block.transcription.collocated import ENDS, STEPS
+from ..block.transcription.arm import Found, between
+from ..block.transcription.collocated import STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import LoadedProblem, monotonicity
 from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import ROUND_OFF
@@ -216,14 +216,12 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
         return np.repeat(phi, len(arc_length), axis=-2)
     if not even:
         # The polynomial through the shape points of each piece: its rate jumps between.
-        piece = np.clip(np.searchsorted(s[::STEPS], arc_length, side="right") - 1, 0, len(s) // STEPS - 1)
-        x = np.clip((arc_length - s[piece * STEPS]) / (s[(piece + 1) * STEPS] - s[piece * STEPS]), 0.0, 1.0)
-        basis = np.vander(x, STEPS + 1) @ np.linalg.inv(np.vander(ENDS, STEPS + 1))
+        piece, _, x = between(s[::STEPS], arc_length)
+        basis = np.vander(np.clip(x, 0.0, 1.0), STEPS + 1, increasing=True) @ THROUGH_ENDS
         around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]
         return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
-    k = np.clip(np.searchsorted(s, arc_length, side="right") - 1, 0, len(s) - 2)
-    h = (s[k + 1] - s[k])[:, None]
-    x = np.clip((arc_length - s[k]) / h[:, 0], 0.0, 1.0)[:, None]
+    k, length, share = between(s, arc_length)
+    h, x = length[:, None], np.clip(share, 0.0, 1.0)[:, None]
     value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
     value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
     return np.asarray(value)

@@ -14,7 +14,6 @@ from ..robots.order import SAME_END, twisted_tube
 from ..typing import Array
 from .answer import point_of
 from .loaded import Loaded, LoadedPoint
-from .member import Point
 from .result import Equilibrium
 
 
@@ -41,7 +40,7 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
     there = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
-    found: LoadedPoint = Point.near(there, there.carried(point), failure)
+    found: LoadedPoint = point.onto(there, failure)
     return compliance_along(there.problem, found.state, min(arc_length, length), chosen)
 
 

@@ -153,7 +153,7 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
             raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", found)
         there, before = point.member.on(refinement=level + 1), error
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = Point.near(there, there.carried(point), failure, by.newton)
+        point = point.onto(there, failure, by.newton)
         point = _by_method(point, by)
     raise AssertionError("the finest mesh either holds the tolerance or raises")
 

@@ -183,7 +183,6 @@ def linearise(
         InputError: friction acts on it.
         SolveError: it is a fold.
     """
-    refuse_friction(equilibrium)
     if abs(equilibrium.margin) < APART:
         raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
     tubes = equilibrium.robot.tubes
@@ -207,7 +206,9 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
 
 @lru_cache(maxsize=8)
 def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
-    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as there."""
+    """The arm of an equilibrium of concentric tubes, on the mesh on which it was solved; `straight` as there. Raises
+    InputError where friction acts on it, and SolveError where it was not solved."""
+    refuse_friction(equilibrium)
     robot, shift = equilibrium.robot, tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
         problem, burden = reduced_problem(robot, shift, discretisation_of(equilibrium)), None

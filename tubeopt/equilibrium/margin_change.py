@@ -62,6 +62,16 @@ def beside(e: Equilibrium, name: str, tube: int, step: float) -> Side:
     return robot, joints["rotations"], tuple(joints["translations"].tolist())
 
 
+def sides_of(e: Equilibrium, name: str, tube: int) -> tuple[float, list[Side]]:
+    """A step of a parameter of a tube, and what is a step further and a step back from an equilibrium; empty where one
+    of them does not exist."""
+    step = STEP * unit_of(e, name, tube)
+    try:
+        return step, [beside(e, name, tube, sign * step) for sign in (1, -1)]
+    except InputError:
+        return step, []
+
+
 def margin_slopes(
     e: Equilibrium, wrt: Sequence[str], varied: Sequence[tuple[float, tuple[Robot, Robot]]] = (), *, sure: bool = False
 ) -> Array:
@@ -74,12 +84,7 @@ def margin_slopes(
     """
     point: LoadedPoint = point_of(e)
     shift, sides = point.member.translations, list[tuple[float, list[Side]]]()
-    for name, tube in ((name, i) for name in wrt for i in range(len(e.rotations))):
-        step = STEP * unit_of(e, name, tube)
-        try:
-            sides.append((step, [beside(e, name, tube, sign * step) for sign in (1, -1)]))
-        except InputError:
-            sides.append((step, []))
+    sides += [sides_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
     sides += [(step, [(robot, e.rotations, shift) for robot in robots]) for step, robots in varied]
     matrix = symmetric_part(point.member.problem, point.state) if sure else point.state.hessian
     found = _modes(matrix, symmetric=sure)

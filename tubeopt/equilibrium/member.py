@@ -79,6 +79,10 @@ class Point(Generic[M, S]):
             raise SolveError(failure)
         return Point.of(member, result)
 
+    def onto(self, there: M, failure: str, settings: Newton = NEWTON) -> Point[M, Any]:
+        """The equilibrium of another problem close to this one; raises SolveError as `near`."""
+        return Point.near(there, there.carried(self), failure, settings)
+
 
 Place = Point[Any, Any]
 """A point with a load or without one."""

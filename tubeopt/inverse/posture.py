@@ -8,6 +8,7 @@ from math import ceil
 
 import numpy as np
 
+from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.scene import Scene
 from ..equilibrium.answer import point_of
@@ -148,10 +149,10 @@ class Posture:
         """(c, m) change of the distances of contacts with q. A contact at the edge where a tube ends moves along with
         it."""
         away, arm = scene.gradients(contacts.body, contacts.point), self.equilibrium
-        slope = (away[:, None] @ _between(arm.arc_length, self.along, contacts.place))[:, 0]
+        slope = (away[:, None] @ _interpolated(arm.arc_length, self.along, contacts.place))[:, 0]
         # The end of the arm is the last of the shape points, which moves along by itself.
         ends = np.where((arm.tube_end > 0) & (arm.tube_end < arm.arc_length[-1] - EDGE), arm.tube_end, np.nan)
-        ahead = (away * _between(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
+        ahead = (away * _interpolated(arm.arc_length, arm.frame[:, :, 2], contacts.place)).sum(1)
         slope[:, len(ends) :] += ahead[:, None] * (np.abs(contacts.place[:, None] - ends) <= EDGE)
         return self.space.by_joints(slope)
 
@@ -174,12 +175,12 @@ class Posture:
         return Posture(self.space, q, here)
 
 
-def _between(s: Array, table: Array, at: Array) -> Array:
+def _interpolated(s: Array, table: Array, at: Array) -> Array:
     """(c, ...) linear interpolation in a table (m, ...) at arc lengths (c,)."""
     if len(s) < 2:
         return np.repeat(table[:1], len(at), axis=0)
-    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
-    x = ((at - s[k]) / (s[k + 1] - s[k])).reshape(-1, *[1] * (table.ndim - 1))
+    k, _, share = between(s, at)
+    x = share.reshape(-1, *[1] * (table.ndim - 1))
     return np.asarray((1 - x) * table[k] + x * table[k + 1])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, softness, whitened
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, row_of, softness
 from ..display import Displayed
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
@@ -121,7 +121,7 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
     inside, ends = softness(problem)
     places = np.append(problem.mesh.start, problem.assembly.total_length)
     whole = ends[int(np.abs(places - problem.assembly.end[tube]).argmin()), tube]
-    a = whitened(problem, np.where(problem.tube == tube, inside[problem.point, tube], 0.0))
+    a = row_of(problem, tube, inside[:, tube])
     return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
 
 

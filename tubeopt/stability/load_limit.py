@@ -14,7 +14,7 @@ from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.loaded import Loaded, LoadedPoint
-from ..equilibrium.member import Place, Point
+from ..equilibrium.member import Place
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
@@ -149,8 +149,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
 def _restart(point: Place, there: Loaded) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
     failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
-    found: LoadedPoint = Point.near(there, there.carried(point), failure)
-    return replace(found, t=there.factor)
+    return replace(point.onto(there, failure), t=there.factor)
 
 
 def _described(loss: Loss, scale: float) -> LoadLimit:

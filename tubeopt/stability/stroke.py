@@ -12,7 +12,7 @@ from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..block.transcription.mesh import needs
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.margin_change import STEP, beside, unit_of
+from ..equilibrium.margin_change import STEP, Side, sides_of
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
@@ -127,38 +127,29 @@ def stroke_slopes(
     turned = first.jacobian(wrt=wrt).rotation
     out = []
     for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
-        slope = np.cross(turned[:, k], force)
-        step = STEP * unit_of(first, name, tube)
-        both = _sides(first, (name, tube, step), force, slope)
+        step, sides = sides_of(first, name, tube)
+        try:
+            both = _pushed(sides, force, step * np.cross(turned[:, k], force))
+        except InputError:
+            both = []
         if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
             raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
         rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
         out.append(-rate / by_force)
     for one in varied:
-        slope, shift = np.cross(one.turn, force), tuple(first.translations.tolist())
-        loads = (Load(tuple((force + sign * one.step * slope).tolist())) for sign in (1, -1))
-        both = [
-            (loaded_problem(robot, shift, load, LOADED_DISCRETISATION), first.rotations)
-            for robot, load in zip(one.robots, loads, strict=True)
-        ]
+        sides = [(robot, first.rotations, tuple(first.translations.tolist())) for robot in one.robots]
+        both = _pushed(sides, force, one.step * np.cross(one.turn, force))
         out.append(-_rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], one.step) / by_force)
     return value, np.array(out)
 
 
-def _sides(
-    e: Equilibrium, what: tuple[str, int, float], force: Array, slope: Array
-) -> list[tuple[LoadedProblem, Array]]:
-    """Problems and rotations with a parameter of a tube a step further, and a step back, without those of which there
-    is no robot, under a force that changes by `slope` with it."""
-    (name, tube, size), out = what, []
-    for step in (size, -size):
-        try:
-            robot, alpha, shift = beside(e, name, tube, step)
-            load = Load(tuple((force + step * slope).tolist()))
-            out.append((loaded_problem(robot, shift, load, LOADED_DISCRETISATION), alpha))
-        except InputError:
-            continue
-    return out
+def _pushed(sides: Sequence[Side], force: Array, change: Array) -> list[tuple[LoadedProblem, Array]]:
+    """Problems and rotations at a step further and a step back, under a force that changes with a step; raises
+    InputError where the arm does not exist there."""
+    return [
+        (loaded_problem(robot, shift, Load(tuple((force + sign * change).tolist())), LOADED_DISCRETISATION), alpha)
+        for (robot, alpha, shift), sign in zip(sides, (1, -1), strict=False)
+    ]
 
 
 def _rate(loss: Loss, both: Sequence[tuple[LoadedProblem, Array, float]], step: float) -> float:

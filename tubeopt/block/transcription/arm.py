@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -242,6 +242,24 @@ class Arm(ArmShape):
     shape_error: float
     defect: float
     energy: float
+
+
+class Between(NamedTuple):
+    """Places (S,) between points of an arm."""
+
+    point: Index
+    """(S,) the one before."""
+    length: Array
+    """(S,) from there to the next, m."""
+    share: Array
+    """(S,) of that length to the place; outside of 0 to 1 beyond the ends."""
+
+
+def between(s: Array, at: Array) -> Between:
+    """Where arc lengths (S,) lie between points (m,), m at least 2."""
+    k = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    length = s[k + 1] - s[k]
+    return Between(k, length, (at - s[k]) / length)
 
 
 def arc_lengths(mesh: Mesh) -> Array:

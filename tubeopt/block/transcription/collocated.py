@@ -31,6 +31,9 @@ STEPS = 4
 ENDS = np.arange(STEPS + 1) / STEPS
 """Fractions of a piece at which its shape points lie, its beginning included."""
 
+THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
+"""(5, 5) powers of a fraction by this: weights of the values at ENDS in the polynomial through them."""
+
 
 @dataclass(frozen=True)
 class Grid:

@@ -24,7 +24,7 @@ from ...robots.load import Load
 from ...robots.order import last_tube, twisted_tube
 from ...typing import Array, Index
 from .orientation import Orientation, tangent_slopes, tangents
-from .reduced import ReducedProblem, softness, whitened
+from .reduced import ReducedProblem, row_of, softness
 
 END = 1e-12
 """Distance (m) within which a moment acts where a tube ends: round-off of a length."""
@@ -89,10 +89,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     outermost = present.shape[1] - 1 - present[:, ::-1].argmax(1)
     # A torque turns its tube up to where it acts, and no farther.
     levers = [np.minimum(ahead[:, j], ends[e, j]) for e, j in zip(joint.tolist(), on_joint, strict=True)]
-    rows = [
-        whitened(torsion, np.where(torsion.tube == j, lever[torsion.point], 0.0))
-        for j, lever in zip(on_joint, levers, strict=True)
-    ]
+    rows = [row_of(torsion, j, lever) for j, lever in zip(on_joint, levers, strict=True)]
     tube = np.array([*on_joint, *outermost.tolist()], dtype=np.intp)
     row = np.concatenate([np.array(rows), spread[point, outermost]])
     turns = np.concatenate([ends[joint, tip], ahead[point, tip]])

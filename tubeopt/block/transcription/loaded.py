@@ -32,7 +32,7 @@ from .buffered import section_function
 from .couples import Couples, couples_of
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, softness, to_unknowns, torsional_hessian, whitened
+from .reduced import ReducedProblem, row_of, softness, to_unknowns, torsional_hessian
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +159,7 @@ def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
     """Rotation of the tube that ends last at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
     tip = int(last_tube(torsion.assembly.end))
     lever, ends = softness(torsion)
-    row = whitened(torsion, np.where(torsion.tube == tip, lever[torsion.point, tip], 0.0))
-    return row, float(ends[-1, tip])
+    return row_of(torsion, tip, lever[:, tip]), float(ends[-1, tip])
 
 
 def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:

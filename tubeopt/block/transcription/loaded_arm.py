@@ -11,7 +11,7 @@ from .buffered import mapped
 from .collocated import ENDS
 from .loaded import LoadedProblem, LoadedState
 from .orientation import IDENTITY, tangent_slopes, tangents
-from .reduced import whitened
+from .reduced import row_of
 
 
 def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
@@ -65,10 +65,9 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     """(N,) weights by which values at the points are integrated from the plate to arc length s, m."""
     mesh = problem.mesh
     degree = mesh.tableau.degree
-    piece = int(np.clip(np.searchsorted(mesh.start, s, side="right") - 1, 0, len(mesh.start) - 1))
-    x = min(1.0, (s - mesh.start[piece]) / mesh.length[piece])
+    (piece,), x = mesh.places(np.array([s]))
     weight = np.where(np.arange(len(problem.softness)) < piece * degree, problem.torsion.weight, 0.0)
-    weight[piece * degree : (piece + 1) * degree] = mesh.length[piece] * mesh.tableau.lagrange([x], integrals=1)[0]
+    weight[piece * degree : (piece + 1) * degree] = mesh.length[piece] * mesh.tableau.lagrange(x, integrals=1)[0]
     return np.asarray(weight)
 
 
@@ -108,5 +107,5 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     shared = (up_to + within) * rate / torsion.weight
     lever = held + shared @ weight
     whole = held + float((weight**2 * rate / torsion.weight).sum())
-    row = whitened(torsion, np.where(torsion.tube == tube, lever[torsion.point], 0.0))
+    row = row_of(torsion, tube, lever)
     return row, whole - float(row @ row)

@@ -345,6 +345,11 @@ def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Arra
     return whitened(problem, theta[p, t] - rotations[t])
 
 
+def row_of(problem: ReducedProblem, tube: int, lever: Array) -> Array:
+    """(U,) the turn of a tube at a place by z; `lever` (N,): its turn there by a torque at each point, rad/(N m)."""
+    return whitened(problem, np.where(problem.tube == tube, lever[problem.point], 0.0))
+
+
 def whitened(problem: ReducedProblem, turns: Array) -> Array:
     """z (U,) of turns (U,) of the unknown rotations, rad."""
     if not problem.size:
