@@ -214,7 +214,7 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "plan": lambda robot: {"goal_deg": _turn(robot, 90)},
     "design": _design,
     "workspace": lambda robot: {"samples": 2000},
-    "fabrication": lambda robot: {"rig": "thesis_calcium_silicate"},
+    "fabrication": lambda robot: {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},
 }
 """Kind of a study of a robot -> keys with which it can be run, where it needs any."""
 
@@ -224,7 +224,7 @@ ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "ex
 """Kind -> the robot of such a study where none is given; of others it is that of the thesis."""
 
 OF_RIGS: dict[str, Data] = {
-    "heating": {"rig": "thesis_calcium_silicate"},
+    "heating": {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},
     "led_heating": {"rig": "thesis_calcium_silicate"},
     "heating_run": {"simulate": "thesis_calcium_silicate"},
     "heating_calibration": {"rig": "thesis_calcium_silicate", "log": "heating_log"},
