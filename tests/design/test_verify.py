@@ -12,7 +12,8 @@ import pytest
 from tests.examples import nested
 from tubeopt import ConcentricRobot, SolveError, snap_free_certificate
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.design import requirements, verify
+from tubeopt.design import exchange, requirements, verify
+from tubeopt.design.program import Added
 from tubeopt.design.requirements import Avoid, Reach, SnapFree, SnapFreeInUse, StrokeForce, Target
 
 ROBOT = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0))
@@ -196,3 +197,18 @@ def test_a_deployment_is_off_by_the_length_of_each_gap(monkeypatch: pytest.Monke
     asked: Any = SimpleNamespace(poses=())
     left = np.array(requirements.Deployment(6e-3).expression(asked)).ravel()
     assert left == pytest.approx([1e-3, -1e-3], abs=1e-9)
+
+
+@pytest.mark.parametrize("promised", [None, 0.5])
+def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promise_is_certified(
+    promised: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = SnapFree(0.2, box=((0.0, 0.0), (0.01, 0.01)), curvature_error=0.1)
+    auxiliary = () if promised is None else ("margin",)
+    layout = SimpleNamespace(auxiliary=auxiliary, column=lambda name: 0, certified=())
+    program: Any = SimpleNamespace(added=Added(), layout=layout, task=SimpleNamespace(requirements=(one,)))
+    monkeypatch.setattr(exchange, "robot_at", lambda *_: ROBOT)
+    for short, added in ((0.9e-4, ()), (1.1e-4, ((0.01, 0.0),))):
+        least = max(one.floor, promised or 0.0) - short
+        monkeypatch.setattr(exchange, "worst_in_box", lambda *_, least=least: (least, (0.01, 0.0)))
+        assert exchange.violations(program, np.array([promised or 0.0]))[0].translations == added
