@@ -57,3 +57,10 @@ def test_a_format_that_a_command_does_not_have(run: Run, tmp_path: Path, typed: 
 
 def test_words_of_a_flag_are_shown_as_its_choices(run: Run) -> None:
     assert "[newton|ipopt|energy]" in run("fk", "--help").out
+
+
+def test_the_help_groups_the_commands(run: Run) -> None:
+    shown = run("--help").out
+    for heading in ("Ask", "Design", "Plan", "Build", "Measure", "Real time", "Files"):
+        assert f"─ {heading} ─" in shown
+    assert "─ Commands ─" not in shown

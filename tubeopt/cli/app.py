@@ -33,10 +33,12 @@ class LazyCommand(TyperCommand):
     Args:
         name: what is typed.
         what: what it asks, or module of this package and function, as "export.export".
+        panel: heading in the help of all commands.
     """
 
-    def __init__(self, name: str, what: Asked | str) -> None:
-        super().__init__(name, help=flowing(what.help) if isinstance(what, Asked) else _documented(*what.split(".")))
+    def __init__(self, name: str, what: Asked | str, panel: str | None = None) -> None:
+        words = flowing(what.help) if isinstance(what, Asked) else _documented(*what.split("."))
+        super().__init__(name, help=words, rich_help_panel=panel)
         self.what = what
 
     @functools.cached_property
@@ -85,6 +87,23 @@ GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
 """Words that several commands begin with, and what their help says."""
 
 
+PANELS = {
+    "Ask": "fk ik equilibria snap follow load-limit force certify stability-map workspace view",
+    "Design": "design design-pair",
+    "Plan": "plan plan-arms verify",
+    "Build": "mold heat fabricate",
+    "Measure": "validate measure",
+    "Real time": "export serve",
+    "Files": "init list robot run sweep doctor",
+}
+"""Headings of the help -> the commands below them."""
+
+
+def _panel(word: str) -> str:
+    """Heading of a command, or of a group, in the help."""
+    return next(heading for heading, commands in PANELS.items() if word in commands.split())
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"tubeopt {__version__}")
@@ -119,9 +138,9 @@ def program() -> TyperGroup:
         for word in above:
             kind, help_text = GROUPS[word]
             if word not in place.commands:
-                place.add_command(kind(name=word, help=help_text, no_args_is_help=True))
+                place.add_command(kind(name=word, help=help_text, no_args_is_help=True, rich_help_panel=_panel(word)))
             place = place.commands[word]
-        place.add_command(LazyCommand(name, what))
+        place.add_command(LazyCommand(name, what, None if above else _panel(name)))
     return group  # type: ignore[no-any-return]
 
 
