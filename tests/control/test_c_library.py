@@ -326,26 +326,33 @@ def contacts_of(arm: Equilibrium, bodies: Sequence[Obstacle]) -> np.ndarray:
     return np.column_stack([found.place, scene.gradients(found.body, found.point), found.distance])
 
 
-def test_among_bodies_the_servo_does_what_that_of_python_does(thesis: CRobot) -> None:
-    """It slides along a ball before the tip, and along one beside the end of the second tube, which moves with it."""
-    seed = forward_kinematics(THESIS, *START)
+@pytest.mark.parametrize("which", ["thesis", "pieces"])
+def test_among_bodies_the_servo_does_what_that_of_python_does(which: str, request: pytest.FixtureRequest) -> None:
+    """It slides along a ball before the tip; the thesis robot also along one beside the end of its second tube."""
+    library, robot = request.getfixturevalue(which), THESIS if which == "thesis" else PIECES
+    space = joint_space(robot)
+    start = START if which == "thesis" else space.split(0.5 * space.inside() + 0.5 * space.middle())
+    pose = library.solve(*start)
+    seed = forward_kinematics(robot, *start)
     edge = Outline(seed).centreline(seed.tube_end[1:2])[0]
-    bodies = [Sphere(tuple((seed.tip_position + np.array([6e-3, 0, 0])).tolist()), 3e-3)]
-    bodies.append(Sphere(tuple((edge + np.array([5e-3, 0.0, 1e-3])).tolist()), 2e-3))
+    across = np.array([1.0, 0.0, 0.0]) if which == "thesis" else seed.tip_rotation[:, 0]
+    bodies = [Sphere(tuple((seed.tip_position + 6e-3 * across).tolist()), 3e-3)]
+    if which == "thesis":
+        bodies.append(Sphere(tuple((edge + np.array([5e-3, 0.0, 1e-3])).tolist()), 2e-3))
     options = ServoOptions(speed=0.1, turn_rate=3.0, shift_rate=0.1, min_margin=0.2, clearance=5e-4)
-    servo = Servo(THESIS, thesis_start(thesis), obstacles=bodies, options=options)
-    target, reasons = seed.tip_position + np.array([8e-3, 0.0, 0.0]), Why(0)
+    servo = Servo(robot, (pose.rotations, pose.translations), obstacles=bodies, options=options)
+    target, reasons = seed.tip_position + 8e-3 * across, Why(0)
     for _ in range(60):
         known = servo.step(Command(position=target), 1e-3)
         here = servo.guard.before.equilibrium
-        pose, _, _, why = thesis.servo(command(target), contacts_of(here, bodies), 5e-4)
+        pose, _, _, why = library.servo(command(target), contacts_of(here, bodies), 5e-4)
         assert pose.tip_position == pytest.approx(known.equilibrium.tip_position, abs=1e-9)
         assert why == known.why
         reasons |= why
         assert min(Outline(known.equilibrium).clearance(scene_of((body,))) for body in bodies) >= 5e-4 - 1e-9
     assert Why.OBSTACLE in reasons
     with pytest.raises(InputError, match="more than it can take"):
-        thesis.servo(command(target), np.zeros((100, 5)))
+        library.servo(command(target), np.zeros((100, 5)))
 
 
 def test_a_contact_a_hair_before_the_end_of_a_tube_moves_with_the_end(thesis: CRobot) -> None:

@@ -77,7 +77,9 @@ class ArmChange(Directions):
         rates[:, :n] = self.rate_there * torque * stretch
         rates[:, n : n + 3] = (frame[..., :2] @ curvature[..., None])[..., 0]
         rates[:, n + 3 : 2 * n + 3] = fall
-        falling = -cross(frame[:count, :, 2], self._force_there)
+        falling = np.zeros((count, 3))
+        if here.load is not None:
+            falling -= cross(frame[:count, :, 2], self._force_there)
         if here.load is not None and here.load.distributed is not None:
             along = here.load.per_length(self.cuts[index] + self.side * ROUND_OFF)[:, MOMENT]
             falling -= along

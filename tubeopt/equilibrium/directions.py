@@ -275,6 +275,8 @@ class Directions:
 
 def _combined(columns: Array, along: Array) -> Array:
     """(..., Q) along directions (L, Q), of (..., L)."""
+    if not columns.any():  # as of joints of tubes of one arc
+        return np.zeros((*columns.shape[:-1], along.shape[1]))
     return np.asarray((columns.reshape(-1, len(along)) @ along).reshape(*columns.shape[:-1], along.shape[1]))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..arguments import typed
-from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, slopes_compiled
+from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, kernel_of, slopes_compiled
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .linearised import Linearised, linearise, sharing
@@ -41,7 +41,8 @@ def compiled_slopes(
     Translations move towards `sides` (n,), 1 where not given, and tubes of one of the `carriages` together; what is
     `asked` are flags of `slopes_compiled`.
     """
-    if len(at.arc_length) < 2:
+    kernel = kernel_of(at.robot)
+    if len(at.arc_length) < 2 or kernel is None or not kernel.differentiable:
         return None
     still, sides = np.zeros(at.robot.n_tubes), sides or (1,) * at.robot.n_tubes
     arm, points = at.arm, at.points

@@ -61,7 +61,7 @@ class SheathedRobot(Robot):
                     f"{which}, {0.25 / abs(tube.curvature):g} m"
                 )
 
-    @property
+    @cached_property
     def moving_together(self) -> tuple[tuple[int, ...], ...]:
         """The three tubes of each segment."""
         return tuple((3 * k, 3 * k + 1, 3 * k + 2) for k in range(len(self.held)))

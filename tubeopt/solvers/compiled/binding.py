@@ -313,10 +313,11 @@ def slopes_compiled(
 ) -> Slopes | None:
     """Derivatives of the equilibrium at joint values (n,) that is found from a start close by, where breakpoints
     coincide those of translations as they are `moved`, and of ends of tubes that move towards the first of its sides;
-    of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or has none.
+    of a margin that two modes share, by `either` of these, or NaN. None where the kernel declines or there is none; it
+    must be `differentiable`.
     """
     prepared = with_kernel(robot, 0)
-    if prepared is None or not prepared[0].differentiable:
+    if prepared is None:
         return None
     kernel, n = prepared[0], robot.n_tubes
     room = room_of(kernel)
