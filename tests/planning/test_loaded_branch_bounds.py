@@ -24,7 +24,7 @@ from tubeopt.planning.branch import whirled
 from tubeopt.planning.cross_sections import Constants, Jet
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS
+from tubeopt.planning.sections import PARTS, Intervals
 from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.typing import Array
 
@@ -619,14 +619,14 @@ def test_what_differs_between_loaded_arms_is_as_wrong_as_both_ends() -> None:
     assert found.sure.all()
 
 
-def test_loads_are_sampled_with_the_errors_of_both_ends() -> None:
-    """Torques 2 and -3 between 2.5 and -2.9, moments that differ by 5."""
-    samples = iter(
-        [
-            (np.array([[[[2.0], [-3.0]]]]), np.array([[[[0.0, 0.0], [3.0, 4.0]]]])),
-            (np.array([[[[2.5], [-2.9]]]]), np.zeros((1, 1, 2, 2))),
-        ]
-    )
+@pytest.mark.parametrize("order", [1, -1])
+def test_loads_are_sampled_with_the_errors_of_both_ends(order: int) -> None:
+    """Torques 2 and -3 between 2.5 and -2.9, moments that differ by 5; and backwards."""
+    ends = [
+        (np.array([[[[2.0], [-3.0]]]]), np.array([[[[0.0, 0.0], [3.0, 4.0]]]])),
+        (np.array([[[[2.5], [-2.9]]]]), np.zeros((1, 1, 2, 2))),
+    ]
+    samples = iter(ends[::order])
     arms = SimpleNamespace(
         sampled=lambda *_: next(samples), load_error=(np.array([[0.01], [0.02]]), np.array([0.03, 0.04]))
     )
@@ -635,20 +635,22 @@ def test_loads_are_sampled_with_the_errors_of_both_ends() -> None:
     assert (size.item(), change.item(), moment.item()) == pytest.approx((3.03, 0.53, 5.07))
 
 
-def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_time() -> None:
-    """By gravity and along the arm, across it; the load ahead of the base of a straight arm is its lever."""
-    load = Load(force=(0.01, 0.0, 0.0), distributed=(0.2, 0.0, 0.0))
+@pytest.mark.parametrize("per_length", [0.2, -0.2])
+def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_time(per_length: float) -> None:
+    """By gravity and along the arm, across it; the load ahead of the base of a straight arm is its lever. What cancels
+    the force on the tip makes it less towards the plate."""
+    load = Load(force=(0.01, 0.0, 0.0), distributed=(per_length, 0.0, 0.0))
     robot = nested((0.0, 0.05, 0.0), (0.0, 0.03, 0.0))
     arms = [forward_kinematics(robot, [0.0, 0.0], shift, load=load) for shift in ([-0.01, -0.01], [-0.008, -0.009])]
     table = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
     intervals = LoadedIntervals.of(table, np.array([0]), np.array([1]))
     for k in range(intervals.length[0].shape[1]):
         sizes = [
-            0.01 + 0.2 * max(end - cuts[0, at], 0.0)
+            0.01 + per_length * max(end - cuts[0, at], 0.0)
             for cuts, end in ((intervals.begin, 0.04), (intervals.end, 0.042))
             for at in (k, k + 1)
         ]
-        assert intervals.force.v[0, k] == pytest.approx(max(sizes), rel=1e-9)
+        assert intervals.force.v[0, k] == pytest.approx(max(map(abs, sizes)), rel=1e-9)
         assert intervals.force.d[0, k] == pytest.approx(
             max(abs(sizes[2] - sizes[0]), abs(sizes[3] - sizes[1])), abs=1e-12
         )
@@ -660,6 +662,47 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     along, weight = np.array([[0.0, 3.0, 4.0, 0.1, 0.0, 0.0], [1.0, 0, 0, 0, 0.2, 0]]), np.diag([0.0, 1.5, 2.0])
     hanging = Pull(np.zeros(6), np.zeros(0), np.zeros((0, 6)), np.zeros((2, 2)), along, weight)
     assert hanging.per_length == pytest.approx((5.0 + 1.0 + 1.5 + 2.0, 0.1 + 0.2))
+
+
+def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
+    """M on the tip against 30 M / m along the arm: from less than M the other side at the plate, through 0, to M."""
+    moment, robot = 1e-3, nested((0.04, 0.05, 0.0))
+    along = Stretch(0.0, 0.06, moment=(-30 * moment, 0.0, 0.0))
+    pull = Pull.of(robot, Load(moment=(moment, 0.0, 0.0), distributed=(along,)))
+    arms = [forward_kinematics(robot, [0.0], [shift]) for shift in (0.0, 0.002)]
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
+    ends = [moment * (1 - 30 * (cuts[0, -1] - cuts[0])) for cuts in (intervals.begin, intervals.end)]
+    for k in range(intervals.length[0].shape[1]):
+        most = max(abs(end[at]) for end in ends for at in (k, k + 1))
+        assert intervals._loads[1].v[0, k] == pytest.approx(most, rel=1e-9)
+        change = max(abs(ends[1][at] - ends[0][at]) for at in (k, k + 1))
+        assert intervals._loads[1].d[0, k] == pytest.approx(change, abs=1e-15)
+    assert intervals.couple.v[0, -1] == pytest.approx(moment)
+
+
+@pytest.mark.parametrize(
+    ("load", "inwards", "ordered"),
+    [
+        (Load(moment=(0.0, 0.0, 1e-3)), 0.002, False),
+        (Load(moment=(0.0, 0.0, 1e-3)), -0.002, True),
+        (Load(force=(0.0, 0.0, 0.1)), 0.002, True),
+        (Load(points=(PointLoad(0.02, moment=(0.0, 0.0, 1e-3)),)), 0.002, True),
+        (Load(points=(PointLoad(0.03, moment=(0.0, 0.0, 1e-3)),)), 0.002, False),
+        (Load(points=(PointLoad(0.03, force=(0.0, 0.0, 0.1)),)), 0.002, True),
+    ],
+)
+def test_no_branch_is_sought_where_a_moment_passes_from_one_tube_to_another(
+    load: Load, inwards: float, ordered: bool
+) -> None:
+    """Two tubes end at one place, where the arm ends. A moment there twists the inner tube; once that is drawn in, a
+    moment on the tip twists the outer one, though no breakpoints change their order."""
+    robot = nested((0.04, 0.05, 4.0), (0.02, 0.03, 3.0))
+    shifts = [-0.02, 0.0], [-0.02 - inwards, 0.0]
+    arms = [forward_kinematics(robot, [0.0, 0.0], shift, load=load) for shift in shifts]
+    table = LoadedArms.of(Constants.of(robot), arms, pull=Pull.of(robot, load))
+    ends = np.array([0]), np.array([1])
+    assert Intervals.of(table, *ends).ordered.all()
+    assert LoadedIntervals.of(table, *ends).ordered.item() == ordered
 
 
 @pytest.mark.parametrize("lost", ["margin of one", "margin of other", "samples", "order"])

@@ -1,0 +1,33 @@
+"""Bounds of what varies along a tube, of polynomials that attain them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.polynomial import chebyshev
+
+from tubeopt.robots.variation import _bound
+from tubeopt.typing import Array
+
+
+def derivatives(coefficients: Array, x: float, half: float) -> Array:
+    """(4,) of a polynomial by arc length, at x of -1 to 1."""
+    orders = [chebyshev.chebder(coefficients, k) / half**k if k else coefficients for k in range(4)]
+    return np.array([chebyshev.chebval(x, each) for each in orders])
+
+
+def test_bounds_of_what_varies_are_attained_where_all_terms_add_up() -> None:
+    """T_k is 1 at 1, and 1 or -1 at -1, its derivatives likewise: odd polynomials have their largest derivatives at
+    both ends, and are least at -1. There 1 / kt changes most, by the derivatives of a quotient."""
+    half = 0.02
+    kb, kt = np.array([5.0, 0.9, 0.0, 0.4]), np.array([3.0, 0.5, 0.0, 0.6])
+    x, z = np.array([2.0, 0.3, 0.5, 0.2]), np.array([1.0, 0.7, 0.4, 0.1])
+    found = _bound(np.array([kb, kt, x, 0.75 * x, z]), half)
+    low, high = (np.array([derivatives(each, end, half) for each in (kb, kt)]) for end in (-1, 1))
+    assert found[:4] == pytest.approx([low[0, 0], *np.abs(low[0, 1:])])
+    v, d, dd, ddd = low[1]
+    eased = [-d / v**2, 2 * d**2 / v**3 - dd / v**2, -6 * d**3 / v**4 + 6 * d * dd / v**3 - ddd / v**2]
+    assert found[4:8] == pytest.approx([v, *np.abs(eased)])
+    assert found[8:12] == pytest.approx(1.25 * derivatives(chebyshev.chebmul(kb, x), 1, half))
+    assert found[12:15] == pytest.approx(derivatives(z, 1, half)[:3])
+    assert found[15:] == pytest.approx(high[:, 0])
