@@ -582,20 +582,27 @@ def _distance(trial: _Trial, measured: Measured) -> float:
 
 
 def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> ForceEstimate:
-    """The estimate from a trial. Where the fit does not settle, the force along the directions that are seen worst is
-    that of the trial, if the rest settles within the noise and fits along them fail for moved measurements.
+    """The estimate from a trial. Where directions are hidden, the others are fitted first: hidden there too, the force
+    along them stays that of the trial. So does it along the directions that are seen worst where the fit does not
+    settle, if the rest settles within the noise and fits along them fail for moved measurements.
     A short arm hardly gives to a force along it."""
     quick, weakest = replace(solver, settled=SETTLED, steps=STEPS), np.linalg.svd(start.jacobian)[2].T
     failed: SolveError | None = None
-    for axes in (EVERYWHERE, weakest[:, :2], weakest[:, :1]):
+    choices = [EVERYWHERE, weakest[:, :2], weakest[:, :1]]
+    seen = weakest[:, ~_hidden(start)]
+    if 0 < seen.shape[1] < 3:
+        choices.insert(0, seen)
+    for axes in choices:
         try:
             trial, iterations = _settled(start, base, measured, solver, axes)
         except TimeLimitError:
             raise
         except SolveError as error:
-            failed = failed or error
+            failed = failed if axes is seen else failed or error
             continue
-        if float(np.linalg.norm(_remaining(trial, EVERYWHERE))) <= WITHIN or axes is EVERYWHERE:
+        if axes is seen and _hidden(trial).sum() < 3 - seen.shape[1]:
+            start = trial
+        elif axes is seen or axes is EVERYWHERE or float(np.linalg.norm(_remaining(trial, EVERYWHERE))) <= WITHIN:
             break
     else:
         assert failed is not None
@@ -618,6 +625,14 @@ def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver
     )
 
 
+def _hidden(trial: _Trial) -> Mask:
+    """(3,) which directions, from the best to the worst seen, are not seen: one standard error along them is more, to
+    first order, than four times the load under which a straight arm buckles."""
+    e, size = trial.equilibrium, np.linalg.svd(trial.jacobian, compute_uv=False)
+    buckling = np.pi**2 / 4 * sum(tube.bending_stiffness for tube in e.robot.tubes) / float(e.arc_length[-1]) ** 2
+    return np.asarray((size * 4 * buckling < 1) | (size <= UNSEEN * size[0]))
+
+
 def _spread(
     trial: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array
 ) -> tuple[Array, Array, Array]:
@@ -638,11 +653,8 @@ def _spread(
         others = np.linalg.svd(trial.jacobian @ rest, full_matrices=False)
         left = np.column_stack([left[:, : len(right)], others[0]])
         size, right = np.append(size, others[1]), np.vstack([right, others[2] @ rest.T])
-    linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, dtype=bool)
-    for k in range(3):
-        if k >= len(size) or size[k] <= UNSEEN * size[0]:
-            lost[k] = True
-            continue
+    linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), _hidden(trial)
+    for k in np.flatnonzero(~lost):
         along = axes if k < axes.shape[1] else np.column_stack([axes, right[k]])
         sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], solver, along) for sign in (1.0, -1.0)]
         known = [side for side in sides if side is not None]
