@@ -29,7 +29,6 @@ LONGEST = 30
 
 PENDING = (
     "label *",
-    "message *",
     "docstring *",
     "CHANGELOG.md",
     "CONTRIBUTING.md",

@@ -158,8 +158,8 @@ def test_answers_about_stability() -> None:
     way = follow(THESIS, np.radians([[0, 0, 0], [270, 0, 0]]))
     answers: tuple[Result, ...] = (way, way.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), judge(TWO_TUBE))
     assert [str(each.status) for each in answers] == [
-        "the robot came to all waypoints, and snapped on the way",
-        "the equilibrium was lost, and the robot landed in another one",
+        "the robot reached all waypoints, with snaps",
+        "the robot snapped to another equilibrium",
         "it is proved that the robot cannot snap at any rotation",
         "the robot can snap",
     ]
@@ -172,7 +172,7 @@ def test_answers_about_stability() -> None:
     chart = stability_map(THESIS, samples=3, directions=4, workers=1)
     assert chart.value.shape == (3, 3)
     assert (chart.statistics.ways, chart.statistics.directions) == (9, 4)
-    assert (str(chart.status) == "the robot snaps on none of the ways") == (not chart.snaps.any())
+    assert (str(chart.status) == "the robot snaps on none of the paths") == (not chart.snaps.any())
 
 
 def test_answers_for_many_joint_values_and_of_molds() -> None:
@@ -186,7 +186,7 @@ def test_answers_for_many_joint_values_and_of_molds() -> None:
     assert mold.value == mold.grooves
     assert str(mandrel.status) == "the mandrel is turned, and passes all checks"
     assert mandrel.value.arc_length.shape == mandrel.value.points.shape[:1]
-    held = "the pegs hold the tube as near to its curve as was asked for"
+    held = "the deviation of the tube from its curve is within the limit"
     assert (str(board.status) == held) == (board.deviation <= board.spec.pegs.most_deviation)
     assert board.statistics.pegs == len(board.value) > 2
     assert mold.statistics.grooves == 1

@@ -177,7 +177,7 @@ def numbers(name: str, value: Any) -> tuple[float, ...]:
     except TypeError:
         values = (value,)
     if not values:
-        raise InputError(f"{name} is empty; it must hold at least one number")
+        raise InputError(f"{name} is empty; it must have at least one number")
     return tuple(finite(name, number) for number in values)
 
 

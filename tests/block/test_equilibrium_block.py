@@ -352,11 +352,11 @@ def test_a_program_that_was_not_solved_is_no_equilibrium() -> None:
     ("given", "message"),
     [
         ({"rotations": [0.0]}, r"rotations is \[0.0\]; it must be 2 finite numbers"),
-        ({"tubes": {"curvatur": [1.0, 2.0]}}, "tubes names 'curvatur'.*did you mean 'curvature'"),
+        ({"tubes": {"curvatur": [1.0, 2.0]}}, "tubes has the key 'curvatur'.*did you mean 'curvature'"),
         ({"rotations": ca.MX.sym("q", 3)}, "rotations has 3 entries; it must have 2, one per tube"),
         ({"side": 2}, "side is 2"),
         ({"refinement": -1}, "refinement is -1"),
-        ({"translations": [-0.2, -0.2]}, "behind the plate"),
+        ({"translations": [-0.2, -0.2]}, "the base plate"),
     ],
 )
 def test_wrong_input_is_named(given: dict[str, Any], message: str) -> None:

@@ -144,7 +144,7 @@ def test_multistart_without_success_says_so() -> None:
 def test_wrong_input_is_named() -> None:
     problem = Problem()
     x = problem.variable("x", 2)
-    with pytest.raises(InputError, match="'x' is taken"):
+    with pytest.raises(InputError, match="'x' is already used"):
         problem.variable("x")
     with pytest.raises(InputError, match="guess of 'y' is"):
         problem.variable("y", 2, guess=[1.0, 2.0, 3.0])
@@ -152,14 +152,14 @@ def test_wrong_input_is_named() -> None:
         problem.variable("y", lower=1.0, upper=0.0)
     with pytest.raises(InputError, match="scale of 'y' is"):
         problem.variable("y", scale=0.0)
-    with pytest.raises(InputError, match="no expression"):
+    with pytest.raises(InputError, match="not an expression"):
         problem.subject_to("nothing", 3.0)
     with pytest.raises(InputError, match="shape"):
         problem.minimize(x)
     problem.minimize(ca.MX.sym("stranger"))
     with pytest.raises(InputError, match="symbols that are not the problem's: stranger"):
         problem.solve()
-    with pytest.raises(InputError, match="no variable is called 'z'"):
+    with pytest.raises(InputError, match="no variable 'z'"):
         problem.set_guess("z", 1.0)
     with pytest.raises(InputError, match="no finite bounds"):
         problem.multistart(["x"])

@@ -33,7 +33,7 @@ def test_ends_must_be_free_and_joined() -> None:
     labels[1:6, 1:7, 1:7] = labels[10:15, 1:7, 1:7] = 1
     image = LabelImage(labels, np.full(3, 1e-3))
     field = field_of_image(image, lumen=image.chosen([1]))
-    with pytest.raises(SolveError, match="no free way leads"):
+    with pytest.raises(SolveError, match="no free path"):
         centreline(field, np.array([3, 4, 4]) * 1e-3, np.array([12, 4, 4]) * 1e-3)
     with pytest.raises(InputError, match=r"start of the centreline lies .* mm in the wall; it must be free"):
         centreline(field, np.array([7.5, 4, 4]) * 1e-3, np.array([12, 4, 4]) * 1e-3)

@@ -100,13 +100,13 @@ def sheared(path: Path) -> None:
 BROKEN: list[tuple[str, Callable[[Path], object], str]] = [
     ("a.nii.gz", truncated, "no image can be read from it: "),
     ("a.nii", huge, "has 30000 x 30000 x 30000 voxels, 2.7e[+]04 GB; it must have 1.2 GB at most"),
-    ("a.nii", sheared, "axes of the image are 16.7 deg from square to each other; resample it"),
+    ("a.nii", sheared, "image are 16.7 deg"),
     ("a.nii", lambda path: path.write_bytes(b"hello" * 99), "no image can be read from it: "),
     ("a.nii", lambda path: write_nifti(path, np.zeros((4, 4, 4, 2), np.uint8)), "has 4 x 4 x 4 x 2 voxels"),
-    ("a.nii", lambda path: write_nifti(path, where=np.diag([1e-3, 1e-3, 1e-3, 1])), "is the unit of its header wrong"),
+    ("a.nii", lambda path: write_nifti(path, where=np.diag([1e-3, 1e-3, 1e-3, 1])), "unit in the header"),
     ("a.nii", lambda path: None, "there is no such file"),
-    ("a.dcm", lambda path: path.write_bytes(b""), "is no image that is known; it must be .nii"),
-    ("a.nrrd", lambda path: nrrd.write(str(path), LABELS), "its header does not say how large voxels are"),
+    ("a.dcm", lambda path: path.write_bytes(b""), "image; it must be .nii"),
+    ("a.nrrd", lambda path: nrrd.write(str(path), LABELS), "the header has"),
     ("a.nrrd", lambda path: nrrd.write(str(path), np.zeros((3, 4, 4, 4), np.uint8)), "has 3 x 4 x 4 x 4 voxels"),
     ("a.nhdr", lambda path: path.write_text(LONG), "has 1000 x 1000 x 300 voxels, 2.4 GB; it must have 1.2 GB at most"),
     ("a.nrrd", lambda path: path.write_text("NRRD0004\ntype: uchar\n\n1"), "no image can be read from it: "),
@@ -124,13 +124,13 @@ def test_what_is_wrong_is_one_sentence(tmp_path: Path, name: str, write: Callabl
 def test_labels_must_be_labels(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).normal(0, 300, LABELS.shape).astype(np.float32)
     image = read_image(write_nifti(tmp_path / "ct.nii", noise))
-    with pytest.raises(InputError, match="is no image of labels, for it has values such as"):
+    with pytest.raises(InputError, match="is not a label image: it has values such as"):
         image.chosen([1])
     assert image.between(-100, 100).sum() == (np.abs(noise) <= 100).sum()
     broken = np.where(LABELS, np.nan, 0).astype(np.float32)
     with pytest.raises(InputError, match="NaN or infinite"):
         read_image(write_nifti(tmp_path / "nan.nii", broken)).chosen([1])
-    with pytest.raises(InputError, match=r"lumen 9 is of no voxel of .*; its labels are 3"):
+    with pytest.raises(InputError, match=r"lumen 9 is .*; its labels are 3"):
         read_image(write_nifti(tmp_path / "ok.nii")).chosen([9], "lumen")
 
 
@@ -144,7 +144,7 @@ def test_two_places_in_one_header_are_told(tmp_path: Path, caplog: pytest.LogCap
     image.set_qform(np.diag([*SPACING, 1.0]), 1)
     nibabel.save(image, tmp_path / "two.nii")
     assert np.allclose(read_image(tmp_path / "two.nii").frame.origin, PLACE.origin)
-    assert "its sform and its qform say different places of the image; the sform is taken" in caplog.text
+    assert "sform and qform of the" in caplog.text
     (tmp_path / "dicom.nii").mkdir()
     with pytest.raises(InputError, match="this is a directory; it must be a file"):
         read_image(tmp_path / "dicom.nii")

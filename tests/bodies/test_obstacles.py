@@ -67,7 +67,7 @@ def test_bodies_that_are_none_are_refused() -> None:
         HalfSpace((0, 0, 0), (0, 0, 0))
     with pytest.raises(InputError, match=r"corners of the box are 1 and 0 m along y"):
         Box((0, 1, 0), (1, 0, 1))
-    with pytest.raises(InputError, match=r"the last axis must hold x, y, z"):
+    with pytest.raises(InputError, match=r"the last axis must be x, y"):
         Sphere((0, 0, 0), 1).signed_distance([1.0, 2.0])
 
 

@@ -181,7 +181,7 @@ def test_rounded_corners_are_plane(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.obj", "v 0 0 0\nv 9 0 0\nf 1 2 3\n", "corners that are none of its 2 points"),
+        ("a.obj", "v 0 0 0\nv 9 0 0\nf 1 2 3\n", "outside its 2 points"),
         ("a.obj", "v 0 0 0\nv 9 0 0\nf -3 1 2\n", "face 1 has a corner that is no point"),
         ("a.obj", "v 0 0 0\nv 9 0 0\nv 0 9 0\nf 1 2 3\ncurv 0 1 1 2\n", "curves with knots, which are not read"),
         ("a.obj", "v 0 0 nan\nv 9 0 0\nv 0 9 0\nf 1 2 3\n", "NaN or infinite"),

@@ -60,7 +60,7 @@ def test_a_surface_with_one_side_is_refused() -> None:
     corner = [[((i + a) % n) * n + (j + b if i + a < n else -j - b) % n for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
               for i in range(n) for j in range(n)]  # fmt: skip
     quads = np.array(corner)
-    with pytest.raises(InputError, match="one side"):
+    with pytest.raises(InputError, match="one-sided"):
         oriented(RNG.normal(size=(n * n, 3)), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
 
 

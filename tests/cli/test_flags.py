@@ -114,7 +114,7 @@ def test_a_format_without_a_place_to_save_is_told(run: Run) -> None:
 
 def test_an_arm_of_no_length_is_told(run: Run) -> None:
     told = answer(run("fk", THESIS, "--translations-mm", "-300,-300,-300", "--json"))["warnings"]
-    assert told == ["no tube is in front of the plate at these translations: the tip lies in it"]
+    assert told == ["no tube is in front of the base plate at these translations; the tip lies in the plate"]
 
 
 def test_the_help_is_that_of_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:

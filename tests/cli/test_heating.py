@@ -186,7 +186,7 @@ def test_bad_rig_files_are_refused(run: Run, tmp_path: Path) -> None:
     file.write_text("kind: rig\nbattery: {internal_resistance_mohm: -8}\n")
     assert "battery.internal_resistance_mohm is -8; it must be greater than 0" in refused(run("heat", str(file)))[0]
     file.write_text("kind: rig\nbattery: {}\n")
-    assert "the rig file names no tube" in refused(run("heat", str(file)))[0]
+    assert "the rig file has no tube" in refused(run("heat", str(file)))[0]
     assert refused(run("heat", "none.yaml")) == ["none.yaml: there is no such file"]
 
 
@@ -215,11 +215,11 @@ def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
         (("run", "--port", "p", "--simulate", RIG), "--port and --simulate are given; it must be one of them"),
         (
             ("calibrate", TRIALS, "--rig", RIG),
-            "--trials is missing; the file has the column spring_back_percent, of trials and not of a log",
+            "--trials is missing; the file has the column spring_back_percent of trials",
         ),
         (
             ("calibrate", LOG, "--rig", RIG, "--trials"),
-            "--trials is given; the file has the column temperature_degC, of a log and not of trials",
+            "--trials is given; the file has the column temperature_degC of a log",
         ),
         (("plan", RIG, "--tube", "4"), "--tube is 4; without a robot it must be 1, the rig file's own"),
     ],

@@ -506,14 +506,14 @@ def test_a_directory_that_cannot_be_written_is_refused_before_the_work(
 
 def test_without_a_solution_nothing_is_saved(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def fail(*arguments: Any, **options: Any) -> None:
-        raise SolveError("the branch ends 12.000 % of the way, and descent from there finds no equilibrium")
+        raise SolveError("the branch ends at 12.000 % of the path, and energy descent from there finds no equilibrium")
 
     monkeypatch.setattr(stability_studies, "find_snap", fail)
     outcome = run("snap", THESIS, "--to-deg", "360,0,0", "--out", str(tmp_path / "out"))
     assert outcome == (
         3,
         "",
-        "error: the branch ends 12.000 % of the way, and descent from there finds no equilibrium\n",
+        "error: the branch ends at 12.000 % of the path, and energy descent from there finds no equilibrium\n",
     )
     assert not (tmp_path / "out").exists()
 

@@ -98,7 +98,7 @@ def test_an_empty_trajectory_is_called_empty(run: Run, tmp_path: Path) -> None:
     (tmp_path / "empty.csv").write_text("")
     (message,) = refused(run("verify", str(tmp_path / "empty.csv")))
     assert "empty.csv: the file is empty; its first line must name the columns" in message
-    assert "names no robot" not in message
+    assert "has no robot" not in message
 
 
 def test_verify_takes_a_limit_of_the_tip(run: Run, tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_what_cannot_be_led_to_is_refused_and_what_is_out_of_reach_is_approached
     with pytest.raises(InputError, match="solver is 3; it must be a HorizonSolver"):
         PredictiveServo(THESIS, seed, solver=3)  # type: ignore[arg-type]
     ahead = PredictiveServo(THESIS, seed)
-    with pytest.raises(InputError, match="led to a position"):
+    with pytest.raises(InputError, match="follows a position"):
         ahead.step(Command(velocity=(0.01, 0, 0)), DT)
     with pytest.raises(InputError, match="dt is 0 s"):
         ahead.step(Command(position=BEHIND), 0.0)

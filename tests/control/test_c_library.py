@@ -224,7 +224,7 @@ def test_the_tip_tube_of_tubes_that_end_together_does_not_depend_on_round_off() 
 
 
 def test_loads_that_no_library_has_are_refused() -> None:
-    with pytest.raises(InputError, match="no model has them on tubes off the centreline"):
+    with pytest.raises(InputError, match="requested; loads on"):
         c_library(load_robot("configs/robots/thesis_etr.yaml"), loads=True)
 
 

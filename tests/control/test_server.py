@@ -174,7 +174,7 @@ def test_what_makes_no_sense_changes_nothing() -> None:
         ({"op": "move_jp", **joints, "translations": [-0.05, -50, 0]},
          r"translations of tube 2 is -50 m; it must lie between -0\.15 and 0\.15 m"),
         ({"op": "servo_jp", **joints, "rotations": [0, 57, 0]}, r"rotations of tube 2 is 57 rad; .* between -6\.28"),
-        ({"op": "move_cp", "positon": [0, 0, 0.1]}, "'positon' is not known of move_cp; .*did you mean 'position'"),
+        ({"op": "move_cp", "positon": [0, 0, 0.1]}, "'positon' is not a key of move_cp; .*did you mean 'position'"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             arm.command(message, 0.0)

@@ -92,7 +92,7 @@ def test_what_no_block_expresses_is_refused() -> None:
     corridor = Avoid((Corridor(((0.0, 0.0, -0.01), (0.0, 0.0, 0.2)), 0.1),))
     task = DesignTask(two_tubes(), (Free("curvature", (0, 1), 2.0, 40.0),), (POSE, corridor))
     for other, words in ((corridor, "Avoid"), (Strain((0.02,)), "Strain in poses")):
-        with pytest.raises(InputError, match=f"method 'collocation' does not take the requirement {words}"):
+        with pytest.raises(InputError, match=f"method 'collocation' does not support the requirement {words}"):
             optimize_design(replace(task, requirements=(POSE, other)), method="collocation")
     with pytest.raises(InputError, match=r"method is 'colocation'.*did you mean 'collocation'"):
         optimize_design(task, method="colocation")

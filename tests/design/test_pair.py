@@ -112,7 +112,7 @@ def test_what_is_no_pair_is_refused() -> None:
     task = DesignTask(two_tubes(), (Free("curvature", (0,), 1.0, 60.0),), ordered=False)
     with pytest.raises(InputError, match=r"tasks are .*; they must be two"):
         search_pair((task,), Together())  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="targets are 1 place; two tips need two"):
+    with pytest.raises(InputError, match="targets is 1 point; two tips need"):
         replace(pair(), targets=np.zeros((1, 3)))
     with pytest.raises(InputError, match="bases are 1; they must be two"):
         replace(pair(), bases=pair().bases[:1])  # type: ignore[arg-type]
@@ -167,8 +167,8 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
         ({"region": {"centre_mm": [0, 0, 60], "radius_mm": -1}}, "region.radius_mm is -1"),
         ({"places": 1}, "places is 1; it must be at least 2"),
         ({"judged": 1001}, "judged is 1001; it must be at most 1000"),
-        ({"obstacles": [{"centre_mm": [0, 0, 60], "radius_mm": 9}]}, "a region that lies in a body"),
-        ({"arms": [ARMS[0], ARMS[0]]}, "plates 0 mm apart, which may not be moved"),
+        ({"obstacles": [{"centre_mm": [0, 0, 60], "radius_mm": 9}]}, "has a region"),
+        ({"arms": [ARMS[0], ARMS[0]]}, "base plates 0 mm"),
         ({"arms": [ARMS[0], ARMS[1] | {"free": [{"tubes": [9], "curvature_factor": [0.5, 1.2]}]}]}, "arms[1]: free"),
         ({"arms": [ARM, ARM]}, "arms[0].base is missing"),
     ],

@@ -49,7 +49,7 @@ def test_what_a_search_does_not_take_is_refused() -> None:
     free = (Free("curvature", (0,), 1.0, 20.0),)
     posed = DesignTask(robot, free, (Poses(((0.0, 0.0),), ((0.0, 0.0),)),), Objective("change"), ordered=False)
     boxed = DesignTask(robot, free, (SnapFree(0.05, box=((-0.01, -0.01), (0.0, 0.0))),), ordered=False)
-    for task, words in ((posed, "the task has poses"), (boxed, "snap_free names a box or a force")):
+    for task, words in ((posed, "the task has poses"), (boxed, "snap_free has a box or a force")):
         with pytest.raises(InputError, match=words):
             search_design(task, Bent(), seconds=1)
 
@@ -110,7 +110,7 @@ def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
 def test_regions_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:
     for wrong, words in (
         ({"judged": 10**6}, "objective.judged is 1000000; it must be at most 1000"),
-        ({"judged": 1000}, "as many as places and judged together"),
+        ({"judged": 1000}, "has a target"),
         ({"start_mm": [1, 2]}, "start_mm has 2 numbers; it must be 3"),
         ({"depth_mm": 3}, "objective.depth_mm is not a known key"),
     ):

@@ -171,7 +171,7 @@ def test_a_design_that_no_force_up_to_a_size_can_snap() -> None:
     assert "up to 20 mN" in design.verification.checks[-1].what
     assert design.task is bearing
     strong = replace(task, requirements=(SnapFree(0.05, max_force=1e3), *task.requirements[1:]))
-    with pytest.raises(SolveError, match=r"no design was found that bears 1e\+06 mN"):
+    with pytest.raises(SolveError, match=r"certified for 1e\+06 mN"):
         optimize_design(strong, turns=0)
-    with pytest.raises(InputError, match="max_force and box are given"):
+    with pytest.raises(InputError, match="max_force and box are"):
         SnapFree(0.05, box=((0.0,), (0.1,)), max_force=0.01)

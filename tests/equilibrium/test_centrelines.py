@@ -303,5 +303,5 @@ def test_no_rotation_of_the_example_snaps() -> None:
 def test_a_chain_on_another_branch_says_so() -> None:
     chain = chained_approximation(THREE, mirrored(POSES[0]))
     elsewhere = replace(chain, tip_position=chain.tip_position + 1 * MM)
-    with pytest.raises(SolveError, match=r"settles 1\.73 mm from the chain: on another branch$"):
+    with pytest.raises(SolveError, match=r"another branch, 1\.73 mm"):
         elsewhere.full_model()

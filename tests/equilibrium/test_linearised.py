@@ -330,7 +330,7 @@ def test_a_tip_does_not_draw_back_from_under_a_point_load() -> None:
     out = e.jacobian(wrt=("translations",)).position[:, 0]
     moved = [forward_kinematics(e.robot, [0.0], [k * 1e-5], load=e.load).tip_position for k in (1, 2)]
     assert np.abs(out - (4 * moved[0] - moved[1] - 3 * e.tip_position) / 2e-5).max() < 1e-6
-    with pytest.raises(InputError, match="points of load act at the tip, 110 mm from the plate"):
+    with pytest.raises(InputError, match="the tip, 110 mm"):
         e.jacobian(wrt=("translations",), side=-1)
     e.jacobian(wrt=("rotations",), side=-1)
 
@@ -339,12 +339,12 @@ def test_a_moment_does_not_pass_from_tube_to_tube() -> None:
     at = 0.086 - 0.004
     e = forward_kinematics(_robot(3), ROTATIONS[:3], SHIFT[:3], load=Load(points=((at, (0, 0, 0), (0, 0, 1e-3)),)))
     e.jacobian(wrt=("translations",))
-    with pytest.raises(SolveError, match="no derivative by the end of tube 3: a moment acts there"):
+    with pytest.raises(SolveError, match="of tube 3 does"):
         e.jacobian(wrt=("translations",), side=-1)
     shift = np.array([-0.024, -0.012, 0.0])
     e = forward_kinematics(_robot(3), ROTATIONS[:3], shift, load=Load(moment=(0, 0, 1e-3)))
     for side in (1, -1):
-        with pytest.raises(SolveError, match="no derivative by the end of tube"):
+        with pytest.raises(SolveError, match="the end of tube"):
             e.jacobian(wrt=("curved_length",), side=side)
 
 

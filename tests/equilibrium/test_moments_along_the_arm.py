@@ -88,7 +88,7 @@ def agrees(e: Equilibrium, same: Shot) -> None:
             ),
         ),
     ],
-    ids=["at a place", "at the plate", "along the arm", "with all else"],
+    ids=["objective orientability needs", "at the plate", "along the arm", "with all else"],
 )
 def test_thesis_robot_against_shooting(thesis: ConcentricRobot, load: Load, same: RefLoad) -> None:
     e = forward_kinematics(thesis, ROTATIONS, load=load)
@@ -182,7 +182,7 @@ LOADS = (
 )
 
 
-@pytest.mark.parametrize("load", LOADS, ids=["at a place", "along the arm", "turning with the tip"])
+@pytest.mark.parametrize("load", LOADS, ids=["objective orientability needs", "along the arm", "turning with the tip"])
 def test_jacobian_and_compliance_are_differences(thesis: ConcentricRobot, load: Load) -> None:
     shift, size = np.array([-0.005, -0.01, -0.02]), 1e-4
     e = forward_kinematics(thesis, ROTATIONS, shift, load=load)

@@ -123,7 +123,7 @@ def test_inverse_for_every_assignment(assignment: tuple[int, ...]) -> None:
 
 
 def test_more_than_the_precurvature_is_refused() -> None:
-    with pytest.raises(InputError, match=r"^curvature is 9 per m; towards 30 deg this robot bends with at most 8\.33"):
+    with pytest.raises(InputError, match=r"curvature is 9 per m; towards 30 deg it must be at most 8\.33298 per"):
         mirror_inverse(ETR, 30 * DEG, 9.0)
     with pytest.raises(InputError, match=r"^curvature is -1; it must be at least 0$"):
         mirror_inverse(ETR, 0.0, -1.0)
@@ -157,7 +157,7 @@ def test_a_target_off_the_surface(distance: float) -> None:
     tips = [forward_kinematics(ETR, mirror_rotations(0.6 + a, 0.9 + b)).tip_position for a, b in ((1e-4, 0), (0, 1e-4))]
     normal = np.cross(tips[0] - solved.tip_position, tips[1] - solved.tip_position)
     target = solved.tip_position + distance * normal / np.linalg.norm(normal)
-    with pytest.raises(InputError, match=rf"^position lies {distance * 1e3:.3g}\d* mm off the surface"):
+    with pytest.raises(InputError, match=rf"^position is {distance * 1e3:.3g}\d* mm off the surface"):
         mirror_to_tip(ETR, target)
     near = mirror_to_tip(ETR, target, tolerance=2 * distance)
     assert near.error == pytest.approx(distance, rel=1e-3)
@@ -171,7 +171,7 @@ def test_targets_far_away(target: tuple[float, ...]) -> None:
 
 
 def test_nothing_to_bend() -> None:
-    with pytest.raises(InputError, match=r"tubes are straight; they cannot bend it$"):
+    with pytest.raises(InputError, match=r"tubes are straight and cannot bend"):
         mirror_inverse(EccentricRobot(Tube(1e-3, 0.8e-3, 0.0, 0.1, 0.0)), 0.0, 1.0)
-    with pytest.raises(InputError, match=r"withdrawn behind the plate"):
+    with pytest.raises(InputError, match=r"behind the base plate"):
         mirror_to_tip(ETR, (0.0, 0.0, 0.0), translations=np.full(3, -0.094))

@@ -137,7 +137,7 @@ def test_a_servo_in_c_takes_no_seed_and_no_joints_that_it_cannot_keep() -> None:
 
 def test_a_roadmap_in_which_carriages_are_one_is_refused_where_they_are_apart() -> None:
     options = tubeopt.PlanOptions(roadmap=build_roadmap(TWO_TUBE, count=20))
-    with pytest.raises(InputError, match="carriages apart that move as one in the roadmap"):
+    with pytest.raises(InputError, match="carriages that move together in the roadmap"):
         tubeopt.plan_trajectory(TWO_TUBE, ([0, 0], APART), ([0.4, 0], None), options=options)
 
 

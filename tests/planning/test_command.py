@@ -67,7 +67,7 @@ def test_a_trajectory_made_elsewhere_is_refuted(run: Run, tmp_path: Path) -> Non
     assert "the robot snaps" in outcome.err
     # The path before it is long, so that the line is broken anywhere.
     assert f"naive.csv does not hold, {ASSUMING}".replace(" ", "") in "".join(outcome.out.split())
-    assert "names no robot" in refused(run("verify", str(path)))[0]
+    assert "has no robot" in refused(run("verify", str(path)))[0]
     path.write_text("rotation_1_deg,rotation_2_deg,rotation_4_deg\n0,0,0\n")
     told = refused(run("verify", str(path), "--robot", THESIS))
     assert any("column time_s is missing" in line for line in told)
@@ -196,7 +196,7 @@ def test_goals_of_arms_that_make_no_study_are_refused(run: Run, tmp_path: Path) 
     for arms, message in (
         ([arm], "arms has 1 item; it must have at least 2"),
         ([arm, arm | {"tip_mm": [1, 2, 3], "goal_deg": [0, 0, 0]}], "several goals"),
-        ([arm, arm | {"tip_at": "carina"}], "'carina' is no landmark of the anatomy; there are none"),
+        ([arm, arm | {"tip_at": "carina"}], "'carina' is not a landmark of the anatomy; there are none"),
         ([arm, arm | {"goal_deg": [1, 2]}], "has 2 numbers; it must be 3"),
     ):
         study.write_text(json.dumps({"kind": "plan_arms", "arms": arms}))

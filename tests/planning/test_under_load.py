@@ -318,7 +318,7 @@ def test_plans_that_could_not_be_proved_are_refused(load: Load, options: PlanOpt
 
 def test_a_start_that_the_load_snaps_is_named() -> None:
     turned = follow(THESIS, [np.zeros(3), np.array([200, 0, 0]) * DEG]).equilibria[-1]
-    with pytest.raises(SolveError, match="the branch that grows from no load is lost"):
+    with pytest.raises(SolveError, match="the branch from"):
         plan_trajectory(THESIS, turned, (np.zeros(3), None), load=Load(force=(-0.03, 0, 0)))
 
 
@@ -335,7 +335,7 @@ def test_a_plan_under_load_from_the_command_line(run: Run, tmp_path: Path) -> No
     again = answer(run("verify", moved, *flags, "--json"))
     assert again["proved"]
     assert again["assumed"] == under
-    assert "planned under a load is verified under it" in refused(run("verify", moved, "--json"))[0]
+    assert "a trajectory under the load" in refused(run("verify", moved, "--json"))[0]
     pushed = run("verify", moved, *flags, "--max-tip-force-mN", "5", "--json")
     assert pushed.code == 3
     told = json.loads(pushed.out)

@@ -115,7 +115,7 @@ def test_a_tube_pulled_out_of_its_actuator(tube: int) -> None:
         CRL.assembly(shift)
     straight = CRL.tubes[tube].straight_length
     assert str(caught.value) == (
-        f"translation of tube {tube + 1} is {shift[tube]:g} m, which pulls it out of its actuator; "
+        f"translation of tube {tube + 1} is {shift[tube]:g} m and moves it out of its carriage; "
         f"it must be at most its straight_length, {straight:g} m"
     )
 

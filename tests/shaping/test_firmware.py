@@ -257,10 +257,10 @@ def test_the_current_at_which_the_board_stops_can_be_read(board: str, limit: flo
 
 def test_a_current_that_no_sensor_tells_is_refused() -> None:
     circuit = replace(thesis_rig().circuit, peak_limit=1200.0)
-    with pytest.raises(InputError, match="1200 A; for the ESP32 it must be at most 1167 A, what it reads of a Hall"):
+    with pytest.raises(InputError, match="circuit is 1200 A; for the ESP32 it must be at most 1167 A"):
         hall_slope(Wiring(board="esp32"), circuit)
     assert hall_slope(Wiring(), circuit) == 0.002
-    with pytest.raises(InputError, match="at most 233 A, what it reads of a Hall sensor of 10 mV/A"):
+    with pytest.raises(InputError, match="at most 233 A"):
         hall_slope(Wiring(board="pico", shunt_V_per_A=0.01), replace(circuit, peak_limit=300.0))
     assert hall_slope(Wiring(board="esp32", measures_electrics=False), circuit) == 0.002
 
@@ -338,7 +338,7 @@ def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
     broken = replace(plan(), outcome=replace(outcome, broken=("the ramp is 9 K/s",)))
     with pytest.raises(SolveError, match="the ramp is 9 K/s"):
         LedHeatingReport(replace(held, plan=broken)).conclude()
-    with pytest.raises(SolveError, match=r"0\.0 % of \d+ uncertain rigs keep the window"):
+    with pytest.raises(SolveError, match=r"0\.0 % of \d+ random"):
         LedHeatingReport(replace(held, feedback=replace(led(), kept=0 * led().kept))).conclude()
 
 
@@ -393,7 +393,7 @@ def test_a_line_that_is_lost_is_told() -> None:
     ours, theirs = os.openpty()
     line = SerialLine(os.ttyname(theirs))
     os.close(ours)
-    with pytest.raises(SolveError, match="the line to the rig is lost"):
+    with pytest.raises(SolveError, match="to the rig is lost"):
         run_heating(line)
     os.close(theirs)
 

@@ -408,9 +408,9 @@ def test_bad_rigs(make: Any, message: str) -> None:
 
 def test_bad_tubes() -> None:
     steel = Material("steel", 200e9, 80e9)
-    with pytest.raises(InputError, match="material 'steel' is no nitinol"):
+    with pytest.raises(InputError, match="material 'steel' is"):
         plan_heating(replace(TUBE, material=steel), thesis_rig())
-    with pytest.raises(InputError, match="a tube that is shape-set must have a curved part"):
+    with pytest.raises(InputError, match="shape-set must have a curved part"):
         plan_heating(Tube(1e-3, 0.8e-3, 0.1, 0.0, 0.0), thesis_rig())
     with pytest.raises(InputError, match="that is too small to surround"):
         plan_heating(TUBE, with_mold(thesis_rig(), width=3e-3, thickness=3e-3))
@@ -430,5 +430,5 @@ def test_open_circuit_voltage_there_and_back(caplog: pytest.LogCaptureFixture) -
     for charge in (0.1, 0.37, 1.0):
         assert battery.charge_at(replace(battery, state_of_charge=charge).voltage) == pytest.approx(charge)
     assert battery.charge_at(13.1) == 1.0
-    assert "the battery shows 13.1 V, a full one 12.73 V at rest" in caplog.text
+    assert "voltage is 13.1 V, above 12.73 V" in caplog.text
     assert Battery(state_of_charge=0.65).voltage_slope == pytest.approx(1.3)

@@ -107,7 +107,7 @@ def test_the_plate_is_cut_out_but_for_its_tabs() -> None:
 def test_a_program_takes_no_longer_than_a_week() -> None:
     spec = MoldSpec(milling=MillingSpec(step_down=1e-5, feed=2e-5))
     # The groove is some 70 mm long, with leads and overrun, and takes 200 passes of 0.01 mm at 0.02 mm/s: 8 days.
-    with pytest.raises(InputError, match=r"the moves of base_\d.nc take [\d.]+ days; they must take at most 7 days"):
+    with pytest.raises(InputError, match=r"the program base_\d.nc takes [\d.]+ days; it must take at most 7 days"):
         programs(plan_mold(SMALL, spec), "base")
 
 

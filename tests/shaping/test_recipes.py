@@ -45,7 +45,7 @@ def of(material: Material) -> Tube:
     ],
 )
 def test_another_metal_is_refused_with_what_it_needs_instead(material: Material) -> None:
-    needed = f"'{material.name}' is no nitinol .* bend such a tube beyond its yield point.* relieve its stress"
+    needed = f"'{material.name}' is not nitinol .* bend the tube beyond its yield point.* relieve its stress"
     with pytest.raises(InputError, match=needed):
         plan_heating(of(material), thesis_rig(), HeatingSpec(hold_time=5))
     with pytest.raises(InputError, match=needed):
@@ -55,9 +55,9 @@ def test_another_metal_is_refused_with_what_it_needs_instead(material: Material)
 
 
 def test_a_mold_of_another_metal_says_that_there_is_no_recipe() -> None:
-    assert any("is no nitinol" in words for words in plan_mold(of(STAINLESS)).remarks)
-    assert any("is no nitinol" in words for words in plan_pegs(of(STAINLESS)).remarks)
-    assert not any("is no nitinol" in words for words in plan_mold(TUBE).remarks)
+    assert any("is not nitinol" in words for words in plan_mold(of(STAINLESS)).remarks)
+    assert any("is not nitinol" in words for words in plan_pegs(of(STAINLESS)).remarks)
+    assert not any("is not nitinol" in words for words in plan_mold(TUBE).remarks)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs" / "robots").glob("*.yaml")), ids=lambda path: path.stem)
@@ -80,11 +80,11 @@ def test_temperatures_that_nitinol_does_not_bear_are_refused(caplog: pytest.LogC
     caplog.clear()
     with caplog.at_level(logging.WARNING):
         plan_mold(TUBE, MoldSpec(heat=HeatSpec(set_temperature=300.0 + 273.15)))
-    assert "set_temperature is 300 degC; nitinol is set at 400 to 600 degC" in caplog.text
+    assert "set_temperature is 300 degC; nitinol is shape-set at 400 to 600 degC" in caplog.text
     caplog.clear()
     with caplog.at_level(logging.WARNING):
         plan_mold(TUBE)
-    assert "nitinol is set at" not in caplog.text
+    assert "nitinol is shape-set at" not in caplog.text
 
 
 @pytest.mark.parametrize(

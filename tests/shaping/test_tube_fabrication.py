@@ -169,5 +169,5 @@ def test_a_tube_that_draws_too_much_gets_longer_leads() -> None:
 
 def test_no_current_heats_what_is_no_metal() -> None:
     nylon = replace(TUBE.material, name="nylon", youngs_modulus=2e9, shear_modulus=0.7e9, thermal=None)
-    with pytest.raises(InputError, match=r"nylon are not known, and its Young's modulus of 2 GPa is that of no metal"):
+    with pytest.raises(InputError, match=r"nylon has no thermal constants, and its Young's modulus of 2 GPa"):
         plan_tube(replace(TUBE, material=nylon), thesis_rig(), heating=SHORT)

@@ -261,7 +261,7 @@ def test_worst_over_a_box_without_extent() -> None:
 def test_messages() -> None:
     with pytest.raises(InputError, match="translations has 2 numbers; it must be 3"):
         snap_free_certificate(THESIS, [0.0, 0.0])
-    with pytest.raises(InputError, match=r"translation of tube 2 is 0.2 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 2 is 0.2 m"):
         certify(THESIS, [0.0, 0.2, 0.0])
     with pytest.raises(InputError, match="every number must be finite"):
         worst_margin(THESIS, [0.0, np.nan, 0.0])

@@ -179,7 +179,7 @@ def test_messages() -> None:
         find_equilibria(THESIS, [0.0, 0.0])
     with pytest.raises(InputError, match="every number must be finite"):
         find_equilibria(THESIS, [0.0, np.nan, 0.0])
-    with pytest.raises(InputError, match=r"translation of tube 1 is 0.3 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 1 is 0.3 m"):
         find_equilibria(THESIS, [0.0, 0.0, 0.0], [0.3, 0.0, 0.0])
 
 

@@ -250,7 +250,7 @@ def test_messages() -> None:
         follow(THESIS, np.zeros((2, 3)), np.zeros((1, 3)))
     with pytest.raises(InputError, match="rotations is no array of numbers"):
         follow(THESIS, [["a", "b", "c"]])
-    with pytest.raises(InputError, match=r"translation of tube 1 is 0.3 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 1 is 0.3 m"):
         follow(THESIS, np.zeros((2, 3)), [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
     unstable = find_equilibria(THESIS, [np.pi, 0.0, 0.0])[-1]
     with pytest.raises(InputError, match=r"start has margin -0\.9\d+; it must be a stable equilibrium"):

@@ -172,7 +172,7 @@ def test_messages() -> None:
         find_snap(THESIS, home, [0.0, 0.0, 0.0])  # type: ignore[arg-type]
     with pytest.raises(InputError, match="rotations of start has 2 numbers; it must be 3"):
         find_snap(THESIS, ([0.0, 0.0], None), home)
-    with pytest.raises(InputError, match=r"translation of tube 3 is 1 m, which pulls it out of its actuator"):
+    with pytest.raises(InputError, match=r"translation of tube 3 is 1 m"):
         find_snap(THESIS, home, ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
     with pytest.raises(InputError, match="equilibrium is at other joint values than start"):
         find_snap(THESIS, home, home, equilibrium=forward_kinematics(THESIS, [0.1, 0.0, 0.0]))

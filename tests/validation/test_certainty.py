@@ -51,7 +51,7 @@ def nearly_planar() -> Measurements:
 def test_a_registration_from_a_line_is_refused_with_what_to_measure() -> None:
     m = nearly_planar()
     noisy = replace(m, sensors=m.sensors + np.random.default_rng(0).normal(0, 1 * MM, m.sensors.shape))
-    with pytest.raises(InputError, match=r"to \d+ deg only .*measure configurations bent to at least three sides"):
+    with pytest.raises(InputError, match=r"to \d+ deg only .*configurations bent in at least three"):
         validate(ctr(), noisy)
     # The same tips with a base that was measured, or without noise, are enough.
     assert validate(ctr(), noisy, registration="base-axis", base=DEVICE_BASE).registration_error is not None

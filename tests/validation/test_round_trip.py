@@ -131,7 +131,7 @@ def test_a_saved_registration_belongs_to_its_recording() -> None:
     assert validate(found.robot, moved).registration.method == "rigid"
     assert validate(found.robot, moved).summary.rms == pytest.approx(found.after.summary.rms)
     assert validate(found.robot, moved, registration="saved").summary.rms > 0.1
-    with pytest.raises(InputError, match="registration is 'saved', and the robot has none"):
+    with pytest.raises(InputError, match="registration is 'saved', but the robot's"):
         validate(robot, m, registration="saved")
 
 

@@ -53,7 +53,7 @@ def test_what_makes_no_pair_is_refused() -> None:
     both, frame = [ball(200)] * 2, base_frame([0, 0, 0], [0, 0, 1])
     with pytest.raises(InputError, match="there are 2 workspaces and 1 bases; there must be two of each"):
         shared_workspace(both, [frame])
-    with pytest.raises(InputError, match="the plates stand 20 to 10 mm apart"):
+    with pytest.raises(InputError, match="plates is 20 to 10 mm"):
         place_pair(both, least_distance=0.02, most_distance=0.01)
     with pytest.raises(InputError, match="no sample of the workspace has a margin of 2"):
         shared_workspace(both, [frame] * 2, min_margin=2.0, size=1e-3)

@@ -152,7 +152,7 @@ def test_the_volume_of_a_body_of_revolution() -> None:
     # A ball beside the axis is turned into a torus.
     beside = cloud(0.3 * ball(60_000) + [1.0, 0.0, 0.0])
     assert meridian_volume(beside, 0.015).value == pytest.approx(2 * np.pi**2 * 0.3**2, rel=0.03)
-    with pytest.raises(InputError, match="no body of revolution"):
+    with pytest.raises(InputError, match="body of revolution"):
         meridian_volume(replace(beside, robot=ETR))
 
 
@@ -180,7 +180,7 @@ def test_only_stable_enough_tips_count() -> None:
     found.table[500:, -1] = 0.1
     assert voxels(found, 0.2, min_margin=0.5).samples == 500
     assert voxels(found, 0.2).count.sum() == 1000
-    with pytest.raises(InputError, match="no sample is that stable"):
+    with pytest.raises(InputError, match="no sample has"):
         voxels(found, min_margin=2.0)
 
 
@@ -254,7 +254,7 @@ def test_a_robot_that_cannot_snap_loses_nothing() -> None:
 
 
 def test_tubes_off_the_centreline_are_refused() -> None:
-    with pytest.raises(InputError, match="tubes on the centreline"):
+    with pytest.raises(InputError, match="the loss to"):
         snapping_loss(ETR, 100)
 
 
@@ -278,7 +278,7 @@ def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> N
         assert file.read_bytes() == content
     assert np.array_equal(load_workspace(CRL, tmp_path).table, memory.table)
     for robot, count in ((THESIS, 4200), (CRL, 4201)):
-        with pytest.raises(InputError, match="holds the workspace of another robot or of other samples"):
+        with pytest.raises(InputError, match="the workspace of another robot or"):
             workspace(robot, count, out=tmp_path)
     with pytest.raises(InputError, match="is of another robot"):
         load_workspace(THESIS, tmp_path)
@@ -287,7 +287,7 @@ def test_a_file_holds_the_same_and_goes_on_where_it_was_cut(tmp_path: Path) -> N
 def test_files_that_are_no_workspace_are_left_alone(tmp_path: Path) -> None:
     mine = tmp_path / "samples.npy"
     mine.write_bytes(b"mine")
-    with pytest.raises(InputError, match=r"is there already, but no workspace\.json"):
+    with pytest.raises(InputError, match=r"exists, but workspace\.json is"):
         workspace(CRL, 10, out=tmp_path)
     assert mine.read_bytes() == b"mine"
     for content in ("{", "[]", "{}"):

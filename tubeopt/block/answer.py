@@ -43,24 +43,26 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     apart = float(np.linalg.norm(tip - found.tip_position))
     if apart > AGREEMENT * float(found.arm.arc_length[-1]):
         raise SolveError(
-            f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium at its joint values: the "
-            "pieces of the block are too long (raise its refinement), or the program was not solved",
+            f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium: "
+            "the mesh is too coarse (increase refinement), or the program was not solved",
             found,
         )
     for _, floor in block.margins:
         least = float(np.array(value(floor)).item())
         if found.margin < least - MISSED:
             raise SolveError(
-                f"the margin is {found.margin:.4g} where {least:.4g} was demanded: the program has left the branch on "
-                "which the condition tells the margin; start it closer to its solution",
+                f"the margin is {found.margin:.4g}; it must be at least {least:.4g}: the "
+                "program has left the branch where its margin constraint is valid; start it "
+                "closer to its solution",
                 found,
             )
     for bound in block.bounds:
         least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
         if value_there < least - CERTAIN:
             raise SolveError(
-                f"the {bound.words} is {value_there:.4g} where {least:.4g} was demanded: the program has left the "
-                "branch of the largest eigenvalue; start it closer to its solution",
+                f"the {bound.words} is {value_there:.4g}; it must be at least {least:.4g}: "
+                "the program has left the branch of the largest eigenvalue; start it closer "
+                "to its solution",
                 found,
             )
     return found

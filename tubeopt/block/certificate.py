@@ -67,7 +67,7 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
     """Demand a certificate of at least `margin` at every rotation, under every tip force of at most `max_force`."""
     floor, force = checked("margin", margin), positive("max_force", max_force, zero=True)
     if block.model.place:
-        raise InputError("the robot is eccentric; this certificate holds for concentric tubes")
+        raise InputError("the robot is eccentric; this certificate is valid for concentric tubes only")
     if block.load is not None:
         _check_covered(block.load, force)
     if not force:
@@ -83,15 +83,12 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
 def _check_covered(load: Load, force: float) -> None:
     """Raise InputError unless a load is one of those that a certificate is about."""
     if load != Load(load.force):
-        raise InputError(
-            "load is something else than a force on the tip in axes of the plate; the certificate would not be of the "
-            "arm that the block has"
-        )
+        raise InputError("load is not a tip force in the base frame; the certificate does not cover other loads")
     pull = float(np.linalg.norm(load.force))
     if pull > force * (1 + 1e-12):
         raise InputError(
-            f"load is a force of {1e3 * pull:g} mN on the tip, beyond max_force, which is {1e3 * force:g} mN; "
-            "max_force must be at least as much, or the certificate would not be of the arm that the block has"
+            f"load is a tip force of {1e3 * pull:g} mN; it must be at most max_force, "
+            f"{1e3 * force:g} mN, for the certificate to cover it"
         )
 
 
@@ -199,8 +196,8 @@ def _tubes(model: Model, chain: Chain | None) -> tuple[Any, Any, Any, Any]:
     assert chain is not None
     if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
         raise InputError(
-            "a tube has a piece whose curvature or stiffness varies; in a program the certificate takes arcs and "
-            "helices of constant stiffness"
+            "a tube has a piece with varying curvature or stiffness; in a program the "
+            "certificate supports arcs and helices of constant stiffness only"
         )
     detail = model.grid.detail
     first = [i * (CHANNELS * detail + 2) for i in range(model.torsional_stiffness.shape[0])]

@@ -105,7 +105,7 @@ class ComposedBlock(Generic[N]):
         halvings = usual if refinement is None else refinement
         order = order_of(self._bundle, self.robot.moving_together, side=side)
         if not order.front:
-            raise InputError("the robot lies behind the plate: an arm without length has no equilibrium to solve for")
+            raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
         # Where breakpoints may change places every one of them may come to the front.
         least = len(order.front) + len(order.behind) if self._moving else 0
         return layout(self._bundle, order, refinement=halvings, least=least)
@@ -216,7 +216,7 @@ class ComposedBlock(Generic[N]):
     def _inside(self, fraction: float) -> list[Any]:
         """q, p, theta, w and u at a fraction of the arm's length."""
         if not 0 <= fraction <= 1:
-            raise InputError(f"fraction is {fraction:g}; it must lie between 0, the plate, and 1, the tip")
+            raise InputError(f"fraction is {fraction:g}; it must be from 0 (base plate) to 1 (tip)")
         return self._where_it_is(fraction) if self._moving else self._in_piece(fraction)
 
     def _in_piece(self, fraction: float) -> list[Any]:

@@ -227,7 +227,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             bundle = assembly_at(self.robot, self._bundle, numbers)
             order = order_of(bundle, self.robot.moving_together, side=self._side)
             if not order.front:
-                raise InputError("the robot lies behind the plate: an arm without length has no equilibrium")
+                raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
         floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self.margins]

@@ -52,7 +52,9 @@ def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, 
     names = DIMENSIONS if chain is None else (*DIMENSIONS, *PIECES)
     for name in tubes:
         if name not in names:
-            raise InputError(f"tubes names {name!r}; it may name {', '.join(names)}{nearest(str(name), names)}")
+            raise InputError(
+                f"tubes has the key {name!r}; allowed keys are {', '.join(names)}{nearest(str(name), names)}"
+            )
     start = numbers_at(near, chain)
     wanted = {"rotations": rotations, "translations": translations, **tubes}
     alone = tuple((i,) for i in range(robot.n_tubes))
@@ -82,9 +84,7 @@ def _in_proportion(
     owner, (tubes, robot) = chain.owner.tolist(), known
     for name, whole in OF_TUBE.items():
         if name in tubes and whole in tubes:
-            raise InputError(
-                f"tubes names both {whole!r} and {name!r}; of tubes made of pieces it may name one of them"
-            )
+            raise InputError(f"tubes has the keys {whole!r} and {name!r}; for tubes made of pieces, give one of them")
         if whole in tubes:
             own = robot[whole][owner]
             part = np.where(own == 0, 1.0, start[name] / np.where(own == 0, 1.0, own))
@@ -125,12 +125,12 @@ def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
     if not isinstance(load, Load):
         raise InputError(f"load is {load!r}; it must be a Load")
     if bundle.eccentric:
-        raise InputError("load is given for tubes beside one another; only concentric robots can be loaded")
+        raise InputError("load is given for an eccentric robot; only concentric robots can be loaded")
     along = (0.0, 0.0, 0.0) if load.distributed is None else load.distributed
     if load.points or callable(along) or any(not isinstance(part, float) for part in along):
         raise InputError(
-            "load has points, stretches or a function along the arm; a block bears force and moment at the tip, "
-            "weight, and a constant force per length"
+            "load has points, stretches or a function along the arm; a block supports tip "
+            "force, tip moment, weight and a constant force per length"
         )
     gravity = np.array(load.gravity or (0.0, 0.0, 0.0))
     return Push(

@@ -28,7 +28,7 @@ class Own(ABC):
         """Raise InputError where its words or numbers make no sense."""
         what = type(self).__name__
         if not self.words:
-            raise InputError(f"words of {what} is {self.words!r}; it must say what is meant")
+            raise InputError(f"words of {what} is {self.words!r}; it must be a description")
         if finite(f"factor of {what}", self.factor) == 0:
             raise InputError(f"factor of {what} is 0; it must turn SI into the unit that is shown")
 
@@ -88,6 +88,6 @@ class OwnObjective(Own):
         super().checked()
         if self.sign not in (1, -1):
             raise InputError(
-                f"sign of {type(self).__name__} is {self.sign!r}; it must be 1 (less is better) or -1 (more)"
+                f"sign of {type(self).__name__} is {self.sign!r}; it must be 1 (minimise) or -1 (maximise)"
             )
         positive(f"weight of {type(self).__name__}", self.weight)

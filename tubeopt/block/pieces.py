@@ -78,7 +78,7 @@ def piece_numbers(tubes: Sequence[Tube], like: Chain) -> dict[str, Array]:
     """PIECES of tubes, as changes of those behind `like`."""
     own = chain_of(tuple(tubes))
     if own.owner.tolist() != like.owner.tolist() or own.piece.tolist() != like.piece.tolist():
-        raise InputError("the tubes are made of other pieces than those of the block")
+        raise InputError("the pieces of the tubes differ from those of the block")
     start = dict(own.start)
     first = [like.piece.tolist().index(k) for k in range(len(like.owner))]
     turned = np.arctan2(own.y, own.x)[first, 0] - np.arctan2(like.y, like.x)[first, 0]

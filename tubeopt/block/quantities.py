@@ -176,9 +176,9 @@ class PoseQuantities:
         """The arm on its way out: every tube as in the pose, or drawn back straight so that it ends at this share of
         the arm's length. For designs only."""
         if not isinstance(self._number, int):
-            raise InputError("an arm that is drawn back is drawn back again; name the share of the whole one")
+            raise InputError("the arm is already retracted; give the fraction of the whole arm")
         if not 0 < finite("share", share) < 1:
-            raise InputError(f"share is {share:g}; it must lie between 0, the plate, and 1, the arm as it is")
+            raise InputError(f"share is {share:g}; it must be from 0 (base plate) to 1 (whole arm)")
         return PoseQuantities(self._look, (self._number, float(share)), self._n_tubes)
 
 
@@ -190,7 +190,7 @@ def _load(given: Any) -> Load:
 
 def _fraction(value: float) -> float:
     if not 0 <= finite("fraction", value) <= 1:
-        raise InputError(f"fraction is {value:g}; it must lie between 0, the plate, and 1, the tip")
+        raise InputError(f"fraction is {value:g}; it must be from 0 (base plate) to 1 (tip)")
     return float(value)
 
 
@@ -218,7 +218,7 @@ class Quantities:
         """(pieces,) largest strain of every piece of a tube (0 is the innermost) that is held straight, with its slots
         where they are told; a tube of one curvature is one piece. For designs only."""
         if not self._pieces:
-            raise InputError("the strain of a tube held straight is told in designs only")
+            raise InputError("the strain of a straightened tube is available in designs only")
         pieces = range(self._pieces[tube])
         return ca.vertcat(*(self._look(Quantity("straightened_strain", at=(int(tube), j))) for j in pieces))
 
@@ -287,7 +287,7 @@ def recorded(
         found = function(Quantities(look, n_tubes, n_poses, pieces))
         column = ca.vertcat(*found) if isinstance(found, (list, tuple)) else found
     except IndexError as error:
-        raise InputError(f"the expression of {words} speaks of a pose or tube that is not there ({error})") from None
+        raise InputError(f"the expression of {words} refers to a pose or tube that does not exist ({error})") from None
     if not isinstance(column, ca.SX) or not symbols or not column.numel():
         raise InputError(
             f"the expression of {words} is {found!r}; it must be an expression of the quantities it is given"

@@ -24,7 +24,7 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     for name in names:
         choice("wrt", name, own)
     if not names:
-        raise InputError(f"wrt is empty; it must name any of {', '.join(own)}")
+        raise InputError(f"wrt is empty; it must have at least one of {', '.join(own)}")
     seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
     equations, scale, words = _equations(block)
     count = seeds["rotations"].shape[1]

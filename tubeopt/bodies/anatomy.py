@@ -53,7 +53,7 @@ class Anatomy(Displayed):
         if name not in self.landmarks:
             known = [*self.landmarks, *(["target"] if self.target is not None else [])]
             there = f"they are {', '.join(known)}" if known else "there are none"
-            raise InputError(f"{name!r} is no landmark of the anatomy; {there}{nearest(name, known)}")
+            raise InputError(f"{name!r} is not a landmark of the anatomy; {there}{nearest(name, known)}")
         return self.landmarks[name]
 
 
@@ -77,15 +77,16 @@ def anatomy_seen(
         room = nearest_distance(bodies, places)
         if not (room > 0).any():
             raise InputError(
-                f"no voxel of the target is free for certain: at the freest the distance from bodies is known to be "
-                f"{room.max() * 1e3:.3g} mm or more; it lies in one, or in a way of one voxel"
+                "no voxel of the target is proved free: the largest proved distance from "
+                f"obstacles is {room.max() * 1e3:.3g} mm; the target lies inside an obstacle "
+                "or in a passage of one voxel"
             )
         places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
     known = {name: base.seen(place) for name, place in (landmarks or {}).items()}
     if places is not None and "target" in known:
         raise InputError(
-            "'target' is a landmark and the name of the region for the tip; give the landmark another name (a .txt "
-            "file gives it its own), or leave the region out"
+            "'target' is both a landmark and the target region; rename the landmark (in a "
+            ".txt file the file name is its name), or remove the region"
         )
     error = 0.0 if registration is None else registration.rms
     return Anatomy(bodies, places, known, base, error, registration)

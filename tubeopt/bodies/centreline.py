@@ -78,7 +78,7 @@ def centreline(field: DistanceField, start: ArrayLike, end: ArrayLike, *, spacin
     first, last = (int(np.argmin(np.linalg.norm(nodes - each, axis=1))) for each in ends)
     cost, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=first, return_predecessors=True)
     if not np.isfinite(cost[last]):
-        raise SolveError("no free way leads from the start of the centreline to its end")
+        raise SolveError("no free path connects the start of the centreline to its end")
     way = [last]
     while way[-1] != first:
         way.append(int(before[way[-1]]))

@@ -318,9 +318,7 @@ def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:
     trimesh, kind = extra("trimesh", "anatomy", "meshes"), Path(path).suffix.lower()
     if kind not in (".stl", ".vtk", ".obj", ".off", ".ply"):
         # Others have a unit and axes of their own, as glTF has metres and y upwards.
-        raise InputError(
-            f"{path}: its format is {kind!r}; it must be STL, PLY, OBJ, OFF or legacy VTK, as of a mesh in mm"
-        )
+        raise InputError(f"{path}: the format is {kind!r}; it must be STL, PLY, OBJ, OFF or legacy VTK")
     if kind != ".stl":
         polygons = read_vtk(path) if kind == ".vtk" else read_polygons(path)
         points = _lengths(path, polygons.points, scale)
@@ -347,6 +345,6 @@ def _lengths(path: str | PathLike[str], vertices: Any, scale: float) -> Array:
     size = float(np.ptp(points, axis=0).max())
     if not SMALLEST <= size <= LARGEST:
         raise InputError(
-            f"{path}: it is {size * 1e3:.3g} mm across, in a unit of {scale * 1e3:g} mm; is the unit another?"
+            f"{path}: the mesh is {size * 1e3:.3g} mm across with a unit of {scale * 1e3:g} mm; check the unit"
         )
     return points

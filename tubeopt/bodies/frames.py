@@ -174,9 +174,9 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
         turn = math.degrees(found.known.turn * found.known.doubtful)
         known = "not at all" if math.isinf(turn) else f"to {turn:.0f} deg only"
         raise InputError(
-            f"the landmarks fix the plate's turn about the line near which they lie {known} (95 % limit of the "
-            f"standard error; it must be at most {math.degrees(MOST):g} deg), since they are {found.rms * 1e3:.2g} mm "
-            "off (root of the mean square); "
-            "measure one that is farther off the line"
+            "the landmarks lie near a line and determine the rotation of the base plate "
+            f"about it {known} (95 % limit of the standard error). It must be at most "
+            f"{math.degrees(MOST):g} deg; the RMS error is {found.rms * 1e3:.2g} mm; measure "
+            "a landmark farther from the line"
         )
     return found

@@ -112,7 +112,7 @@ class LabelImage:
 
     def _no_labels(self, why: str) -> InputError:
         return InputError(
-            f"{self.name} is no image of labels, for it has {why}; segment it first, or choose by a range of values"
+            f"{self.name} is not a label image: it has {why}; segment it first, or select voxels by a range of values"
         )
 
     def chosen(self, labels: Sequence[int], what: str = "label") -> Mask:
@@ -124,7 +124,7 @@ class LabelImage:
         for label in labels:
             if label not in self.labels and label != 0:
                 known = ", ".join(map(str, self.labels[:20])) or "none but 0"
-                raise InputError(f"{what} {label} is of no voxel of {self.name}; its labels are {known}")
+                raise InputError(f"{what} {label} is not in {self.name}; its labels are {known}")
         return np.stack([np.isin(part, labels) for part in self.values])
 
     def between(self, low: float, high: float, what: str = "range") -> Mask:
@@ -137,7 +137,7 @@ class LabelImage:
         if not found.any():
             least, most = np.nanmin(self.values), np.nanmax(self.values)
             raise InputError(
-                f"{what} {low:g} to {high:g} is of no voxel of {self.name}; its values go from {least:g} to {most:g}"
+                f"{what} {low:g} to {high:g} matches no voxel of {self.name}; its values are {least:g} to {most:g}"
             )
         return np.asarray(found)
 
@@ -160,7 +160,7 @@ def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage
     name = file.name.lower()
     if file.is_dir():
         raise InputError(
-            f"{path}: this is a directory; it must be a file (of DICOM slices make one by Slicer or dcm2niix)"
+            f"{path}: this is a directory; it must be a file (convert DICOM slices with 3D Slicer or dcm2niix)"
         )
     if not file.is_file():
         raise no_such_file(path)
@@ -169,7 +169,7 @@ def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage
     elif name.endswith((".nrrd", ".nhdr")):
         read = _nrrd
     else:
-        raise InputError(f"{path} is no image that is known; it must be .nii, .nii.gz, .mgz, .nrrd or .nhdr")
+        raise InputError(f"{path} is not a supported image; it must be .nii, .nii.gz, .mgz, .nrrd or .nhdr")
     try:
         values, affine, length = read(file, axes)
     except InputError:
@@ -188,7 +188,7 @@ def _placed(values: Any, affine: Array, length: float, name: str) -> LabelImage:
     """The image from the affine map (4, 4) of its indices to RAS, in units of `length` m."""
     affine = np.asarray(affine, dtype=float)
     if affine.shape != (4, 4) or not np.isfinite(affine).all():
-        raise InputError(f"{name}: its header does not say where its voxels are")
+        raise InputError(f"{name}: the header has no voxel positions")
     size = np.linalg.norm(affine[:3, :3], axis=0)
     if (size == 0).any():
         raise InputError(f"{name}: its header gives voxels no size along axis {int(np.argmin(size)) + 1}")
@@ -196,14 +196,14 @@ def _placed(values: Any, affine: Array, length: float, name: str) -> LabelImage:
     skew = np.abs(axes.T @ axes - np.eye(3)).max()
     if skew > SKEW:
         lean = np.degrees(np.arcsin(min(skew, 1.0)))
-        raise InputError(f"{name}: axes of the image are {lean:.3g} deg from square to each other; resample it")
+        raise InputError(f"{name}: the axes of the image are {lean:.3g} deg from orthogonal; resample it")
     u, _, v = np.linalg.svd(axes)
     axes, spacing = u @ v, size * length
     if spacing.min() < USUAL[0] or spacing.max() > USUAL[1]:
         mm = ", ".join(f"{each * 1e3:g}" for each in spacing)
         raise InputError(
-            f"{name}: voxels of {mm} mm are none of a scan, {USUAL[0] * 1e3:g} to {USUAL[1] * 1e3:g} mm; is the unit "
-            "of its header wrong?"
+            f"{name}: the voxels are {mm} mm; voxels of scans are {USUAL[0] * 1e3:g} to "
+            f"{USUAL[1] * 1e3:g} mm; check the unit in the header"
         )
     return LabelImage(values, spacing, Frame(axes, affine[:3, 3] * length), name)
 
@@ -268,7 +268,7 @@ def _has_place(header: Any, path: Path) -> bool:
     if all(said):
         off = np.abs(header.get_sform() - header.get_qform()).max()
         if off > AGREE * np.linalg.norm(header.get_sform()[:3, :3], axis=0).min():
-            LOGGER.warning(f"{path}: its sform and its qform say different places of the image; the sform is taken")
+            LOGGER.warning(f"{path}: sform and qform of the header differ; the sform is used")
     return any(said)
 
 
@@ -289,7 +289,7 @@ def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float]:
         directions = np.delete(directions, lost, axis=1)
     rows = np.delete(np.asarray(directions, dtype=float), lost, axis=0)  # one per axis of the image
     if not np.isfinite(rows).all():
-        raise InputError(f"{path}: its header does not say how large voxels are, or where")
+        raise InputError(f"{path}: the header has no voxel size or position")
     affine = np.eye(4)
     affine[:3, :3] = rows.T
     affine[:3, 3] = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)

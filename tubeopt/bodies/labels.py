@@ -64,7 +64,7 @@ def field_of_image(
     if forbidden is not None:
         free &= ~forbidden[box]
     if lumen is not None and not free.any():
-        raise InputError(f"no voxel of {image.name} is left in which the arm may be")
+        raise InputError(f"{image.name} has no voxel that the arm may occupy")
     if lumen is not None and region is None:
         free = np.pad(free, padding, mode="edge")
     else:
@@ -75,7 +75,7 @@ def field_of_image(
     if (together > 1).any():
         cell = " x ".join(f"{each * 1e3:.3g}" for each in spacing)
         LOGGER.warning(
-            f"{image.name}: the region has more than {most:.2g} voxels; its distances are told by cells of {cell} mm"
+            f"{image.name}: the region has more than {most:.2g} voxels; distances are computed on cells of {cell} mm"
         )
     lost = float(np.linalg.norm((together - 1) * image.spacing))
     origin = image.frame.placed((first - 0.5) * image.spacing)
@@ -99,7 +99,7 @@ def _box(
         begin = np.clip(np.floor(low + 0.5), 0, shape).astype(int)
         end = np.clip(np.ceil(high + 0.5), 0, shape).astype(int)
         if (end <= begin).any():
-            raise InputError(f"the region lies beside {image.name}; it must meet it")
+            raise InputError(f"the region is outside {image.name}; it must overlap it")
         return tuple(slice(a, b) for a, b in zip(begin.tolist(), end.tolist(), strict=True)), [(1, 1)] * 3
     chosen = lumen if lumen is not None else forbidden
     assert chosen is not None

@@ -87,7 +87,7 @@ def as_points(points: ArrayLike) -> Array:
     except (TypeError, ValueError):
         raise InputError(f"points is {reprlib.repr(points)}; it must be numbers, the last axis x, y, z") from None
     if array.shape[-1:] != (3,):
-        raise InputError(f"points have shape {array.shape}; the last axis must hold x, y, z")
+        raise InputError(f"points have shape {array.shape}; the last axis must be x, y, z")
     return array
 
 

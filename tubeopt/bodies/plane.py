@@ -43,7 +43,7 @@ class Plane(Displayed):
         one, second, third = (vector("point of the plane", each, 3, "x, y, z in m") for each in (a, b, c))
         normal = np.cross(second - one, third - one)
         if not np.linalg.norm(normal) > FLAT * np.linalg.norm(second - one) * np.linalg.norm(third - one):
-            raise InputError("three points that a plane shall hold lie on one line; give others, or a normal")
+            raise InputError("the three points of the plane lie on one line; give other points, or a normal")
         return cls(one, normal)
 
     def height(self, points: ArrayLike) -> Array:

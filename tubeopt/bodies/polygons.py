@@ -48,7 +48,7 @@ class Polygons:
                 that crosses itself; manifold3d is not installed and a polygon is not convex.
         """
         if len(self.corners) and not ((self.corners >= 0) & (self.corners < len(self.points))).all():
-            raise InputError(f"it has polygons with corners that are none of its {len(self.points)} points")
+            raise InputError(f"it has polygons with corners outside its {len(self.points)} points")
         begins = np.cumsum(self.counts) - self.counts
         found, of = [np.zeros((0, 3), dtype=int)], [np.zeros(0, dtype=int)]
         for count in np.unique(self.counts):

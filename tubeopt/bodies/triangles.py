@@ -73,7 +73,7 @@ def oriented(vertices: Array, faces: Index) -> Index:
     graph = scipy.sparse.coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(2 * count, 2 * count))
     _, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     if (part[:count] == part[count:]).any():
-        raise InputError("the mesh has a surface with one side; inside and outside must be told apart")
+        raise InputError("the mesh is a one-sided surface; it must have an inside and an outside")
     _, body = np.unique(np.minimum(part[:count], part[count:]), return_inverse=True)
     turned = part[:count] > part[count:]
     turned ^= (np.bincount(body, turned) > np.bincount(body) / 2)[body]

@@ -28,7 +28,7 @@ CODES: dict[type[Exception], tuple[int, str]] = {
 OF_FILE = re.compile(r"\S+\.\w+: ")
 """How a message on what stands in a file begins."""
 
-ABSENT = re.compile(r"(\w+)(?: and (\w+))?(?= (?:is|are) (?:missing|given)\b)")
+ABSENT = re.compile(r"(\w+)(?: and (\w+))?(?= (?:is|are) (?:both )?(?:missing|given)\b)")
 """How a message begins on one or two keys that should be there, or should not."""
 
 

@@ -229,7 +229,7 @@ def _with_what_was_found(error: SolveError, out: Path | None) -> SolveError:
     except TypeError:
         return error
     saved = found.save(out / "partial")
-    return SolveError(f"{error}; as far as it came: {saved[0].parent}", error.solution) if saved else error
+    return SolveError(f"{error}; partial result: {saved[0].parent}", error.solution) if saved else error
 
 
 def _kind_of(study: type[Entry]) -> str:

@@ -100,7 +100,7 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
     if own is None:
         raise InputError(f"{path}: a study of kind {study.kind} has no robot to be shown")
     if own != shown.robot:
-        raise InputError(f"{path}: its robot is another one than {robot}")
+        raise InputError(f"{path}: the robot of the study differs from {robot}")
     return replace(shown, **_begins(study, path))
 
 
@@ -114,7 +114,9 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
         return _joints(joints_of(study.robot, study.si("from_deg"), study.si("from_mm")))
     if isinstance(study, InverseStudy | PlanStudy):
         return {"obstacles": study.bodies, "min_margin": study.si("min_margin")} | _joints(study.start)
-    raise InputError(f"{path}: a study of kind {study.kind} says nothing to begin with; it must be {', '.join(KINDS)}")
+    raise InputError(
+        f"{path}: a study of kind {study.kind} has no start configuration; it must be of kind {', '.join(KINDS)}"
+    )
 
 
 KINDS = ("forward_kinematics", "equilibria", "follow", "snap", "inverse_kinematics", "plan")

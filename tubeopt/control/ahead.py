@@ -90,7 +90,7 @@ class PredictiveServo:
         dt = time_step(dt)
         check_places(command, self._guard.space.robot)
         if command.position is None or command.pivot is not None or command.joints is not None:
-            raise InputError("a servo that looks ahead is led to a position, and to a direction if there is one")
+            raise InputError("a servo with look-ahead follows a position, and a direction if one is given")
         aim = Aim(command.position, command.direction)
         told, here = self._guard.left(command), self._guard.here
         if self._near and told[0] < self.solver.close * self._guard.space.length and not self._new(aim):

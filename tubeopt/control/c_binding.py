@@ -136,7 +136,7 @@ class CRobot:
                 "it can take"
             )
         if status == 6:
-            raise InputError(f"{name} is refused: {TOO_LARGE}")
+            raise InputError(f"{name} is rejected: {TOO_LARGE}")
         if status:
             raise SolveError(REFUSED[status])
 
@@ -145,7 +145,7 @@ class CRobot:
             function = self._function("servo_among")
         except AttributeError:
             raise InputError(
-                "the C library of this robot knows no bodies: it has no derivatives along the arm"
+                "the C library of this robot does not support obstacles: it has no derivatives along the arm"
             ) from None
         where = _at(self._in), ctypes.c_int(len(contacts)), _at(contacts), ctypes.c_double(clearance)
         self._calls["servo_among"] = function, self._memory, *where, _at(self._pose), _at(self._report)
@@ -245,7 +245,9 @@ class CServo:
         self.options = options or ServoOptions()
         o = self.options
         if o.clearance or o.objective not in (None, "margin") or o.priorities != ServoOptions().priorities:
-            raise InputError("the servo of a C library knows no bodies, no priorities, no objective but the margin")
+            raise InputError(
+                "the servo of a C library supports neither obstacles nor priorities, and only the objective margin"
+            )
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
         if words := self.space.outside(configuration(self.space, "seed", seed)):
@@ -262,7 +264,7 @@ class CServo:
         dt = time_step(dt)
         check_places(command, self.space.robot)
         if command.pivot is not None:
-            raise InputError("the servo of a C library knows no pivot")
+            raise InputError("the servo of a C library does not support a pivot")
         here, o = self.equilibrium, self.options
         self._before = here
         if command.joints is not None:

@@ -71,7 +71,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     if robot.n_tubes > MOST_TUBES:
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
-        raise InputError(f"prefix is {prefix!r}; it must be small letters, digits and _, a letter first")
+        raise InputError(f"prefix is {prefix!r}; it must be lower-case letters, digits and _, starting with a letter")
     space, centred = joint_space(robot), not robot.assembly(robot.home_translations).eccentric
     extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
@@ -210,7 +210,7 @@ def _cases(space: JointSpace) -> list[Array]:
         if len(found) == CASES:
             break
     if not found:
-        raise SolveError("no configuration was found whose answer the test of the library could know")
+        raise SolveError("no configuration was found for the self-test of the library")
     return found
 
 

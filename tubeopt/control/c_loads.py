@@ -38,7 +38,7 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
     """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations."""
     home = robot.assembly(robot.home_translations)
     if home.eccentric:
-        raise InputError("loads are asked for; no model has them on tubes off the centreline, so a C library has none")
+        raise InputError("loads are requested; loads on eccentric robots are not supported")
     mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -GRAVITY))), robot.n_tubes
     pieces = _room(robot, shifts) if home.general else MOST_PIECES
     generator = ca.CodeGenerator("mechanics_of_loads.c")

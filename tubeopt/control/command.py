@@ -65,7 +65,7 @@ class Command:
                 numbers = vector(name, value, 3, "x, y, z")
                 object.__setattr__(self, name, numbers if name == "direction" else at_most(numbers, name))
         if self.position is not None and self.velocity is not None:
-            raise InputError("position and velocity are both given; a command has one of them")
+            raise InputError("position and velocity are both given; give one of them")
         if self.joints is not None:
             parts("joints", self.joints)
         if self.direction is not None:
@@ -116,7 +116,7 @@ class ServoOptions:
             for name in group.split("+")
         ]
         if sorted(set(named)) != sorted(named) or not set(named) <= set(TASKS):
-            raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may stand there once")
+            raise InputError(f"priorities are {list(self.priorities)}; each of {', '.join(TASKS)} may appear once")
         if self.objective is not None:
             choice("objective", self.objective, OBJECTIVES)
 

@@ -124,7 +124,7 @@ class CrtkRobot:
         else:
             wanted = {"cp": self._pose, "cv": _twist, "jp": self._joints}[name[-2:]](message)
             if self.state != "ENABLED":
-                raise InputError(f"{name} is refused: the robot is {self.state}; enable it first")
+                raise InputError(f"{name} is rejected: the robot is {self.state}; enable it first")
             self._goal = _Goal(wanted, now, name.startswith("servo"), closer=now)
 
     def release(self) -> None:
@@ -198,9 +198,9 @@ class CrtkRobot:
         if not (isinstance(wanted, str) and wanted in TRANSITIONS):
             raise InputError(f"command is {wanted!r}; it must be one of {', '.join(TRANSITIONS)}")
         if wanted == "resume" and self.state != "PAUSED":
-            raise InputError(f"resume is refused: the robot is {self.state}")
+            raise InputError(f"resume is rejected: the robot is {self.state}")
         if wanted == "pause" and self.state != "ENABLED":
-            raise InputError(f"pause is refused: the robot is {self.state}")
+            raise InputError(f"pause is rejected: the robot is {self.state}")
         self._goal, self.state = None, TRANSITIONS[wanted]
 
     def _joints(self, message: Mapping[str, Any]) -> Command:
@@ -264,7 +264,9 @@ def _check_keys(name: str, message: Mapping[str, Any]) -> None:
     for key in message:
         if key != "op" and key not in KEYS[name]:
             allowed = " and ".join(KEYS[name])
-            raise InputError(f"{key!r} is not known of {name}; it takes {allowed}{nearest(str(key), KEYS[name])}")
+            raise InputError(
+                f"{key!r} is not a key of {name}; allowed keys are {allowed}{nearest(str(key), KEYS[name])}"
+            )
 
 
 def _twist(message: Mapping[str, Any]) -> Command:

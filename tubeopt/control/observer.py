@@ -84,7 +84,7 @@ class Observer:
     def __init__(self, start: Equilibrium, options: ObserverOptions | None = None) -> None:
         robot = start.robot
         if not isinstance(robot, ConcentricRobot):
-            raise InputError("an observer takes concentric tubes; those of an eccentric robot share one stiffness")
+            raise InputError("an observer supports concentric robots only")
         self.options = options or ObserverOptions()
         self._n, self._given, self._arm = robot.n_tubes, robot, start
         spread = [self.options.rotation] * self._n + [self.options.stiffness] * self._n + [self.options.offset] * 3

@@ -272,7 +272,7 @@ class RobotServer:
         if told.get("op") != "hello" or not isinstance(token, str):
             raise InputError("the first message must be a hello with the token")
         if not hmac.compare_digest(*(word.encode(errors="surrogatepass") for word in (token, self.token))):
-            raise InputError("the token is another one")
+            raise InputError("the token is wrong")
         if len(self._clients) >= self.options.clients:
             raise InputError(f"there are {self.options.clients} clients already")
         role = told.get("role", "watcher")
@@ -280,7 +280,7 @@ class RobotServer:
             raise InputError(f"role is {role!r}; it must be {' or '.join(ROLES)}")
         if role == "commander":
             if self._commander is not None:
-                raise InputError("there is a commander already")
+                raise InputError("another client already controls the robot")
             self._commander, client.commander = client, True
 
     def _leave(self, client: _Client) -> None:
@@ -300,7 +300,7 @@ class RobotServer:
         client.left -= 1
         try:
             if not client.commander:
-                raise InputError("a watcher does not command")
+                raise InputError("this client is an observer; it cannot send commands")
             told = _read(message)
             with self._robot_in_hand:
                 self.robot.command(told, self._clock())
@@ -318,7 +318,7 @@ def _read(message: str | bytes) -> dict[str, Any]:
     try:
         read = json.loads(message)
     except (ValueError, RecursionError):
-        raise InputError("the message is no JSON") from None
+        raise InputError("the message is not JSON") from None
     if not isinstance(read, dict):
-        raise InputError("the message is no JSON object")
+        raise InputError("the message is not a JSON object")
     return read

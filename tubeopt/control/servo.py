@@ -84,7 +84,9 @@ class Servo:
         """(2m + k, m) rows of rates and ranges, then of the order, over the joints' scales."""
         self._twice, self._damping = np.tile(self.space.scale, 2), DAMPING * unit
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
-            raise InputError("objective is 'compliance', which needs a compiled kernel for the robot; take another one")
+            raise InputError(
+                "objective is 'compliance'; it needs a compiled kernel for the robot; choose another objective"
+            )
 
     @property
     def equilibrium(self) -> Equilibrium:

@@ -71,15 +71,12 @@ REFUSED: dict[type[Any], str] = {
 def check_collocation(task: DesignTask) -> None:
     """Raise InputError where a task holds a requirement that no block expresses, or is about pieces."""
     if task.space.pieced:
-        raise InputError(
-            "method is 'collocation', which takes no pieces of tubes, of which a design frees shapes and slots; method "
-            "'reduced' does"
-        )
+        raise InputError("method 'collocation' does not support free shapes and slots of pieces; use method 'reduced'")
     for one in task.requirements:
         if not isinstance(one, TAKEN) or (isinstance(one, Strain) and one.in_poses and task.has_poses):
             why = f" {REFUSED[type(one)]}" if type(one) in REFUSED else ""
             raise InputError(
-                f"method 'collocation' does not take the requirement {type(one).__name__}{why}; method 'reduced' does"
+                f"method 'collocation' does not support the requirement {type(one).__name__}{why}; use method 'reduced'"
             )
 
 
@@ -87,10 +84,7 @@ def collocate(program: Program, x: Array) -> Attempt:
     """The optimum of the collocated program from x (X,), SI, at which the poses have equilibria."""
     check_collocation(program.task)
     if any(isinstance(pose, Via) for pose in program.layout.poses):
-        raise InputError(
-            "method 'collocation' does not take margins on joint paths, whose worst places move along them; method "
-            "'reduced' does"
-        )
+        raise InputError("method 'collocation' does not support margins on joint paths; use method 'reduced'")
     for held in HELD:
         found, words = _Collocated(program, x, held).solved()
         reached = attempt(program, np.clip(found, program.lower, program.upper))
@@ -165,7 +159,7 @@ class _Collocated:
             case "strain":
                 return ca.mmax(block.strain(one.at[0]))
             case name if name in UNKNOWN:
-                raise InputError(f"method 'collocation' does not take the {UNKNOWN[name]}; method 'reduced' does")
+                raise InputError(f"method 'collocation' does not support the {UNKNOWN[name]}; use method 'reduced'")
             case "tip_direction":
                 return block.tip_rotation[:, 2]
             case "margin":

@@ -123,22 +123,22 @@ class Objective:
     def __post_init__(self) -> None:
         check_fields(self, "the objective")
         if (self.kind == "reach_radius") != (self.depth is not None):
-            raise InputError("depth belongs to the objective reach_radius, which needs it, and to no other")
+            raise InputError("depth is required for the objective reach_radius, and not allowed for others")
         if self.tip_moment is not None and self.kind != "tip_deflection":
-            raise InputError("tip_moment belongs to the objective tip_deflection, and to no other")
+            raise InputError("tip_moment is allowed for the objective tip_deflection only")
         if (self.kind in PUSHED) != (self.tip_force is not None or self.tip_moment is not None):
-            raise InputError(f"tip_force belongs to the objectives {' and '.join(PUSHED)}, which need it, and no other")
+            raise InputError(
+                f"tip_force is required for the objectives {' and '.join(PUSHED)}, and not allowed for others"
+            )
         for name in ("tip_force", "tip_moment"):
             if getattr(self, name) is not None:
                 push = vector(f"{name} of the objective", getattr(self, name), 3, "x, y, z")
                 if not push.any():
-                    raise InputError(f"{name} of the objective is 0; it must push")
+                    raise InputError(f"{name} of the objective is 0; it must not be 0")
                 object.__setattr__(self, name, tuple(push.tolist()))
         if self.translations is not None:
             if self.kind not in ("tip_curvature", "turning_radius"):
-                raise InputError(
-                    "translations belong to the objectives tip_curvature and turning_radius, and to no other"
-                )
+                raise InputError("translations are allowed for the objectives tip_curvature and turning_radius only")
             object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
     words, unit, factor, sign = Of[str]("told"), Of[str]("told"), Of[float]("told"), Of[int]("told")

@@ -40,9 +40,9 @@ from .verify import Verification, solve_again, verify
 class DesignStatus(Sentence):
     """What became of a design; every value reads as a sentence."""
 
-    KEPT = "the design keeps all that was demanded"
-    STOPPED = "the design keeps all that was demanded; the time limit ended the search for a better one"
-    BROKEN = "a design was found, but looked at again it does not keep all that was demanded"
+    KEPT = "the design satisfies all requirements"
+    STOPPED = "the design satisfies all requirements; the search for a better one reached the time limit"
+    BROKEN = "a design was found, but verification shows that it violates a requirement"
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def _bearing(
             found = search(_without_force(task, one, floor))
         except DesignNotFoundError as error:
             head = f"no design was found that bears {one.max_force * 1e3:g} mN"
-            raise SolveError(f"{head}; without force its certificate would have to be {floor:.4f}: {error}") from error
+            raise SolveError(f"{head}; its certificate without force must be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
         check_time()
         value, check = _under_force(best.program, best.robot, one)
@@ -305,7 +305,10 @@ def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver
         low = floor
         floor = min(floor + 1.1 * short + solver.force_accuracy / 2, (low + (1.0 if high is None else high)) / 2)
     if high is None:
-        raise SolveError(f"no design was found that bears {one.max_force * 1e3:g} mN: the floor reached {low:.4f}")
+        raise SolveError(
+            f"no design was found that is certified for {one.max_force * 1e3:g} "
+            f"mN: the required certificate without force reached {low:.4f}"
+        )
     return high
 
 
@@ -321,7 +324,7 @@ def settle(found: Attempt, report: Report | None = None, method: str = "reduced"
         if not why:
             return found, rounds
         if rounds >= found.program.task.solver.exchange.rounds:
-            raise SolveError(f"after {rounds} rounds of adding worst cases there are still some: {why}")
+            raise SolveError(f"worst cases remain after {rounds} rounds: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
         found = best_of(rank([solve_from(program, start, report, method, keep=True)]))
@@ -355,7 +358,7 @@ def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began:
         out_of_time=bool(ranking.late),
     )
     if not verification.kept:
-        raise SolveError(f"the design that was found does not keep what it promises: {verification.broken}", solution)
+        raise SolveError(f"verification of the design failed: {verification.broken}", solution)
     return solution
 
 

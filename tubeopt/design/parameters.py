@@ -103,7 +103,7 @@ class Free:
             raise InputError(f"{what} is empty; there must be at least one")
         twice = [i for k, i in enumerate(self.tubes) if i in self.tubes[:k]]
         if twice:
-            raise InputError(f"{what} name tube {twice[0] + 1} twice; they must be different tubes")
+            raise InputError(f"{what} has tube {twice[0] + 1} twice; tubes must be different")
         low, high = (finite(f"{name} bound of {NAMES[self.field]}", getattr(self, name)) for name in ("lower", "upper"))
         if low > high:
             raise InputError(f"bounds of {NAMES[self.field]} are {low:g} and {high:g}; the lower must not be greater")
@@ -125,7 +125,7 @@ class Free:
         if of_piece and self.tie == "scaled":
             raise InputError(f"tie of the {name} is 'scaled'; for pieces it must be 'each' or 'equal'")
         if not of_piece and self.pieces:
-            raise InputError(f"pieces are named for the {name}; it is a dimension of whole tubes")
+            raise InputError(f"pieces are given for the {name}; it is a dimension of whole tubes")
         if self.coefficients > 1 and self.field != "piece_shape":
             raise InputError(f"coefficients is {self.coefficients} for the {name}; only a piece_shape has them")
         if self.coefficients > MOST_COEFFICIENTS:
@@ -284,8 +284,9 @@ def _piece_entries(
             continue
         if one.field not in PIECE_FIELDS:
             raise InputError(
-                f"free {NAMES[one.field]} is a dimension of whole tubes; beside pieces only lengths and diameters of "
-                "these are free: piece_curvature bends the pieces of a tube"
+                f"free {NAMES[one.field]} is a dimension of whole tubes; for tubes made of "
+                "pieces only their lengths and diameters can be free; use piece_curvature "
+                "for the curvature of pieces"
             )
         places = [place for i in one.tubes for place in _places(one, i, tubes)]
         taken = {(other.field, place) for _, other in found for place in other.pieces}

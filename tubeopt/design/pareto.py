@@ -93,7 +93,7 @@ def pareto_front(
             found = solve_from(recompiled(eased, here.program), here.x, keep=True)
         try:
             if not found.feasible:
-                raise SolveError(f"no design was found that keeps a margin of {margin:g}")
+                raise SolveError(f"no design was found with a margin of at least {margin:g}")
             found, _ = settle(found)
         except SolveError:
             if not points:

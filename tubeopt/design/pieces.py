@@ -108,7 +108,7 @@ def _start(tube: Tube, number: int, field: str, order: int) -> float:
             return bend_of((x, y), piece.length)[0]
         case "piece_shape":
             if y != 0:
-                raise InputError(f"piece {number + 1} bends out of its x axis; a shape is the curvature about x alone")
+                raise InputError(f"piece {number + 1} has curvature about y; a shape may have curvature about x only")
             return _coefficient(x, piece.length, order)
         case "piece_twist":
             if isinstance(z, Series):

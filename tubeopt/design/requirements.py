@@ -66,20 +66,20 @@ class SnapFree:
             if (share := getattr(self, name)) >= 1:
                 raise InputError(f"{name} of the certificate is {share:.6g}; it must be less than 1")
         if self.max_force and self.growth > 1:
-            raise InputError("max_force is given beside errors of the tubes; a certificate is for one of them")
+            raise InputError("max_force and tube errors are both given; a certificate covers one of them")
         if self.max_force and self.box is not None:
-            raise InputError("max_force and box are given; under a force a certificate is for given translations")
+            raise InputError("max_force and box are both given; a certificate under force needs fixed translations")
         if self.translations is not None:
             object.__setattr__(self, "translations", _rows("translations of the certificate", self.translations))
         if self.box is not None:
             rows = _rows("box of translations", self.box)
             if len(rows) != 2:
                 raise InputError(
-                    f"box of translations has {len(rows)} rows; it must have 2, the least and the greatest"
+                    f"box of translations has {len(rows)} rows; it must have 2, the smallest and the largest"
                 )
             low, high = rows
             if any(a > b for a, b in zip(low, high, strict=True)):
-                raise InputError("box of translations is crossed; its first row must not be above its second")
+                raise InputError("box of translations: the first row must not exceed the second")
             object.__setattr__(self, "box", (low, high))
 
     @property
@@ -260,7 +260,7 @@ class Coverage:
         for name in ("lower", "upper"):
             object.__setattr__(self, name, triple(f"{name} corner of the workspace box", getattr(self, name)))
         if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
-            raise InputError("the workspace box is crossed; its lower corner must not be above its upper corner")
+            raise InputError("the workspace box: the lower corner must not exceed the upper corner")
         check_fields(self, "the workspace box")
         whole("samples of the workspace box", self.samples, 0)
 

@@ -329,10 +329,10 @@ def _check(task: DesignTask) -> None:
     instance("task", task, DesignTask)
     if task.has_poses:
         raise InputError(
-            "the task has poses; a search without derivatives takes requirements on tubes and certificates"
+            "the task has poses; a derivative-free search supports requirements on tubes and certificates only"
         )
     for one in task.requirements:
         if isinstance(one, SnapFree) and (one.box is not None or one.max_force):
             raise InputError(
-                "snap_free names a box or a force; a search without derivatives takes it at translations and unloaded"
+                "snap_free has a box or a force; a derivative-free search supports fixed translations without load only"
             )

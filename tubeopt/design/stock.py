@@ -143,9 +143,9 @@ def choose_from_stock(
 def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
     """All choices of sizes for the tubes of a task, inner to outer."""
     if any(one.field in ("outer_diameter", "inner_diameter") for one in task.free):
-        raise InputError("diameters are free in a task whose tubes come from stock; only one can decide on them")
+        raise InputError("diameters are free, and the tubes come from stock; use one of both")
     if len(task.objectives) > 1:
-        raise InputError("a choice from stock ranks by one objective; the task has several")
+        raise InputError("a choice from stock needs one objective; the task has several")
     usual_length("clearance", clearance, BETWEEN_TUBES, zero=True)
     choices = list(combinations(stock, task.robot.n_tubes, clearance))
     if not choices:

@@ -132,8 +132,8 @@ def _advanced(task: DesignTask, name: str, row: Sequence[float]) -> None:
     for i, (shift, most) in enumerate(zip(row, least, strict=True)):
         if shift > most + 1e-12:
             raise InputError(
-                f"translation of tube {i + 1} is {shift:g} m; it must be at most the least straight length that the "
-                f"tube may get, {most:g} m"
+                f"translation of tube {i + 1} is {shift:g} m; it must be at most the lower "
+                f"bound of its straight length, {most:g} m"
             )
 
 
@@ -159,9 +159,7 @@ def _check_requirements(task: DesignTask) -> None:
             case Length(tube=tube) if not 0 <= tube < n:
                 raise InputError(f"length names tube {tube + 1}; the robot has tubes 1 to {n}")
             case SnapFreeInUse() | Stroke() | Avoid() | Deployment() if not task.has_poses:
-                raise InputError(
-                    f"{type(one).__name__} speaks of task poses; the task must have some (Reach, Coverage or Poses)"
-                )
+                raise InputError(f"{type(one).__name__} needs task poses; the task must have Reach, Coverage or Poses")
             case StrokeForce():
                 _given_poses(task, "requirement StrokeForce")
             case OwnRequirement():
@@ -170,7 +168,7 @@ def _check_requirements(task: DesignTask) -> None:
                 pass
     for kind in (SnapFree, SnapFreeInUse, Strain, Stroke, StrokeForce):
         if len(of_kind(task.requirements, kind)) > 1:
-            raise InputError(f"{kind.__name__} is required twice; it must be given once")
+            raise InputError(f"{kind.__name__} is given twice; it must be given once")
 
 
 def _given_poses(task: DesignTask, what: str) -> None:
@@ -178,7 +176,7 @@ def _given_poses(task: DesignTask, what: str) -> None:
     if not of_kind(task.requirements, Poses) or of_kind(task.requirements, Reach) + of_kind(
         task.requirements, Coverage
     ):
-        raise InputError(f"{what} speaks of task poses with given joint values; all must be such (Poses)")
+        raise InputError(f"{what} needs task poses with given joint values; use Poses only")
 
 
 def _check_pieces(task: DesignTask) -> None:
@@ -186,8 +184,8 @@ def _check_pieces(task: DesignTask) -> None:
     may_vary = any(one.pieces for one in task.space.unknowns) or not all(tube.even for tube in task.space.robot_tubes)
     if may_vary and any(isinstance(one, SnapFree) and one.growth > 1 for one in task.requirements):
         raise InputError(
-            "snap_free names errors of curvature or stiffness; for tubes made of pieces nothing is proved of them: ask "
-            "for a larger margin, and look at tolerances"
+            "snap_free has errors of curvature or stiffness; there is no proof for tubes "
+            "made of pieces: require a larger margin, and check tolerances"
         )
     if not task.space.pieced:
         return
@@ -197,8 +195,8 @@ def _check_pieces(task: DesignTask) -> None:
     for wanted in task.objectives:
         if isinstance(wanted, Objective) and wanted.kind in ("tip_curvature", "turning_radius"):
             raise InputError(
-                f"objective is {wanted.kind}; of tubes made of pieces it is not one number: ask for a direction of the "
-                "tip at a target"
+                f"objective is {wanted.kind}; it is not defined for tubes made of pieces: "
+                "require a tip direction at a target instead"
             )
         if isinstance(wanted, Objective) and wanted.kind == "strain":
             _check_slots(task.space)
@@ -212,9 +210,9 @@ def _check_slots(space: DesignSpace) -> None:
             if piece.slots is None and (slots_unknown(tube, piece) or (i, j) in free):
                 how = "may be" if (i, j) in free else "is"
                 raise InputError(
-                    f"strain is limited, and piece {j + 1} of tube {i + 1} {how} softer than its tube; slots: "
-                    "{share: ...} must say along how much of it they are cut, 1 where it is alike all along: what "
-                    "they leave is strained more"
+                    f"strain is limited, and piece {j + 1} of tube {i + 1} {how} softer than "
+                    f"its tube; give slots: {{share: ...}}, the slotted fraction of its length "
+                    "(1 if uniform), because the remaining material has higher strain"
                 )
 
 
@@ -224,17 +222,17 @@ def _check_objectives(task: DesignTask) -> None:
         if isinstance(one, OwnObjective):
             one.checked()
             if one.words in KINDS:
-                raise InputError(f"an own objective is called {one.words!r} like a built-in one; it needs other words")
+                raise InputError(
+                    "a user-defined objective has the description "
+                    f"{one.words!r} of a built-in one; use another description"
+                )
             continue
         if one.translations is not None:
             _advanced(task, "translations of the objective", one.translations)
         if one.kind == "margin" and not (certified or task.has_poses):
             raise InputError("objective margin needs a certificate or task poses; the task has neither")
         if one.kind == "orientability" and task.robot.n_tubes < 3:
-            raise InputError(
-                f"objective orientability needs 3 tubes; the {task.robot.n_tubes} of the robot cannot turn "
-                "the tip to all sides at a place"
-            )
+            raise InputError(f"objective orientability needs 3 tubes; the robot has {task.robot.n_tubes}")
         if one.kind in ("stroke_force", "workspace_volume"):
             _given_poses(task, f"objective {one.kind}")
         count = sum(len(each.rotations) for each in of_kind(task.requirements, Poses))

@@ -112,7 +112,7 @@ def tolerance_analysis(  # noqa: PLR0913
             vector(name, values, robot.n_tubes)
     nominal = _batch((robot.tubes,), where, tuple(poses))
     if np.isnan(nominal[1]).any():
-        raise SolveError("the robot as designed has no stable equilibrium at a pose whose tip is to be compared")
+        raise SolveError("the nominal robot has no stable equilibrium at a compared pose")
     tubes = sample_tubes(robot.tubes, tolerances, samples)
     batches = [tubes[k : k + 64] for k in range(0, samples, 64)]
     with executor(min(workers, len(batches))) as pool:

@@ -132,8 +132,8 @@ class ArmChange(Directions):
         pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
         if (self.side * self._longer < 0).any() and any(part.at >= tip - TIP for part in here.load.points):
             raise InputError(
-                f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
-                "derivatives by what moves it out (side=1)"
+                f"a point load acts at the tip, {1e3 * tip:g} mm from the base plate; "
+                "backward derivatives do not exist there; use side=1"
             )
         left = {tube for k, tube, _ in here.joints if (pace[tube] < 0).any() and abs(self.cuts[k] - ends[tube]) <= TIP}
         if any(here.load.moment):
@@ -144,8 +144,7 @@ class ArmChange(Directions):
             left |= {here.tip_tube} if (over.any(0) & (pace[here.tip_tube] < 0)).any() else set()
         if left:
             raise SolveError(
-                f"there is no derivative by the end of tube {min(left) + 1}: a moment acts there, which another tube "
-                "takes over"
+                f"the derivative with respect to the end of tube {min(left) + 1} does not exist: a moment acts there"
             )
 
     @cached_property

@@ -34,7 +34,7 @@ class BatchStatus(Sentence):
     """What became of many joint values; every value reads as a sentence."""
 
     SOLVED = "a stable equilibrium was found at all joint values"
-    GAPS = "at some joint values no stable equilibrium was found"
+    GAPS = "no stable equilibrium was found at some joint values"
 
 
 @dataclass(frozen=True)
@@ -239,8 +239,9 @@ def _admissible(robot: Robot, shift: Array) -> None:
     if len(out):
         row, tube = (int(k) for k in out[0])
         raise InputError(
-            f"translations[{row}] of tube {tube + 1} is {shift[row, tube]:g} m, which pulls it out of its actuator; "
-            f"it must be at most its straight_length, {straight[tube]:g} m"
+            f"translations[{row}] of tube {tube + 1} is {shift[row, tube]:g} m and moves it "
+            "out of its carriage; it must be at most its straight_length, "
+            f"{straight[tube]:g} m"
         )
     if len(shift):
         check_reach(robot.tubes, shift.min(0).tolist())

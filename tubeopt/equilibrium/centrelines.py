@@ -86,7 +86,7 @@ class SegmentChain:
         guess = forward_kinematics(centred, self.rotations, self.translations)
         apart = self.deviation(guess)[0]
         if apart > 1e-6:
-            raise SolveError(f"the whole robot at d = 0 settles {1e3 * apart:.3g} mm from the chain: on another branch")
+            raise SolveError(f"the equivalent robot at d = 0 is on another branch, {1e3 * apart:.3g} mm away")
         return forward_kinematics(self.robot, self.rotations, self.translations, guess=guess)
 
     def deviation(self, equilibrium: Equilibrium) -> tuple[float, float]:

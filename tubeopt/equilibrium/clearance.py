@@ -127,7 +127,7 @@ def clearance_correction(
     """
     e, robot = equilibrium, equilibrium.robot
     if not isinstance(robot, ConcentricRobot):
-        raise InputError("robot is eccentric; clearance between tubes is that of concentric ones")
+        raise InputError("robot is eccentric; clearance between tubes is defined for concentric robots only")
     given = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
     room = clearances(given, robot.n_tubes)
     ends = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])

@@ -26,7 +26,7 @@ def compliance_of(equilibrium: Equilibrium) -> Array:
 def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
     """(6, 6) change of a place of the arm by a small dead wrench there; see `Equilibrium.compliance_at`."""
     if equilibrium.load is not None and not equilibrium.load.has_energy:
-        raise InputError("the load has a moment or turns with the tip; compliance is then told at the tip only")
+        raise InputError("the load has a moment or turns with the tip; compliance is then available at the tip only")
     point = point_of(equilibrium, Load())
     assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):

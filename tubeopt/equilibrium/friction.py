@@ -112,7 +112,7 @@ def check_rubbing(robot: Robot, friction: Friction) -> None:
     """Raise InputError for a robot or a friction of which there is no motion with friction."""
     check_friction(friction, robot.n_tubes)
     if isinstance(robot, (EccentricRobot, SegmentedEccentricRobot)):
-        raise InputError("friction is given for an eccentric robot; it is known of concentric tubes only")
+        raise InputError("friction is given for an eccentric robot; it is supported for concentric robots only")
 
 
 def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
@@ -124,7 +124,7 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
     """
     own = equilibrium.friction
     if own is not None and own.friction != friction:
-        raise InputError("start bears another friction; go on with the same, or start from an equilibrium without")
+        raise InputError("start has a different friction; use the same friction, or a start without friction")
     shift = equilibrium.translations
     contact = contact_of(robot, tuple(shift.tolist()), friction, equilibrium.load)
     if own is None:
@@ -135,7 +135,7 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
     state = evaluate_contact(contact, equilibrium.rotations, x)
     torque = np.array(own.torque)
     if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
-        raise SolveError("start bears friction that does not balance it: it is of another robot")
+        raise SolveError("start is not in balance with its friction: it belongs to another robot")
     slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
     found = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
@@ -162,7 +162,7 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
         NEWTON.iterations,
     )
     if not relaxed.converged:
-        raise SolveError("start is no equilibrium that Newton's method finds on the mesh of friction")
+        raise SolveError("Newton's method does not converge from start on the friction mesh")
     nothing = np.zeros(len(contact.capacity))
     found = Increment(relaxed.state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
     return Held(contact, alpha, equilibrium.translations, found, 0.0)

@@ -111,7 +111,7 @@ def forward_kinematics(  # noqa: PLR0913
         guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
-        raise InputError("guess bears a load, but no load is given; give the load, or a guess without one")
+        raise InputError("guess has a load, but no load is given; give the load, or a guess without load")
     elif asked.of_kernel(None, discretisation):
         found = unloaded(robot, alpha, place, guess, asked)
     if found is None and guess is None:
@@ -155,7 +155,7 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
         point = point.onto(there, failure, by.newton)
         point = _by_method(point, by)
-    raise AssertionError("the finest mesh either holds the tolerance or raises")
+    raise AssertionError("the finest mesh neither reached the tolerance nor raised an error")
 
 
 @small
@@ -191,7 +191,7 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
     if by.name == "newton":
         result = member.descend(x, by.newton)
     elif by.name == "energy" and problem.assembly.eccentric:
-        raise InputError("method is 'energy'; tubes off the centreline have no such energy: use newton or ipopt")
+        raise InputError("method is 'energy'; eccentric robots have no such energy: use newton or ipopt")
     else:
         guess = profile(problem, rotations, evaluate(problem, rotations, x))
         result = solve_ipopt(problem, rotations, guess, "energy" if by.name == "energy" else "equations", by.ipopt)

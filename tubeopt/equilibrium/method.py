@@ -62,13 +62,10 @@ def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
     """Raise InputError for what there is not under a load."""
     own = {name: getattr(NEWTON, name) for name in ("loaded_refinements", "margin_tolerance")}
     if by.newton is not NEWTON and replace(by.newton, **own) != NEWTON:
-        raise InputError(
-            f"method has settings of Newton's method other than {' and '.join(own)}, which hold under load"
-        )
+        raise InputError(f"method has settings other than {' and '.join(own)}; only these apply under load")
     if by.name != "newton" and not load.has_energy:
         raise InputError(
-            f"method is {by.name!r}; under a moment or a force that turns with the tip, which have no energy to be "
-            "made least, it must be 'newton'"
+            f"method is {by.name!r}; under a moment or a follower force, which have no energy, it must be 'newton'"
         )
     if discretisation != DEFAULT_DISCRETISATION:
-        raise InputError("discretisation is given; under load it is chosen for you")
+        raise InputError("discretisation is given; under load it is chosen automatically")

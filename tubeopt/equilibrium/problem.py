@@ -143,22 +143,17 @@ def _check_places(load: Load, length: float) -> None:
                 f"{length:g} m ({length * 1e3:.6g} mm)"
             )
         if stretch.end > length * (1 + 1e-9):
-            implausible(
-                f"distributed[{k}] of the load ends at {end}, beyond the end of the arm; it acts as far as {arm}"
-            )
+            implausible(f"distributed[{k}] of the load ends at {end}, beyond the end of the arm; it is cut at {arm}")
 
 
 @lru_cache(maxsize=KEPT)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     assembly = _cut(robot, translations, ())
     if assembly.eccentric:
-        raise InputError(
-            "the tubes of this robot run beside one another; the model of eccentric robots has no forces on it, "
-            "so only concentric robots can be loaded"
-        )
+        raise InputError("this robot is eccentric; only concentric robots can be loaded")
     length = assembly.total_length
     if not length:
-        raise InputError("no tube is in front of the plate, so there is no arm on which a load could act")
+        raise InputError("no tube is in front of the base plate, so no load can act on the arm")
     _check_size(robot, load, length)
     _check_places(load, length)
     masses(robot.tubes, load)

@@ -133,6 +133,7 @@ def _searched(gap: Callable[[Array], tuple[Array, Array]], start: Array, most: A
             part = float(scipy.optimize.brentq(rise, 0.0, 1.0, xtol=1e-12, rtol=1e-14))
         here = here + part * step
     raise SolveError(
-        f"carriages yield without end: with compliances of {', '.join(f'{c * 1e3:g}' for c in compliance)} mm/N their "
-        f"translations are off by {np.abs(ahead).max() * 1e3:.2g} mm"
+        "the carriage positions do not converge: with compliances of "
+        f"{', '.join(f'{c * 1e3:g}' for c in compliance)} mm/N the translation error is "
+        f"{np.abs(ahead).max() * 1e3:.2g} mm"
     )

@@ -27,12 +27,12 @@ class Status(Sentence):
     """What became of a solve; every value reads as a sentence."""
 
     STABLE = "a stable equilibrium was found"
-    UNSTABLE = "an unstable equilibrium was found: the robot would leave it at the slightest touch"
-    HELD = "an equilibrium was found that friction alone holds: shaken, the robot leaves it"
+    UNSTABLE = "an unstable equilibrium was found: any disturbance makes the robot leave it"
+    HELD = "an equilibrium was found that only friction keeps stable: vibration makes the robot leave it"
     NOT_CONVERGED = "no equilibrium was found"
-    BRANCH_ENDED = "the branch that was followed ends before the wanted joint values: the robot snaps"
-    BRANCH_ENDED_UNDER_LOAD = "the branch that grows from no load is lost before the whole load is on"
-    MESH_TOO_COARSE = "the wanted tolerance was not reached on the finest mesh"
+    BRANCH_ENDED = "the branch ends before the target joint values: the robot snaps"
+    BRANCH_ENDED_UNDER_LOAD = "the branch from the unloaded equilibrium ends before the full load"
+    MESH_TOO_COARSE = "the finest mesh did not reach the tolerance"
 
 
 @dataclass(frozen=True)
@@ -317,14 +317,14 @@ class Equilibrium(Displayed):
 def refuse_load(equilibrium: Equilibrium) -> None:
     """Raise InputError for an equilibrium under load or friction, where what is asked knows of neither."""
     if equilibrium.load is not None:
-        raise InputError("the equilibrium bears a load, which is not supported here; give one without load")
+        raise InputError("the equilibrium has a load; this function supports equilibria without load only")
     refuse_friction(equilibrium)
 
 
 def refuse_friction(equilibrium: Equilibrium) -> None:
     """Raise InputError for an equilibrium under friction, where what is asked does not know of it."""
     if equilibrium.friction is not None:
-        raise InputError("the equilibrium bears friction, which is not supported here; give one without friction")
+        raise InputError("the equilibrium has friction; this function supports equilibria without friction only")
 
 
 def small_turn(turn: Array) -> Array:

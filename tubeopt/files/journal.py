@@ -93,7 +93,7 @@ class Journal:
             if data is None and place + len(line) == size and (number or _line(self._head).startswith(line)):
                 break  # torn by a kill, or nonsense after a loss of power
             if data is None:
-                raise InputError(f"{self.path}: line {number + 1} is damaged; this is no journal of a sweep")
+                raise InputError(f"{self.path}: line {number + 1} is damaged; this is not the journal of a sweep")
             if number == 0:
                 self._check(data)
             else:
@@ -107,8 +107,8 @@ class Journal:
     def _check(self, head: Mapping[str, Any]) -> None:
         if head != self._head:
             raise InputError(
-                f"{self.path}: this is the journal of another sweep, or the files of this one have changed since; "
-                "give another directory, or delete the journal"
+                f"{self.path}: this journal belongs to another sweep, or the input files "
+                "have changed; give another directory, or delete the journal"
             )
 
 

@@ -16,9 +16,9 @@ from .outline import Outline
 class InverseStatus(Sentence):
     """What became of a target; every value reads as a sentence."""
 
-    REACHED = "the target is reached by a stable equilibrium"
-    CLOSEST = "the target was reached from no start; this is the closest pose that was found"
-    TIMED_OUT = "the time ran out before the target was reached; this is the closest pose that was found till then"
+    REACHED = "the target is reached in a stable equilibrium"
+    CLOSEST = "target not reached; the closest pose is shown"
+    TIMED_OUT = "target not reached within the time limit; the closest pose is shown"
 
 
 @dataclass(frozen=True)

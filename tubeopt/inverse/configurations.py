@@ -66,7 +66,7 @@ def scaled_weights(space: JointSpace, weights: Any) -> Array:
         turn, shift = weights
     except (TypeError, ValueError):
         raise InputError(
-            "weights must be a pair: of the rotations (n,), per rad, and of the translations, per m"
+            "weights must be a pair: for rotations (n,), per rad, and for translations (n,), per m"
         ) from None
     values = [vector(f"weights of {what}", value, n) for what, value in (("rotations", turn), ("translations", shift))]
     if min(value.min() for value in values) < 0:

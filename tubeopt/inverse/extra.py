@@ -84,7 +84,7 @@ def _asked(one: OwnObjective | OwnRequirement, ask: Callable[[], T]) -> T:
     try:
         return ask()
     except FloatingPointError:
-        raise InputError(f"the expression of {one.words} is not finite at a pose on the way to the target") from None
+        raise InputError(f"the expression of {one.words} is not finite at a pose on the path to the target") from None
 
 
 def values(at: Posture) -> Callable[[Quantity], Array]:
@@ -95,9 +95,9 @@ def values(at: Posture) -> Callable[[Quantity], Array]:
         here = at.equilibrium
         match one.name:
             case _ if isinstance(one.pose, tuple):
-                raise InputError("arms on their way out are known in designs only")
+                raise InputError("deployment poses are available in designs only")
             case "strain" | "clearance" | "deflection" | "margin_under" | "jacobian" | "turning" | "stroke_force":
-                raise InputError(f"the {one.name.replace('_', ' ')} of a pose is known in designs only")
+                raise InputError(f"the {one.name.replace('_', ' ')} of a pose is available in designs only")
             case "certificate":
                 return np.array([snap_free_certificate(at.space.robot, np.array(one.at))])
             case "tip_direction":

@@ -143,8 +143,8 @@ def mirror_inverse(
         if wanted < most:
             raise SolveError(f"no mirror actuation was found: the best misses by {found.error:.3g} per m", found)
         raise InputError(
-            f"curvature is {wanted:.6g} per m; towards {math.degrees(azimuth):.4g} deg this robot bends with at most "
-            f"{most:.6g} per m"
+            f"curvature is {wanted:.6g} per m; towards {math.degrees(azimuth):.4g} deg it "
+            f"must be at most {most:.6g} per m"
         )
     return found
 
@@ -185,7 +185,7 @@ def mirror_to_tip(
     if found.error > tolerance:
         nearest = ", ".join(f"{1e3 * x:.4f}" for x in found.equilibrium.tip_position)
         raise InputError(
-            f"position lies {1e3 * found.error:.4g} mm off the surface that the tip can reach; its closest point there "
+            f"position is {1e3 * found.error:.4g} mm off the surface that the tip can reach; its closest point there "
             f"is ({nearest}) mm"
         )
     return found
@@ -248,12 +248,12 @@ class _Arm:
         self.most = abs(robot.tube.curvature)
         self.full = self.most * np.array([math.cos(azimuth), math.sin(azimuth)])
         if self.most == 0 or robot.tube.curved_length == 0:
-            raise InputError("the robot's tubes are straight; they cannot bend it")
+            raise InputError("the tubes are straight and cannot bend the robot")
         assembly = robot.assembly(self.translations)
         self.plate = max(float(assembly.transition.min()), 0.0)
         self.length = assembly.total_length - self.plate
         if self.length <= 0:
-            raise InputError("the tubes are withdrawn behind the plate; nothing of them is left to bend")
+            raise InputError("the tubes are retracted behind the base plate and cannot bend the robot")
 
     @property
     def travel(self) -> tuple[float, float]:
@@ -269,12 +269,11 @@ class _Arm:
         low, high = self.travel
         if size > self.most * (1 + 1e-12):
             raise InputError(
-                f"position asks for an arc with a curvature of {size:.6g} per m; three tubes bend with at most "
-                f"{self.most:.6g}"
+                f"position needs a curvature of {size:.6g} per m; it must be at most {self.most:.6g} per m"
             )
         if not low - 1e-12 <= translation <= high + 1e-12:
             raise InputError(
-                f"position asks for a translation of {translation:.6g} m; it must be from {low:.6g} to {high:.6g} m"
+                f"position needs a translation of {translation:.6g} m; it must be from {low:.6g} to {high:.6g} m"
             )
         return size * self.full / self.most, min(max(translation, low), high)
 
@@ -293,9 +292,7 @@ class _Arm:
         sharpest = min(kappa, math.pi / longest)
         most = (1 - math.cos(sharpest * longest)) / sharpest
         if radius > most:
-            raise InputError(
-                f"position lies {radius:.6g} m off the axis; an arm advanced to there bends to at most {most:.6g} m"
-            )
+            raise InputError(f"position is {radius:.6g} m from the axis; at this depth it must be at most {most:.6g} m")
         bend = scipy.optimize.brentq(
             lambda k: (1 - math.cos(k * longest)) / k - radius, 1e-9 / longest, sharpest * (1 + 1e-12)
         )

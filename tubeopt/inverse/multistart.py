@@ -298,7 +298,7 @@ class Multistart:
         far = f"; the target is out of reach, {millimetres(beyond)} beyond the longest arm" if beyond > 0 else ""
         if late and not far:
             far = "; whether the target can be reached is not known"
-        raise SolveError(f"no answer was found {tried}: {missed_by(goal, at)}: {why}{far}", closest)
+        raise SolveError(f"target not reached {tried}: {missed_by(goal, at)}: {why}{far}", closest)
 
     def _without_a_pose(self, late: bool) -> str:
         """Why there is not even a closest pose."""

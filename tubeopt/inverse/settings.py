@@ -295,7 +295,9 @@ class InverseOptions(Displayed):
             )
         object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
         if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):
-            raise InputError("method 'nlp' takes no extra_cost and no extra_constraints; use 'auto' or 'gauss_newton'")
+            raise InputError(
+                "method 'nlp' does not support extra_cost and extra_constraints; use 'auto' or 'gauss_newton'"
+            )
         instance("solver", self.solver, InverseSolver)
 
 

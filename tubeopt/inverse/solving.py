@@ -159,8 +159,9 @@ def answers_of(
         raise InputError("direction_weight is given without a direction; give the direction to point along")
     if goal.options.method == "nlp" and goal.overdetermined:
         raise InputError(
-            f"method is 'nlp', but the target asks for more than the {len(goal.space.lower)} independent joints of the "
-            "robot can choose; use auto or gauss_newton"
+            "method is 'nlp', but the target has more conditions than the "
+            f"{len(goal.space.lower)} independent joints of the robot; use auto or "
+            "gauss_newton"
         )
     first = seed_posture(goal.space, seed) if seed is not None else None
     search = Multistart(goal, first)
@@ -178,7 +179,7 @@ def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: boo
     Where the loaded arm falls short of the margin or the clearance, the unloaded one is asked for so much more.
     """
     if goal.direction_weight is not None:
-        raise InputError("direction_weight is given; under load a direction is held or left free")
+        raise InputError("direction_weight is given; under load a direction is a constraint or free")
     wanted, last, room = goal, seed, goal.solver.aim.room
     for _ in range(goal.solver.aim.shots):
         last, e = _aim(wanted, last, load, held=held)
@@ -193,8 +194,8 @@ def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: boo
             break
         wanted = replace(wanted, min_margin=floor, options=replace(wanted.options, clearance=clearance))
     raise SolveError(
-        f"under the load the margin is {e.margin:.3g} and the clearance {1e3 * max(near, 0.0):.3g} mm too small at the "
-        "best answer that was found",
+        f"the best solution under load has margin {e.margin:.3g}, and its clearance is "
+        f"{1e3 * max(near, 0.0):.3g} mm too small",
         answer,
     )
 
@@ -243,7 +244,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
             along = at.direction + step[3:] / length
             at = replace(at, direction=along / np.linalg.norm(along))
     raise SolveError(
-        f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm, and aiming does not help"
+        f"the loaded robot misses the target by {1e3 * np.linalg.norm(gap):.3g} mm; iterations did not converge"
     )
 
 

@@ -89,7 +89,7 @@ def build_table(
     solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
     table = StartTable(solved, tip, direction, margin, tried, whole=tried >= size)
     if table.whole and not len(table.q):
-        raise InputError("limits leave no joint values at which a stable equilibrium was found")
+        raise InputError("no stable equilibrium was found within the limits")
     return table
 
 

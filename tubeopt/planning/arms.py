@@ -245,7 +245,9 @@ def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
     try:
         found = [np.asarray(getattr(motion, name), dtype=float) for name in ("time", "rotations", "translations")]
     except (AttributeError, TypeError, ValueError):
-        raise InputError("motion is none; it must have time, rotations and translations, a row for each time") from None
+        raise InputError(
+            "motion is missing; it must have time, rotations and translations, a row for each time"
+        ) from None
     if any(part.ndim < 1 or not len(part) for part in found):
         raise InputError("motion has no rows; it must have one for each time, one time at least")
     return found[0], found[1], found[2]

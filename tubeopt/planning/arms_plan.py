@@ -155,7 +155,7 @@ def plan_arms(
     one_each("goals", goals, known)
     instance("options", options, PlanOptions)
     if options.roadmap is not None or options.max_force:
-        raise InputError("roadmap and max_force are of one robot; a plan of several arms has none")
+        raise InputError("roadmap and max_force are given; they are supported for plans of one robot only")
     clock, bodies = Clock(options.time_limit), checked_obstacles(obstacles)
     first = []
     for k, start in enumerate(starts):
@@ -205,8 +205,9 @@ def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], cle
         gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
             raise SolveError(
-                f"no plan exists: at their starts {called(arms, i)} and {called(arms, j)} are {gap * 1e3:.3g} mm "
-                f"apart; they must keep {clearance * 1e3:g} mm"
+                f"no plan exists: the clearance between {called(arms, i)} and "
+                f"{called(arms, j)} at the start is {gap * 1e3:.3g} mm; it must be at least "
+                f"{clearance * 1e3:g} mm"
             )
 
 
@@ -233,7 +234,7 @@ def _one_by_one(
                 return order, _moves(arms, first, turns, planned, clock.part(0.5))
             except SolveError as error:
                 reasons[str(error)] = None
-    raise SolveError(f"no plan was found for all arms, one after the other past those at rest: {'; '.join(reasons)}")
+    raise SolveError(f"no plan was found that moves the arms one after the other: {'; '.join(reasons)}")
 
 
 def _moves(
@@ -252,7 +253,7 @@ def _moves(
     for done, (k, withdrawn) in enumerate(turns):
         try:
             if limit.over:
-                raise SolveError("time was over")
+                raise SolveError("the time limit was reached")
             moves.append((k, planned(k, ends, limit.left / (len(turns) - done), withdrawn)))
         except SolveError as error:
             if withdrawn:

@@ -66,14 +66,14 @@ class EntryRegion(Displayed):
         if (self.radius > 0) + any(self.box) + (self.places is not None) > 1:
             raise InputError("the entry has several regions; it must have one of a radius, a box, and places")
         if not (self.radius or any(self.box) or self.places is not None or self.cone):
-            raise InputError("the entry leaves nothing free; it must have a radius, a box, places or a cone")
+            raise InputError("the entry has no freedom; it must have a radius, a box, places or a cone")
 
     def frames(self, count: int, seed: int = 0) -> list[Frame]:
         """Places of the plate, spread evenly, the first as it is given: without a tilt, and in the middle of a disc
         or box. Of places that are given there is each, however small the count."""
         count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
         if count > MOST:
-            raise InputError(f"the entry has {count} places to be looked at; it must have {MOST} at most")
+            raise InputError(f"the entry has {count} base poses to check; it must have at most {MOST}")
         unit = sobol(5, count, seed)
         unit[0] = 0.5, 0.5, 0.5, 0.0, 0.0
         if self.places is not None:
@@ -150,8 +150,8 @@ def plan_from_region(
     order = [k for k in np.argsort(score, kind="stable").tolist() if np.isfinite(score[k])]
     if not order:
         raise SolveError(
-            f"no plan exists from the {len(score)} places of the plate that were looked at: in each the arm at the "
-            f"start does not keep its clearance of {options.clearance * 1e3:g} mm"
+            f"no plan exists from the {len(score)} checked base poses: at each the clearance "
+            f"of the arm at the start is below {options.clearance * 1e3:g} mm"
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:
@@ -178,8 +178,9 @@ def plan_from_region(
     if unproved is not None:
         return unproved
     raise SolveError(
-        f"no plan was found from {len(score)} places of the plate; in {len(order)} of them the arm is clear at the "
-        f"start, plans were tried from {tried}; from the most promising one: {why or 'time ran out'}"
+        f"no plan was found from {len(score)} base poses; {len(order)} of them have a "
+        f"collision-free start, and plans were tried from {tried}; for the most promising "
+        f"one: {why or 'the time limit was reached'}"
     )
 
 

@@ -62,8 +62,8 @@ class TimedJoints:
         if best is None or np.abs(best.tip_rotations - tips).max() > 1e-3:
             under = "" if load is None else " under this load"
             raise InputError(
-                f"no equilibrium at the first sample has the tip rotations that the file gives{under}; what was "
-                "planned under a load is verified under it"
+                "no equilibrium at the first sample has the tip rotations of the "
+                f"file{under}; verify a trajectory under the load of its plan"
             )
         return best
 
@@ -146,7 +146,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     named = [line.removeprefix(ROBOT) for line in comments if line.startswith(ROBOT)]
     table = read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
-        raise InputError(f"{path}: the file names no robot; give --robot ROBOT.yaml")
+        raise InputError(f"{path}: the file has no robot; give --robot ROBOT.yaml")
     own = robot if robot is not None else load_robot(resolved(named[0], Path(path).parent))
     turns, shifts = joint_columns(own.n_tubes)
     moved = table.expect([TIME, *turns], together=shifts)

@@ -49,7 +49,7 @@ def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
     try:
         places = np.array(targets, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name} is no table of numbers; it must be rows of x, y, z in m") from None
+        raise InputError(f"{name} is not a table of numbers; it must have rows of x, y, z in m") from None
     if places.ndim != 2 or not len(places) or places.shape[1] != 3 or not np.isfinite(places).all():
         raise InputError(f"{name} has shape {places.shape}; it must be rows of finite x, y, z in m, at least one")
     return places
@@ -157,7 +157,7 @@ def ends(
         raise SolveError(reason if whole else reason.replace("no plan exists", partly))
     out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
-        raise InputError("goal is out of range: no whole turns bring its rotations into the limits")
+        raise InputError("goal is out of range: no number of full turns brings its rotations into the limits")
     return _nearest(task, start, out)
 
 
@@ -310,7 +310,7 @@ def _somewhere(task: PlanTask, start: Equilibrium, places: list[TipGoal], clock:
             refused.append(error)
     if len(places) == 1:
         raise refused[0]
-    raise SolveError(f"no plan was found to {len(places)} places of the region; to the first: {refused[0]}")
+    raise SolveError(f"no plan was found to {len(places)} points of the region; to the first: {refused[0]}")
 
 
 def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
@@ -320,8 +320,8 @@ def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> l
     miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
     if miss > 0:
         raise SolveError(
-            "no plan was found: the goal is out of reach as far as searches tell, in which the tip comes no closer to "
-            f"it than {miss * 1e3:.4g} mm"
+            "no plan was found: the searches did not reach the goal; the smallest distance "
+            f"of the tip is {miss * 1e3:.4g} mm"
         )
     try:
         asked = _asked(task, start, goal, clock)

@@ -111,11 +111,11 @@ def follow_the_leader(  # noqa: PLR0913
     q[0] = task.chart.space.join(last.rotations, last.translations)
     withdrawn = track(task, last, q)
     if len(withdrawn) < len(q):
-        raise SolveError("the arm snaps while it is withdrawn")
+        raise SolveError("the arm snaps during retraction")
     first = withdrawn[-1]
     made = passing(task, first, q[::-1], path[0], "leader")
     if not isinstance(made, Trajectory):
-        raise SolveError(f"the deployment that was found cannot be proved: {'; '.join(made)}")
+        raise SolveError(f"the deployment cannot be proved: {'; '.join(made)}")
     way = np.concatenate([first.position, made.tip_position[1:]])
     return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
 
@@ -131,7 +131,7 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     end = ends(task, home, goal)[0]
     found = forward_kinematics(space.robot, *space.split(end.joints))
     if np.abs(task.chart.of(found) - end.point).max() > 1e-6:
-        raise InputError("goal has several equilibria; give the Equilibrium that is meant")
+        raise InputError("goal has several equilibria; give an Equilibrium")
     return found
 
 

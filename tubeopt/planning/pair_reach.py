@@ -93,7 +93,7 @@ class PairReach(Displayed):
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles))
         check_asked(self.tolerance, self.min_margin, self.options, self.count)
         if len(self.targets) < 2:
-            raise InputError("targets are 1 place; two tips need two at least")
+            raise InputError("targets is 1 point; two tips need at least 2")
         for name in ("starts", "bases"):
             if len(getattr(self, name)) != 2:
                 raise InputError(f"{name} are {len(getattr(self, name))}; they must be two, one for each robot")

@@ -248,7 +248,7 @@ def path_cost(extra: OwnObjective, n: int) -> Expression:
     for one in found.quantities:
         if one.pose is None or one.name not in PATH_QUANTITIES:
             known = ", ".join(PATH_QUANTITIES)
-            raise InputError(f"the cost {extra.words} speaks of {one.name}; on a path it may speak of {known}")
+            raise InputError(f"the cost {extra.words} uses {one.name}; on a path it may use {known}")
     if found.value.numel_out() != 1:
         raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
     return found

@@ -106,7 +106,7 @@ def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
         if task.clock.over:
             break
         task = _between(task.roomier(), first, goals)
-    raise SolveError(f"no trajectory was found that can be proved: {'; '.join(faults)}")
+    raise SolveError(f"no provable trajectory was found: {'; '.join(faults)}")
 
 
 def _goals(task: PlanTask, first: Equilibrium, goal: Any, enough: int) -> list[End]:

@@ -47,8 +47,8 @@ class ProofStatus(Sentence):
     """What is known of a trajectory that was followed once more; every value reads as a sentence."""
 
     PROVED = "the trajectory is proved from end to end"
-    OPEN = "the time ended before anything was refuted"
-    FAULTY = "something is not as it must be, or is not shown to be"
+    OPEN = "the time limit was reached before the proof finished; no violation was found"
+    FAULTY = "a requirement is violated or not proved"
 
 
 @dataclass(frozen=True)

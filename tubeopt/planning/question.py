@@ -130,7 +130,7 @@ class PlanTask(Task):
             yield
         except LateError:
             limit = f"{self.clock.limit:g} s"
-            raise SolveError(f"no plan was found within {limit}, which ran out before a way was found") from None
+            raise SolveError(f"no path was found within the time limit of {limit}") from None
 
 
 def asked(
@@ -163,7 +163,7 @@ def asked(
     space = space.holding(*shift_of(robot, *places))
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
-        raise InputError("rate_limits.tip and max_force are both given; the speed of a pushed tip is not bounded")
+        raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")
     chart = Chart(space) if load is None else _loaded(space, load, options)
     return PlanTask(
         chart,
@@ -183,10 +183,10 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     instance("load", load, Load)
     what = uncovered(load)
     if what:
-        raise InputError(f"load has {what}, under which no motion can be proved")
+        raise InputError(f"load has {what}; no trajectory can be proved under it")
     for name in ("roadmap", "extra_cost"):
         if getattr(options, name):
-            raise InputError(f"{name} is given beside a load; a plan under a load has none")
+            raise InputError(f"{name} and a load are both given; a plan under load does not support {name}")
     return LoadedChart(space, load)
 
 
@@ -204,9 +204,9 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
         if bound.margin <= 0 or bound.margin < task.min_margin:
             where = ", ".join(f"{x * 1e3:.4g}" for x in each)
             raise SolveError(
-                f"no plan can be proved: with translations of {where} mm the margin is only shown to be at least "
-                f"{bound.margin:.3g} under any force of up to {task.max_force * 1e3:g} mN on the tip; "
-                f"it must be {max(task.min_margin, 0.0):g}"
+                f"no plan can be proved: at translations {where} mm the proved margin is "
+                f"{bound.margin:.3g} under any tip force up to {task.max_force * 1e3:g} mN; "
+                f"it must be at least {max(task.min_margin, 0.0):g}"
             )
         alone.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection

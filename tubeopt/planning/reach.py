@@ -31,21 +31,23 @@ def check_place(task: PlanTask, position: Array) -> None:
         clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
         if clear < task.clearance:
             raise SolveError(
-                f"no plan exists: with its tip at the goal the arm has clearance {clear * 1e3:.4g} mm at most from "
-                f"obstacle {k + 1} ({type(obstacle).__name__}); it must keep {task.clearance * 1e3:g} mm"
+                "no plan exists: with its tip at the goal, the clearance of the arm from "
+                f"obstacle {k + 1} ({type(obstacle).__name__}) is at most {clear * 1e3:.4g} "
+                f"mm; it must be at least {task.clearance * 1e3:g} mm"
             )
     longest, far = task.chart.space.longest, float(np.linalg.norm(position))
     if far > longest:
         raise SolveError(
-            f"no plan exists: the goal is {far * 1e3:.4g} mm from the plate, and no arm is longer than "
-            f"{longest * 1e3:.4g} mm"
+            f"no plan exists: the goal is {far * 1e3:.4g} mm from the base plate; the "
+            f"longest arm is {longest * 1e3:.4g} mm"
         )
     for k, body in enumerate(task.obstacles):
         around = way_around(body, position) if isinstance(body, Box) else 0.0
         if around > longest:
             raise SolveError(
-                f"no plan exists: obstacle {k + 1} (Box) is between the plate and the goal; a way around it is at "
-                f"least {around * 1e3:.4g} mm long, and no arm is longer than {longest * 1e3:.4g} mm"
+                f"no plan exists: obstacle {k + 1} (Box) is between base plate and goal; a "
+                f"path around it is at least {around * 1e3:.4g} mm long; the longest arm is "
+                f"{longest * 1e3:.4g} mm"
             )
 
 

@@ -105,7 +105,7 @@ class Roadmap(Displayed):
             raise InputError("the roadmap is of another robot")
         if self.points.shape[1] != len(task.scale):
             raise InputError(
-                "start or goal has carriages apart that move as one in the roadmap; plan without the roadmap"
+                "start or goal separates carriages that move together in the roadmap; plan without the roadmap"
             )
         rooms = task.margin_room, task.clearance_room
         asks = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
@@ -178,7 +178,9 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
         total += len(kept)
     points = np.concatenate(found)[:count] if found else np.zeros((0, len(space.lower)))
     if len(points) < 2:
-        raise SolveError(f"no roadmap was found within {options.time_limit:g} s: {len(points)} places are free")
+        raise SolveError(
+            f"no roadmap was found within {options.time_limit:g} s: {len(points)} free configurations were found"
+        )
     places = points / task.scale
     _, near = scipy.spatial.cKDTree(places).query(places, k=min(task.effort.roadmap.neighbours + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
@@ -205,4 +207,4 @@ def load_roadmap(path: str | PathLike[str]) -> Roadmap:
         with np.load(path, allow_pickle=False) as file:
             return Roadmap(file["points"], file["parameters"], file["edges"])
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise InputError(f"{path}: no roadmap can be read from it: {error}") from None
+        raise InputError(f"{path}: cannot read the roadmap: {error}") from None

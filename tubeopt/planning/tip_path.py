@@ -148,7 +148,7 @@ def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
         raise InputError("path is 1 point; it must be at least 2 points")
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if (step <= 0).any():
-        raise InputError(f"path has the same point twice in a row, at {int(np.argmin(step)) + 1}")
+        raise InputError(f"path repeats point {int(np.argmin(step)) + 1}; consecutive points must differ")
     if not spline or len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(step)])
@@ -173,16 +173,17 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float, solver: 
         off = float(np.linalg.norm(first.tip_position - curve[0]))
         if off > tolerance:
             raise InputError(
-                f"start has its tip {off * 1e3:.4g} mm from the first point of the path; it must be within "
-                f"{tolerance * 1e3:g} mm (plan_trajectory with a TipGoal leads there)"
+                f"the tip at start is {off * 1e3:.4g} mm from the first point of the path; "
+                f"it must be within {tolerance * 1e3:g} mm (use plan_trajectory with a "
+                "TipGoal)"
             )
         yield first
         return
     miss = least_miss(task, curve[0], task.clock)
     if miss > 0:
         raise SolveError(
-            "the tip can follow 0 % of the curve: its first point is out of reach as far as searches tell, in which "
-            f"the tip comes no closer to it than {miss * 1e3:.4g} mm"
+            "the tip can follow 0 % of the curve: the searches did not reach its first "
+            f"point; the smallest distance of the tip is {miss * 1e3:.4g} mm"
         )
     asks = kept(task, task.min_margin, solver.starts_share * task.clock.left)
     for answer in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **asks)[: solver.starts]:

@@ -185,8 +185,8 @@ def assemble(
     for i in range(n):
         if beta[i] > ROUND_OFF:
             raise InputError(
-                f"{name} of tube {i + 1} is {translations[i]:g} m, which pulls it out of its actuator; "
-                f"it must be at most its straight_length, {straight[i]:g} m"
+                f"{name} of tube {i + 1} is {translations[i]:g} m and moves it out of its "
+                f"carriage; it must be at most its straight_length, {straight[i]:g} m"
             )
     curvature, bending, torsional = (
         _numbers(tubes, name) for name in ("arc", "bending_stiffness", "torsional_stiffness")
@@ -237,8 +237,8 @@ class _OfPieces:
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
         raise InputError(
-            f"tube {self.tube} is made of pieces: its {self.name.replace('_', ' ')} is not one number, and this "
-            "question takes tubes of one constant curvature only"
+            f"tube {self.tube} is made of pieces; this function supports tubes of one "
+            f"constant {self.name.replace('_', ' ')} only"
         )
 
     def __getattr__(self, name: str) -> Any:

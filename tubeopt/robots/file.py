@@ -126,7 +126,7 @@ class TubeEntry(Part):
         """A tube like `tube`, made of pieces."""
         for name in ("curvature_per_m", "radius_mm"):
             if getattr(self, name) is not None:
-                raise InputError(f"{name} and pieces are both given; every piece has a curvature of its own")
+                raise InputError(f"{name} and pieces are both given; give the curvature of each piece instead")
         pieces = []
         for k, entry in enumerate(entries):
             try:

@@ -194,8 +194,7 @@ def between(start: Load, end: Load, t: float) -> Load:
     """(1 - t) times one load and t times another; raises InputError where their frames differ."""
     if start.frame != end.frame and not (start.has_energy and not any(start.force)):
         raise InputError(
-            f"the load of the guess is given in the frame {start.frame!r}, the wanted one in {end.frame!r}; "
-            "they must be the same"
+            f"the load of the guess has the frame {start.frame!r}, the target load {end.frame!r}; they must be the same"
         )
     one, other = start.scaled(1 - t), end.scaled(t)
 
@@ -224,7 +223,7 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
     for i, mass in enumerate(known, start=1):
         if mass is None:
             raise InputError(
-                f"gravity acts, but the material of tube {i} has no density and the tube no mass_per_length; give one"
+                f"gravity is given, but tube {i} has neither a material density nor a mass_per_length; give one of them"
             )
     return np.array(known, dtype=float)
 

@@ -181,7 +181,7 @@ class PieceEntry(Entry):
         if len(given) > 1:
             raise InputError(f"{given[0]} and {given[1]} are both given; a piece has one of {', '.join(ways)}")
         if self.twist_deg_per_mm is not None and given and given[0] in ("helix", "table"):
-            raise InputError(f"twist_deg_per_mm and {given[0]} are both given; a {given[0]} has a twist of its own")
+            raise InputError(f"twist_deg_per_mm and {given[0]} are both given; a {given[0]} already defines the twist")
         if self.helix is not None:
             radius, pitch = to_si(self.helix.radius_mm, MM), to_si(self.helix.pitch_mm, MM)
             x, y, z = Piece.helix(1.0, radius, pitch, left=self.helix.handed == "left").precurvature
@@ -213,8 +213,7 @@ def _check_pitch(helix: HelixEntry, length: float, diameter: float) -> None:
     pitch = to_si(helix.pitch_mm, MM)
     if pitch <= diameter and length > np.hypot(2 * np.pi * to_si(helix.radius_mm, MM), pitch):
         raise InputError(
-            f"helix.pitch_mm is {helix.pitch_mm}; it must exceed the tube's diameter, {diameter * 1e3:g} mm, or its "
-            "turns run through each other"
+            f"helix.pitch_mm is {helix.pitch_mm}; it must exceed the tube's diameter, {diameter * 1e3:g} mm"
         )
 
 

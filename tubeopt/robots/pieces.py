@@ -42,7 +42,7 @@ class Slots(Displayed):
     def __post_init__(self) -> None:
         instance("one_sided of the slots", self.one_sided, bool)
         if positive("share of the slots", self.share) > 1:
-            raise InputError(f"share of the slots is {self.share:g}; it must be at most 1, all of the piece's length")
+            raise InputError(f"share of the slots is {self.share:g}; it must be at most 1")
 
     def strain_ratio(self, bending_factor: Any) -> Any:
         """How many times as much as the whole tube it is strained, where they leave this of its bending stiffness."""
@@ -207,7 +207,7 @@ def _quantity(name: str, given: Any, length: float) -> Quantity:
     if not isinstance(given, Series):
         return finite(name, given)
     if abs(given.length - length) > 1e-12 * length:
-        raise InputError(f"{name} is given for {given.length:g} m of a piece of {length:g} m; it must be for all of it")
+        raise InputError(f"{name} is given for {given.length:g} m; it must cover the whole piece, {length:g} m")
     return given
 
 

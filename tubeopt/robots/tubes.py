@@ -321,7 +321,7 @@ def must_be_plain(tubes: Iterable[Tube], what: str) -> None:
     """Raise InputError where a tube is made of pieces; `what` says for whom that is too much."""
     for i, tube in enumerate(tubes, start=1):
         if tube.general:
-            raise InputError(f"tube {i} is made of pieces; {what} takes tubes of one constant curvature only")
+            raise InputError(f"tube {i} is made of pieces; {what} supports tubes of one constant curvature only")
 
 
 def stretches(tube: Tube) -> list[tuple[float, tuple[Quantity, Quantity, Quantity], Quantity, Quantity]]:

@@ -88,7 +88,9 @@ def load_pose(path: str | PathLike[str], axes: str | None = None) -> Frame:
     turn = matrix[:3, :3]
     off = max(np.abs(turn.T @ turn - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
     if off > SQUARE or np.linalg.det(turn) < 0:
-        raise InputError(f"{path}: its matrix is no pose: a right-handed rotation, a position, and the row 0 0 0 1")
+        raise InputError(
+            f"{path}: the matrix is not a pose; it must have a right-handed rotation, a position, and the row 0 0 0 1"
+        )
     own = needed(path, axes)
     u, _, v = np.linalg.svd(turn)
     return Frame(ras((u @ v).T, own).T, ras(matrix[:3, 3] * 1e-3, own))
@@ -103,7 +105,7 @@ def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Ar
     except ValueError:
         found = np.zeros(0)
     if found.size != np.prod(shape) or not np.isfinite(found).all():
-        raise InputError(f"{path}: it must hold {what}, and nothing else")
+        raise InputError(f"{path}: it must contain only {what}")
     return found.reshape(shape)
 
 
@@ -118,7 +120,7 @@ def read_structure(path: str | PathLike[str], axes: str | None = None) -> LabelI
         raise InputError(f"{path} has voxels that are NaN or infinite; every one must be a number")
     voxels = np.stack([part != 0 for part in image.values])  # a byte each: a case has many structures
     if not voxels.any():
-        raise InputError(f"{path} has no voxel but those of value 0")
+        raise InputError(f"{path} has only voxels of value 0")
     return replace(image, values=voxels)
 
 
@@ -219,7 +221,7 @@ class BasePart(Entry):
     def _one_of_each(self) -> Self:
         if self.pose is not None:
             if self.position_mm or self.direction or self.at or self.towards or self.roll_deg:
-                raise ValueError("gives a pose and what it is made of; one of them says where the robot stands")
+                raise ValueError("gives a pose and also position or direction; give one of them")
             return self
         for one, other in (("position_mm", "at"), ("direction", "towards")):
             if (getattr(self, one) is None) == (getattr(self, other) is None):
@@ -276,12 +278,12 @@ class AnatomyPart(Entry):
         if self.image is None and not self.structures and not self.meshes and not self.points:
             raise ValueError("has no image, structures, meshes or points; it must have one of them")
         if self.base is not None and self.registration is not None:
-            raise ValueError("gives base and registration; one of them says where the robot stands")
+            raise ValueError("gives base and registration; give one of them")
         if self.registration is not None and self.landmarks is None:
             raise ValueError("gives a registration without landmarks")
         for labels, between in (("lumen", "lumen_between"), ("forbidden", "forbidden_between")):
             if getattr(self, labels) and getattr(self, between) is not None:
-                raise ValueError(f"gives {labels} and {between}; one of them chooses the voxels")
+                raise ValueError(f"gives {labels} and {between}; give one of them")
         return self
 
     def build(self) -> Anatomy:
@@ -292,7 +294,7 @@ class AnatomyPart(Entry):
         """
         landmarks = {} if self.landmarks is None else self.landmarks.build()
         if self.image is not None and landmarks and not any(self.image.holds(each) for each in landmarks.values()):
-            LOGGER.warning(f"no landmark lies in {self.image.name}; are the axes or the unit of their file others?")
+            LOGGER.warning(f"no landmark lies inside {self.image.name}; check axes and unit of the landmark file")
         base, found = Frame(), None
         if self.base is not None:
             base = self.base.frame(landmarks)
@@ -303,8 +305,9 @@ class AnatomyPart(Entry):
             if error > self.registration.si("most_error_mm"):
                 worst = max(found.errors, key=lambda name: found.errors[name])
                 raise InputError(
-                    f"registration leaves landmarks {error * 1e3:.3g} mm off (root of the mean square; {worst!r} by "
-                    f"{found.errors[worst] * 1e3:.3g} mm); most_error_mm is {self.registration.most_error_mm}"
+                    f"registration has an RMS error of {error * 1e3:.3g} mm (landmark "
+                    f"{worst!r}: {found.errors[worst] * 1e3:.3g} mm); it must be at most "
+                    f"most_error_mm, {self.registration.most_error_mm}"
                 )
             if not found.exact:
                 LOGGER.warning(found.statement)

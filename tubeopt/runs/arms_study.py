@@ -37,7 +37,7 @@ def shared(anatomy: Anatomy | None) -> Anatomy:
     """What is around all arms; raises ValueError where it says where a plate stands, as that of one robot does."""
     found = Anatomy() if anatomy is None else anatomy
     if not (np.array_equal(found.base.axes, np.eye(3)) and np.array_equal(found.base.origin, np.zeros(3))):
-        raise ValueError("anatomy has a base or a registration, of one robot; here every arm has a base")
+        raise ValueError("anatomy has a base or a registration; give the base of every arm instead")
     return found
 
 

@@ -68,9 +68,9 @@ class HeatingCalibrationStudy(TubeOnRig):
         columns = read_csv(self.log).columns
         outcomes, readings = ([name for name in known if name in columns] for known in (OUTCOMES, LOG_COLUMNS[2:]))
         if outcomes and not self.trials:
-            raise ValueError(f"trials is missing; the file has the column {outcomes[0]}, of trials and not of a log")
+            raise ValueError(f"trials is missing; the file has the column {outcomes[0]} of trials")
         if readings and self.trials:
-            raise ValueError(f"trials is given; the file has the column {readings[0]}, of a log and not of trials")
+            raise ValueError(f"trials is given; the file has the column {readings[0]} of a log")
         if self.trials:
             return load_heating_trials(self.log)
         log = load_heating_log(self.log, **self.in_si("position_mm", "lag_s"))

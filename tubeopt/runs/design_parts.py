@@ -109,7 +109,7 @@ class FreeEntry(Part):
         key = given[0]
         one, (low, high) = RANGES[key], self.si(key)
         if one.scaled and self.equal:
-            raise ValueError(f"gives equal with {key}; a factor is one for all its tubes already")
+            raise ValueError(f"gives equal with {key}; a factor is already the same for all its tubes")
         return Free(
             one.field,
             tuple(i - 1 for i in self.tubes),
@@ -222,7 +222,7 @@ class Designed(Entry):
     def task_for(self, *aims: Objective) -> DesignTask:
         """The task in SI; raises InputError where its parts do not fit together."""
         if not isinstance(self.robot, ConcentricRobot):
-            raise InputError("robot must be a concentric robot; its tubes are what is designed")
+            raise InputError("robot must be a concentric robot")
         free = tuple(entry.build() for entry in self.free)
         return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
 

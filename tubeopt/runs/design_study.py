@@ -113,7 +113,9 @@ class DesignStudy(Designed, Tried, Timed):
             stock_choices(task, self.stock.file, self.stock.si("clearance_mm"))
         if isinstance(self.objective, RegionEntry):
             if self.stock is not None or self.pareto_margins is not None:
-                raise ValueError("objective reach_share is searched without derivatives; it has no stock or front")
+                raise ValueError(
+                    "objective reach_share uses a derivative-free search; it does not support stock or a Pareto front"
+                )
             self.objective.reach(task.robot.n_tubes, self.seed)
         return self
 

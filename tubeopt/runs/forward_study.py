@@ -41,5 +41,5 @@ class ForwardKinematicsStudy(Posed, LoadedStudy):
             time_limit=self.si("time_limit_s"),
         )
         if not found.arc_length[-1]:
-            LOGGER.warning("no tube is in front of the plate at these translations: the tip lies in it")
+            LOGGER.warning("no tube is in front of the base plate at these translations; the tip lies in the plate")
         return found

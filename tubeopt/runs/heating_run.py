@@ -117,10 +117,10 @@ class HeatingRunStudy(Study):
     def _one_of_both(self) -> Self:
         require_one(self, "port", "simulate")
         if self.port is not None and self.replan_s is not None and self.rig is None:
-            raise ValueError("rig is missing; it must be given where the rest is planned anew for a board on a port")
+            raise ValueError("rig is missing; it is required to replan for a board on a port")
         for name, rig in (("simulate", self.simulate), ("rig", self.rig)):
             if rig is not None and rig.tube is None:
-                raise ValueError(f"{name}: the rig file names no tube; it must name the one that is heated")
+                raise ValueError(f"{name}: the rig file has no tube; it must have the tube to heat")
         return self
 
     def open(self) -> tuple[Line, Leader | None]:
@@ -215,7 +215,7 @@ def _next(line: Line, *events: str) -> dict[str, Any]:
         silent = silent + 1 if found is None else 0
         if found and found.get("event") in events and (found["event"] != "status" or found.keys() >= REPORTED):
             return found
-    raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it where its board hangs")
+    raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it if the board hangs")
 
 
 def _append(log: Path, row: dict[str, Any], before: int) -> None:

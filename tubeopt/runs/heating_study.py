@@ -168,7 +168,7 @@ class TubeOnRig(Timed):
         """The tube that is heated; raises ValueError where neither rig nor robot has it."""
         if self.robot is None:
             if self.rig.tube is None:
-                raise ValueError("robot is missing; the rig file names no tube")
+                raise ValueError("robot is missing; the rig file has no tube")
             return self.rig.tube
         return self.robot.tubes[self.tube - 1]
 

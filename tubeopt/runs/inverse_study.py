@@ -128,12 +128,14 @@ class InverseStudy(Surrounded, LoadedStudy):
         if self.follow and self.targets is None:
             raise ValueError("follow is for a table of targets")
         if self.follow and self.closest:
-            raise ValueError("closest cannot be had with follow: the way ends where a target is out of reach")
+            raise ValueError(
+                "closest and follow are both given; with follow, the path ends at a target that is out of reach"
+            )
         pointed = self.direction is not None or (self.targets is not None and self.targets.direction is not None)
         if self.si("direction_weight") is not None and not pointed:
             raise ValueError("direction_weight is given without a direction")
         if self.si("objective") == "nearest" and self.start is None and self._reference() is None:
-            raise ValueError("objective is nearest; it needs a start or a reference to be near to")
+            raise ValueError("objective is nearest; it needs a start or a reference")
         if self.pushing() is not None and (self.all or self.follow or self.closest):
             raise ValueError("all, follow and closest are for a robot without load")
         return self
@@ -165,7 +167,7 @@ class InverseStudy(Surrounded, LoadedStudy):
         if self.targets is not None:
             return self._table(self.targets, progress)
         if self.target_mm is None:
-            raise AssertionError("a study without a target is refused when it is made")
+            raise AssertionError("a study without a target is rejected at construction")
         position, direction, asked = self.si("target_mm"), self.si("direction"), self._asked()
         if self.all:
             clock = Clock(self.si("time_limit_s"))

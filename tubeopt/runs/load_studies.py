@@ -63,9 +63,9 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
         if given is None and not self.axial:
             raise ValueError("no load is given; give tip_force_mN, tip_moment_mN_m, gravity_m_per_s2 or load, or axial")
         if given is not None and given == Load(frame=given.frame):
-            raise ValueError("the load is 0; give what can be put on the robot many times")
+            raise ValueError("the load is 0; it must not be 0")
         if given is not None and self.axial:
-            raise ValueError("axial is given beside a load; it is a load of its own, so give one of them")
+            raise ValueError("axial and a load are both given; give one of them")
         return self
 
     def run(self, progress: Progress | None = None) -> Bearing:

@@ -69,7 +69,8 @@ def _of_json(path: str | PathLike[str]) -> list[tuple[str, Any]]:
             rows += [(p["label"], np.array(p["position"], dtype=float) * scale) for p in points]
     except (ValueError, KeyError, IndexError, TypeError, AttributeError):
         raise InputError(
-            f"{path}: these are no markups of 3D Slicer: a list markups of controlPoints, each with label and "
-            f"position, and coordinateUnits of {', '.join(UNITS)}"
+            f"{path}: not a markups file of 3D Slicer; it must have a list markups of "
+            "controlPoints, each with label and position, and coordinateUnits "
+            f"{', '.join(UNITS)}"
         ) from None
     return rows

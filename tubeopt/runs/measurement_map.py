@@ -94,8 +94,8 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     recorded = read_recorded(folder / entry.tips, entry.si("frame_rate_Hz"))
     if recorded.meaning and entry.joints is None:
         raise InputError(
-            f"{path}: joints is missing; of {entry.tips}, an export of a tracker, only the tools are read, so the "
-            "joint readings must be in a CSV file of their own"
+            f"{path}: joints is missing; the tracker export {entry.tips} has no joint "
+            "readings; give them in a separate CSV file"
         )
     # A column that is of the other file alone says nothing of this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
@@ -208,8 +208,9 @@ def measured(
         kept &= covered
         if not kept.any():
             raise InputError(
-                f"{' and '.join(where)} have no time in common: tips from {time[0]:g} to {time[-1]:g} s, "
-                f"joints from {stamps[0]:g} to {stamps[-1]:g} s; both must be of one clock"
+                f"{' and '.join(where)} have no time in common: tips from {time[0]:g} to "
+                f"{time[-1]:g} s, joints from {stamps[0]:g} to {stamps[-1]:g} s; both must "
+                "use the same clock"
             )
         rotations = translations = np.zeros((len(time), robot.n_tubes))
     rows = {"time": time, "orientation": frames, **(labels or {})}

@@ -154,7 +154,7 @@ class MaterialsStudy(Timed):
         sizes = [key for key in ("outer_diameter_mm", "inner_diameter_mm", "curved_length_mm")
                  if getattr(self, key) != fields[key].default]  # fmt: skip
         if self.robot is not None and sizes:
-            raise ValueError(f"{sizes[0]} is given beside a robot, whose tube has a size of its own; give one of them")
+            raise ValueError(f"{sizes[0]} and robot are both given; give one of them")
         self._tube()
         self._heat()
         return self

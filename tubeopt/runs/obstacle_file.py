@@ -94,7 +94,7 @@ def _known(value: Any) -> Any:
         raise ValueError(f"is {shown(value)}; it must be a mapping with the kind of a body, one of {', '.join(KINDS)}")
     kind = value.get("kind", next((kind for key, kind in BY_KEYS.items() if key in value), None))
     if kind is None:
-        raise ValueError(f"has no kind, and keys that tell none; its kind must be one of {', '.join(KINDS)}")
+        raise ValueError(f"has no kind, and its keys do not determine one; kind must be one of {', '.join(KINDS)}")
     if kind not in KINDS:
         raise ValueError(f"is of kind {shown(kind)}; its kind must be one of {', '.join(KINDS)}{nearest(kind, KINDS)}")
     named = ALIASES if kind == "capsule" else {}

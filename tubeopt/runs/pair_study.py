@@ -116,7 +116,7 @@ class PairStudy(Timed, SearchPart, Tried):
     @model_validator(mode="after")
     def _a_pair(self) -> Self:
         if self.region is None and self.anatomy is None:
-            raise ValueError("has neither a region nor an anatomy with a target; one of them says where both tips work")
+            raise ValueError("has neither a region nor an anatomy with a target; give one of them")
         for k, arm in enumerate(self.arms):
             try:
                 arm.task()
@@ -125,12 +125,12 @@ class PairStudy(Timed, SearchPart, Tried):
         searched, judge = self.wanted()
         places = np.concatenate([searched.targets, judge.targets])
         if searched.obstacles and not (nearest_distance(searched.obstacles, places) > 0).any():
-            raise ValueError("has a region that lies in a body, all the places that were picked of it")
+            raise ValueError("has a region inside an obstacle: none of its sampled points is free")
         apart = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))
         thick = sum(max(tube.outer_diameter for tube in arm.robot.tubes) / 2 for arm in self.arms)
         if not self.shift_mm and apart < thick + searched.options.clearance:
             raise ValueError(
-                f"has plates {apart * TO_MM:.3g} mm apart, which may not be moved; what leaves them and the clearance "
+                f"has fixed base plates {apart * TO_MM:.3g} mm apart; tubes and clearance "
                 f"need {(thick + searched.options.clearance) * TO_MM:.3g} mm"
             )
         return self

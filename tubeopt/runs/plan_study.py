@@ -159,19 +159,22 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
             raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, tip_at, or tip_path_mm")
         if self.tip_at is not None:
             if self.anatomy is None:
-                raise ValueError("tip_at is given without an anatomy, whose landmarks it names")
+                raise ValueError("tip_at is given without an anatomy; it is the name of a landmark of the anatomy")
             self.anatomy.place(self.tip_at)
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
         if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
-            raise ValueError("a load is given with leader or tip_path_mm; under a load there are plans to a goal only")
+            raise ValueError(
+                "a load is given with leader or tip_path_mm; under load, only plans to a goal are supported"
+            )
         if self.cut is not None:
             self.cut.plane(self.around)
         if self.entry is not None:
             self.entry.region(self.around)
             if self.leader or self.tip_path_mm is not None or self.pushing() is not None:
                 raise ValueError(
-                    "entry is given with leader, tip_path_mm or a load; it is for plans to a goal without one"
+                    "entry is given with leader, tip_path_mm or a load; it is supported for "
+                    "plans to a goal without load only"
                 )
         return self
 

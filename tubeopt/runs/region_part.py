@@ -102,12 +102,11 @@ class SearchPart(Entry):
         """(places + judged, 3) places of a target, picked at random; raises ValueError where it has too few, or is
         none."""
         if target is None:
-            raise ValueError("has an anatomy without a target, whose share that is reached is wanted")
+            raise ValueError("has an anatomy without a target; the objective needs a target")
         wanted = self.places + self.judged
         if len(target) < wanted:
             raise ValueError(
-                f"has a target of {len(target)} voxels; it must have {wanted} at least, as many as places and judged "
-                "together"
+                f"has a target of {len(target)} voxels; it must have at least {wanted} (places plus judged)"
             )
         return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
 

@@ -102,7 +102,7 @@ class SnapStudy(LoadedStudy, Timed):
     def _goes_somewhere(self) -> Self:
         start, end = self._ends()
         if np.array_equal(start, end):
-            raise ValueError("the way ends at the joint values at which it starts; give to_deg or to_mm others")
+            raise ValueError("start and end are the same joint values; give other values for to_deg or to_mm")
         return self
 
     def run(self, progress: Progress | None = None) -> Way:

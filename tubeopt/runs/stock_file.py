@@ -42,5 +42,5 @@ def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
     found = check_kind(STOCK_KINDS, load_yaml(path, "tubes"), path)
     sizes = tuple(entry.build() for entry in found.tubes)
     if len({size.name for size in sizes}) < len(sizes):
-        raise InputError(f"{path}: a name of a tube is given twice; every size must have its own")
+        raise InputError(f"{path}: a tube name is given twice; every size must have its own name")
     return sizes

@@ -63,5 +63,5 @@ def load_study(path: str | PathLike[str]) -> Study:
     path = found(path, "studies")
     data = load_yaml(path)
     if data.get("kind") == "sweep":
-        raise InputError(f"{path}: kind is 'sweep'; that is run by `tubeopt sweep`")
+        raise InputError(f"{path}: kind is 'sweep'; use `tubeopt sweep`")
     return cast(Study, check_kind(STUDY_KINDS, data, path))

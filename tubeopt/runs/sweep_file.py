@@ -215,7 +215,7 @@ _PART = re.compile(r"(\w+)|\[(\d+)\]")
 def _parts(key: str) -> list[str | int]:
     """`tubes[0].curvature_per_m` as its steps."""
     if not re.fullmatch(r"\w+(\[\d+\]|\.\w+)*", key):
-        raise InputError(f"vary {key}: this is no path of a key; it must be as rotations_deg[0] or robot.name")
+        raise InputError(f"vary {key}: this is not a path of a key; it must be like rotations_deg[0] or robot.name")
     return [name or int(number) for name, number in _PART.findall(key)]
 
 

@@ -72,7 +72,7 @@ class Points(Sequence[dict[str, Value]]):
             raise InputError("vary is empty; it must name at least one key")
         for key in self.keys:
             if self.keys.count(key) > 1:
-                raise InputError(f"vary {key}: it is named {self.keys.count(key)} times; it must be named once")
+                raise InputError(f"vary {key}: it is given {self.keys.count(key)} times; it must be given once")
         if self.method == "grid":
             object.__setattr__(self, "total", math.prod(axis.places for axis in self.axes))
         if not 1 <= self.total <= MOST_POINTS:

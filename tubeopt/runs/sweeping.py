@@ -138,8 +138,9 @@ def sweep(  # noqa: PLR0913
                 progress(len(done), len(points), len(journal.failed & done))
             if len(done) < len(points) and time.monotonic() > until:
                 raise TimeLimitError(
-                    f"sweep reached its time limit of {time_limit:g} s with {len(done)} of {len(points)} points; "
-                    "the same sweep in the same directory goes on from there"
+                    f"sweep reached its time limit of {time_limit:g} s with {len(done)} of "
+                    f"{len(points)} points; run the same sweep in the same directory to "
+                    "resume"
                 )
         table, arrays = write_table(directory, journal.entries)
         failures = tuple((entry["index"], why_failed(entry)) for entry in journal.entries() if "failure" in entry)

@@ -49,8 +49,9 @@ def recipe_for(material: Material) -> Recipe:
     name, stiffness, thermal = material.name, material.youngs_modulus, material.thermal
     if stiffness < METAL:
         raise InputError(
-            f"the thermal constants of {name} are not known, and its Young's modulus of {1e-9 * stiffness:.2g} GPa is "
-            "that of no metal; no current heats it, and recipes to set a shape by heat are known of nitinol only"
+            f"{name} has no thermal constants, and its Young's modulus of "
+            f"{1e-9 * stiffness:.2g} GPa is not that of a metal; it cannot be heated by "
+            "current, and heat recipes exist for nitinol only"
         )
     if NITINOL_NAMES.search(name):
         if not NITINOL_STIFFNESS[0] <= stiffness <= NITINOL_STIFFNESS[1]:
@@ -64,10 +65,10 @@ def recipe_for(material: Material) -> Recipe:
     # Aluminium and brass are about as stiff, but called so.
     if OTHER_NAMES.search(name) or not (by_density or by_stiffness):
         raise InputError(
-            f"material {name!r} is no nitinol (Young's modulus {1e-9 * stiffness:.3g} GPa"
-            f"{'' if thermal is None else f', {thermal.density:g} kg/m^3'}), and recipes to set a shape by heat are "
-            "known of nitinol only: bend such a tube beyond its yield point, over a smaller radius than it is to have, "
-            "and relieve its stress as its maker says"
+            f"material {name!r} is not nitinol (Young's modulus {1e-9 * stiffness:.3g} "
+            f"GPa{'' if thermal is None else f', {thermal.density:g} kg/m^3'}); heat recipes "
+            "exist for nitinol only. Alternatively bend the tube beyond its yield point "
+            "over a smaller radius, and relieve its stress"
         )
     return NITINOL_RECIPE
 
@@ -86,17 +87,16 @@ def check_temperatures(material: Material, name: str, low: float, high: float) -
             f"{name} is {given}; it must be at most {recipe.most:g} degC for {recipe.metal}: {recipe.lost}{hint}"
         )
     if low < least or high > most:
-        LOGGER.warning(
-            f"{name} is {given}; {recipe.metal} is set at {least:g} to {most:g} degC, where it takes the shape within "
-            "minutes and stays elastic"
-        )
+        LOGGER.warning(f"{name} is {given}; {recipe.metal} is shape-set at {least:g} to {most:g} degC")
 
 
 def warn_of_limit(material: Material, limit: float) -> None:
     """Warn of a limit of the temperature, degC, at which a metal is no longer what it is to be."""
     recipe = recipe_for(material)
     if limit > recipe.most:
-        LOGGER.warning(f"limit_degC is {limit:g} degC; {recipe.metal} bears {recipe.most:g} degC: {recipe.lost}")
+        LOGGER.warning(
+            f"limit_degC is {limit:g} degC; it must be at most {recipe.most:g} degC for {recipe.metal}: {recipe.lost}"
+        )
 
 
 def mold_remarks(material: Material, temperature: float) -> tuple[str, ...]:

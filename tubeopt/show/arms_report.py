@@ -156,4 +156,4 @@ class ArmsReport(Report[ArmsPlan]):
     def conclude(self) -> None:
         """Raise NotProvedError where something is not proved."""
         if not self.answer.proved:
-            raise NotProvedError(f"motions were found, but: {self.answer.status}")
+            raise NotProvedError(f"trajectories were found, but: {self.answer.status}")

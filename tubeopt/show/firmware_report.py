@@ -93,4 +93,4 @@ class LedHeatingReport(Report[LedHeating]):
         if not answer.plan.feasible:
             raise SolveError(missed(answer.plan))
         if feedback.probability < 0.5:
-            raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} uncertain rigs keep the window")
+            raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} random rigs stay in the window")

@@ -260,7 +260,7 @@ class TrajectoryReport(Report[Trajectory]):
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""
         if not self.answer.proved:
-            raise NotProvedError(f"a motion was found, but it is {self.answer.status}")
+            raise NotProvedError(f"a trajectory was found, but it is {self.answer.status}")
 
 
 def _pose(base: Frame) -> str:

@@ -62,7 +62,7 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     if write is None:
         raise InputError(f"the name of the solid is {str(path)!r}; it must end in {', '.join(WRITERS)}")
     if len(equilibrium.arc_length) < 2:
-        raise InputError("no tube is in front of the plate: there is no arm whose surface could be saved")
+        raise InputError("no tube is in front of the base plate: there is no arm surface to save")
     with atomic_write(path) as temporary:
         write(equilibrium, temporary)
     return path

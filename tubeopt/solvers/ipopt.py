@@ -115,7 +115,7 @@ def solve_ipopt(
     if found.status is not ProblemStatus.SOLVED:
         worst = "; ".join(map(str, found.violations[:3]))
         verdict = found.statistics.verdict.replace("_", " ").lower()
-        raise SolveError(f"IPOPT found no equilibrium ({verdict}): {worst or 'all constraints hold'}")
+        raise SolveError(f"IPOPT found no equilibrium ({verdict}): {worst or 'all constraints are satisfied'}")
     theta = inside_points(problem, found.values["rotation inside"])
     state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
     return NewtonResult(state, True, found.statistics.iterations, 0.0)

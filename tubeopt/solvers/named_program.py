@@ -122,7 +122,7 @@ class NamedProgram:
         """
         self._free(name)
         if not isinstance(expression, ca.MX):
-            raise InputError(f"constraint {name!r} is no expression of the problem's variables: {expression!r}")
+            raise InputError(f"constraint {name!r} is not an expression of the problem's variables: {expression!r}")
         if expression.is_op(ca.OP_EQ) or expression.is_op(ca.OP_LE) or expression.is_op(ca.OP_LT):
             equal = expression.is_op(ca.OP_EQ)
             expression, lower, upper = expression.dep(1) - expression.dep(0), 0.0, 0.0 if equal else np.inf
@@ -264,13 +264,15 @@ class NamedProgram:
 
     def _free(self, name: str) -> None:
         if name in self.variables or name in self._parameters or name in self._constraints:
-            raise InputError(f"the name {name!r} is taken; variables, parameters and constraints have a name each")
+            raise InputError(
+                f"the name {name!r} is already used; variables, parameters and constraints need different names"
+            )
 
     def _name_of(self, what: Any, table: dict[str, Any], kind: str) -> str:
         if isinstance(what, str):
             if what in table:
                 return what
-            raise InputError(f"no {kind} is called {what!r}{nearest(what, table)}")
+            raise InputError(f"there is no {kind} {what!r}{nearest(what, table)}")
         for name, symbol in table.items():
             if isinstance(what, ca.MX) and symbol.__hash__() == what.__hash__():
                 return name

@@ -186,7 +186,7 @@ def _box(problem: NamedProgram, names: list[str]) -> tuple[Array, Array]:
     known = problem.variables
     for name in names:
         if name not in known:
-            raise InputError(f"over names {name!r}, which is no variable{nearest(name, known)}")
+            raise InputError(f"over has {name!r}; there is no such variable{nearest(name, known)}")
         if not np.isfinite([known[name].lower, known[name].upper]).all():
             raise InputError(f"variable {name!r} has no finite bounds; starts are spread between lower and upper")
     if not names:

@@ -24,12 +24,12 @@ class ProblemStatus(Sentence):
     """How the solve of a program ended; every value reads as a sentence."""
 
     SOLVED = "an optimum was found"
-    INFEASIBLE = "no point was found at which all constraints hold"
+    INFEASIBLE = "no point was found that satisfies all constraints"
     TOO_MANY_ITERATIONS = "the solver ran out of iterations"
     OUT_OF_TIME = "the solver ran out of time"
     UNBOUNDED = "the iterates grow without bound"
-    NOT_A_NUMBER = "an expression of the program has no finite value or derivative where the solver came"
-    STOPPED = "the solver came to a halt before an optimum"
+    NOT_A_NUMBER = "an expression of the program has no finite value or derivative at an iterate"
+    STOPPED = "the solver stopped before an optimum"
 
     @classmethod
     def of(cls, verdict: str) -> ProblemStatus:
@@ -123,7 +123,7 @@ class ProblemSolution(Displayed):
         if isinstance(what, str):
             known = self.values | self.parameters
             if what not in known:
-                raise InputError(f"no variable is called {what!r}{nearest(what, known)}")
+                raise InputError(f"there is no variable {what!r}{nearest(what, known)}")
             return _plain(known[what])
         if not isinstance(what, ca.MX):
             return _plain(np.array(ca.DM(what)))
@@ -139,7 +139,7 @@ class ProblemSolution(Displayed):
         """
         known = self.bound_multipliers | self.multipliers
         if name not in known:
-            raise InputError(f"no constraint or variable is called {name!r}{nearest(name, known)}")
+            raise InputError(f"there is no constraint or variable {name!r}{nearest(name, known)}")
         return _plain(known[name])
 
     def save(self, directory: str | PathLike[str]) -> None:

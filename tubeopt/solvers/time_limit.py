@@ -110,8 +110,7 @@ def limited(question: F) -> F:
 def late_error(name: str, limit: float, best: Any = None, how: str = "") -> TimeLimitError:
     """What ends a question whose time is over; `how` says how far it came."""
     return TimeLimitError(
-        f"{name} reached its time limit of {limit:g} s{how or ' before it had an answer'}; a larger time_limit gives "
-        "it more time",
+        f"{name} reached its time limit of {limit:g} s{how or ' without a result'}; increase time_limit",
         best,
     )
 

@@ -82,7 +82,7 @@ def trace_branch(
     alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
     check_turn(np.stack([alpha, beta]))
     if np.allclose(alpha, beta, rtol=0, atol=1e-12):
-        raise InputError("start and end are the same rotations; a branch needs a way")
+        raise InputError("start and end are the same rotations; they must differ")
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     family = Family(JointPath(robot, np.concatenate([alpha, shift]), np.concatenate([beta, shift])))
     refuse_load(first)
@@ -128,7 +128,7 @@ def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[Pla
         if trial is None:
             step /= 2
             if step < 1e-8:
-                raise SolveError(f"the branch was lost at {100 * t:.3f} % of the way")
+                raise SolveError(f"the branch was lost at {100 * t:.3f} % of the path")
             continue
         ahead, easy = trial
         t_new, following = float(ahead[-1]) / scale, _tangent(system(ahead)[1], tangent)

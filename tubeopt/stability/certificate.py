@@ -44,7 +44,7 @@ class CertificateStatus(Sentence):
 
     SNAP_FREE = "it is proved that the robot cannot snap at any rotation"
     OPEN = "it is not proved that the robot cannot snap"
-    NONE = "there is no proof for tubes that lie beside one another so"
+    NONE = "there is no proof for this arrangement of eccentric tubes"
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     assembly = robot.assembly(shift)
     check_force(robot.tubes, "max_force", positive("max_force", max_force, zero=True), assembly.total_length)
     if max_force and assembly.eccentric:
-        raise InputError(f"max_force is {max_force:g} N; for tubes off the centreline it must be 0: there is no proof")
+        raise InputError(
+            f"max_force is {max_force:g} N; it must be 0 for eccentric robots: there is no proof under force"
+        )
     if assembly.eccentric:
         return proof(assembly)[0]
     unloaded = worst_case(_problem(robot, shift))[0] if assembly.even else _of_pieces(robot, shift)[0]

@@ -170,8 +170,8 @@ def most_borne(robot: Robot, way: Array, load: Load) -> float:
     load.require_energy("nothing bounds the margin under further forces")
     if callable(load.distributed):
         raise InputError(
-            "distributed is a function, of which no number of values is a bound; beside max_force it must be a force "
-            "(3,) or stretches"
+            "distributed is a function; with max_force it must be a force (3,) or "
+            "stretches, because samples of a function are no bound"
         )
     ends = np.maximum(robot.assembly(way.max(0)).end, 0.0)
     length, along = float(ends.max()), load.distributed or ZERO

@@ -36,8 +36,8 @@ T = TypeVar("T")
 class PathStatus(Sentence):
     """What a robot did on its way; every value reads as a sentence."""
 
-    SMOOTH = "the robot came to all waypoints without a snap"
-    SNAPPED = "the robot came to all waypoints, and snapped on the way"
+    SMOOTH = "the robot reached all waypoints without a snap"
+    SNAPPED = "the robot reached all waypoints, with snaps"
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def find_load_limit(
     positive("up_to", up_to)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
     if first.load is not None or not first.stable:
-        raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
+        raise InputError("equilibrium is loaded or unstable; it must be unloaded and stable")
     if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
         raise InputError("equilibrium is at other joint values; they must be the same")
     found = find_loss(first, load, up_to)

@@ -66,8 +66,8 @@ def loaded_equilibria(
             return [to_equilibrium(point, "search from many starts") for point in points]
         count *= 2
     raise SolveError(
-        f"{len(found)} equilibria were found, of degree {degree(found)} instead of 1 or more of them in every round: "
-        "one is missing, or the joint values and load are at a fold, where two are one"
+        f"{len(found)} equilibria were found with degree {degree(found)} instead of 1: one "
+        "is missing, or joint values and load are at a fold"
     )
 
 

@@ -42,8 +42,8 @@ rad, and by more than the second, the slope of a curve in polar coordinates, all
 class MapStatus(Sentence):
     """What a robot did on the ways of a map; every value reads as a sentence."""
 
-    SMOOTH = "the robot snaps on none of the ways"
-    SNAPPED = "the robot snaps on some of the ways"
+    SMOOTH = "the robot snaps on none of the paths"
+    SNAPPED = "the robot snaps on some of the paths"
 
 
 @dataclass(frozen=True)

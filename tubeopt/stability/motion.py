@@ -27,7 +27,7 @@ from .folds import Loss, branch_end, fall, fold_ahead
 class SnapStatus(Sentence):
     """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
 
-    LANDED = "the equilibrium was lost, and the robot landed in another one"
+    LANDED = "the robot snapped to another equilibrium"
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +169,8 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
     lost, direction = (last, last.softest) if loss is None else (loss.point, loss.direction)
     if lost.member.flutters(lost.state):
         raise SolveError(
-            f"{100 * lost.t:.3f} % of the way the robot begins to flutter: slow oscillations about the equilibrium "
-            "grow, and in which equilibrium they end is not known"
+            f"the robot begins to flutter at {100 * lost.t:.3f} % of the path: oscillations "
+            "about the equilibrium grow, and their final equilibrium is unknown"
         )
     landed = fall(lost, direction)
     turn = 0.0 if landed is None else landed.member.moved(lost, landed.state)
@@ -182,7 +182,9 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
     # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
     side = None if beyond is None else fall(beyond, beyond.softest)
     if beyond is None or side is None:
-        raise SolveError(f"the branch ends {100 * t:.3f} % of the way, and descent from there finds no equilibrium")
+        raise SolveError(
+            f"the branch ends at {100 * t:.3f} % of the path, and energy descent from there finds no equilibrium"
+        )
     if landed is None and side.member.moved(beyond, side.state) > CONTINUATION.smooth_turn:
         return Event(replace(beyond, t=lost.t), side)
     return side

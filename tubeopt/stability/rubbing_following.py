@@ -166,8 +166,8 @@ def _along(family: Family, held: Held) -> Iterator[Held | RubbingSnap]:
                 there = _flowed(family, held, at, pushed=True)
                 if there is None:
                     raise SolveError(
-                        f"the motion with friction is lost {100 * at:.3f} % of the way: no state was found in which "
-                        f"friction holds to {HONEST:g}"
+                        f"the motion with friction is lost at {100 * at:.3f} % of the path: "
+                        f"no state satisfies the friction law to {HONEST:g}"
                     )
                 if _distance(held, there) > CONTINUATION.smooth_turn:
                     yield RubbingSnap(t, held, there)

@@ -64,9 +64,9 @@ def find_stroke_force(
     positive("up_to", up_to)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, rotations, translations)
     if first.load is not None:
-        raise InputError("equilibrium bears a load or is unstable; it must be unloaded and stable")
+        raise InputError("equilibrium is loaded or unstable; it must be unloaded and stable")
     if not float(first.arc_length[-1]) > 0:
-        raise InputError("no tube is in front of the plate; there is no arm that could push")
+        raise InputError("no tube is in front of the base plate; there is no arm to push")
     unit, load = _push(first, up_to)
     limit = find_load_limit(
         robot, rotations, translations, load, equilibrium=first, up_to=float(np.divide(up_to, unit))
@@ -133,7 +133,10 @@ def stroke_slopes(
         except InputError:
             both = []
         if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
-            raise SolveError(f"a stroke force has no derivative by {name} of tube {tube + 1}: breakpoints meet there")
+            raise SolveError(
+                f"a stroke force has no derivative with respect to {name} of "
+                f"tube {tube + 1}: breakpoints coincide there"
+            )
         rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
         out.append(-rate / by_force)
     for one in varied:
@@ -162,7 +165,9 @@ def _rate(loss: Loss, both: Sequence[tuple[LoadedProblem, Array, float]], step: 
     if loss.kind == "fold":
         return along
     if abs(along) > BREAKS * float(np.linalg.norm(pull)):
-        raise SolveError("a stroke force has no derivative by what breaks the symmetry in which the arm buckles")
+        raise SolveError(
+            "a stroke force has no derivative with respect to variables that break the symmetry of buckling"
+        )
     bordered = np.block([[hessian, soft[:, None]], [soft, np.zeros(1)]])
     change = np.linalg.solve(bordered, np.append(-pull, 0.0))[:-1]
     further, back = (

@@ -238,9 +238,7 @@ def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:
                 tubes = ", ".join(str(i + 1) for i in group)
-                raise InputError(
-                    f"{name} differs between tubes {tubes}, which move together; it must be the same for them"
-                )
+                raise InputError(f"{name} differs between tubes {tubes}; they move together, so it must be the same")
     return [group for group in robot.moving_together if high[group[0]] - low[group[0]] > 1e-12]
 
 

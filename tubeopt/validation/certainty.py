@@ -90,7 +90,7 @@ def check_registration(error: RegistrationError | None, method: str) -> None:
         return
     known = "not at all" if math.isinf(error.turn) else f"to {math.degrees(error.turn):.0f} deg only"
     raise InputError(
-        f"the tips tell the device's frame {known} (standard error; at most {math.degrees(MOST):g} deg): they lie too "
-        "near to a line for what the model leaves unexplained; measure configurations bent to at least three sides, "
-        "90 deg apart, or give registration base-axis with a measured base"
+        f"the tips determine the device frame {known} (standard error; it must be at most "
+        f"{math.degrees(MOST):g} deg): they lie too close to a line. Measure configurations "
+        "bent in at least three directions, 90 deg apart, or give registration base-axis"
     )

@@ -100,7 +100,7 @@ class FitStatus(Sentence):
     """What became of a fit; every value reads as a sentence."""
 
     ESTIMATED = "all parameters were estimated"
-    HELD = "some parameters are not determined by the measurements and were held at their start"
+    HELD = "some parameters are not determined by the measurements; they keep their initial values"
 
 
 @dataclass(frozen=True)

@@ -93,8 +93,8 @@ DEFAULT_FORCE = ForceSolver()
 class ForceStatus(Sentence):
     """How far a force is told; every value reads as a sentence."""
 
-    TOLD = "the force is told in all directions"
-    IN_PART = "the force is told from none in some directions only"
+    TOLD = "the force is determined in all directions"
+    IN_PART = "the force differs from zero significantly in some directions only"
 
 
 @dataclass(frozen=True)
@@ -310,8 +310,8 @@ def estimate_forces(
     base, setup = _known(known), Setup.of(robot)
     if any(setup.drives.translation_compliance):
         raise InputError(
-            "the robot's calibration has translation_compliance; its carriages also yield to the force, which is not "
-            "modelled: estimate forces of a robot without it"
+            "the robot's calibration has translation_compliance; force estimation does not "
+            "model it: use a robot without it"
         )
     alpha, shift = Timeline.of(measurements).driven(setup.drives, np.zeros(robot.n_tubes))
     stations = measurements.stations
@@ -347,14 +347,15 @@ def _of_plate(robot: Robot, measurements: Measurements, method: str | None) -> A
         at_plate = saved is None or (np.allclose(saved.rotation, np.eye(3)) and not any(saved.translation))
         if not (own or at_plate):
             raise InputError(
-                "registration is not given, and the robot's calibration holds one; it must be 'saved' for positions of "
-                "that device, or 'none' for positions in the frame of the plate"
+                "registration is missing, and the robot's calibration has one; it must be "
+                "'saved' for positions of that device, or 'none' for positions in the base "
+                "frame"
             )
         method = "saved" if own else "none"
     if choice("registration", method, ("none", "saved")) == "none":
         return measurements.station_position
     if saved is None:
-        raise InputError("registration is 'saved', and the robot has none in its calibration; it must be 'none'")
+        raise InputError("registration is 'saved', but the robot's calibration has none; it must be 'none'")
     return Registration.of_saved(saved).apply(measurements.station_position)
 
 
@@ -461,7 +462,7 @@ def _settled(
     if float(np.linalg.norm(_remaining(end, axes))) <= max(SURE, solver.settled):
         return end, model.tried
     raise SolveError(
-        f"the force did not settle in {solver.steps} steps: {_distance(end, measured) * 1e3:.3g} mm are left",
+        f"the force did not converge in {solver.steps} steps: the residual is {_distance(end, measured) * 1e3:.3g} mm",
         end.equilibrium,
     )
 
@@ -499,10 +500,10 @@ class _Pushed:
         force = self._held + self._axes @ x
         self.tried += 1
         if self.tried > self._solver.steps:
-            raise SolveError("the steps ran out")
+            raise SolveError("the step limit was reached")
         moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
         if moved > self._solver.longest_move * float(near.equilibrium.arc_length[-1]):
-            raise SolveError("the force moves the arm farther than its slopes say anything of")
+            raise SolveError("the force moves the arm beyond the range of the linearisation")
         try:
             return _trial(near.equilibrium, self._base, force, self._measured)
         except InputError as error:
@@ -538,7 +539,7 @@ def _measured(
         places.append(length)
         positions.append(vector("tip_position", tip, 3, "x, y, z"))
     if not places:
-        raise InputError("neither tip_position nor points are given; the force is estimated from where the arm is")
+        raise InputError("neither tip_position nor points are given; give one of them")
     return Measured(np.array(places), np.array(positions), noise)
 
 

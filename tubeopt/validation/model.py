@@ -170,7 +170,7 @@ class ArmModel:
             return register(measured, predicted, self.method, base=self.base, directions=directions)
         saved = self.first.drives.registration
         if saved is None:
-            raise InputError("registration is 'saved', and the robot has none in its calibration; fit with rigid first")
+            raise InputError("registration is 'saved', but the robot's calibration has none; fit with rigid first")
         return Registration.of_saved(saved)
 
     def registered(self, state: State, noise: tuple[float | None, float | None]) -> State:

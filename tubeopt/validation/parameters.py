@@ -56,7 +56,7 @@ def choose_parameters(
             parameters that set the same numbers.
     """
     if isinstance(names, str) or not len(names):
-        raise InputError(f"no parameters are named; choose from {', '.join(KINDS)}")
+        raise InputError(f"no parameters are given; choose from {', '.join(KINDS)}")
     context = Context(robot, measurements, Setup.of(robot))
     chosen = [_parameter(context, name, registration) for given in names for name in _spelled_out(context, given)]
     for k, parameter in enumerate(chosen):
@@ -68,11 +68,11 @@ def choose_parameters(
 def _contradict(a: Parameter, b: Parameter) -> None:
     """Raise InputError where two parameters set the same numbers."""
     if a.name == b.name:
-        raise InputError(f"parameter {a.name!r} is named twice")
+        raise InputError(f"parameter {a.name!r} is given twice")
     same = a.kind == b.kind or set(a.effect.sets) & set(b.effect.sets)
     if same and set(a.which) & set(b.which):
         what = a.kind if a.kind == b.kind else "stiffness"
-        raise InputError(f"parameters {a.name} and {b.name} both set the {what}; name one of them")
+        raise InputError(f"parameters {a.name} and {b.name} both set the {what}; give one of them")
 
 
 def _spelled_out(context: Context, name: str) -> list[str]:

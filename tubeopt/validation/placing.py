@@ -149,8 +149,8 @@ def _asked(
     for name in names:
         if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
             raise InputError(
-                f"parameter {name!r} depends on the way: single configurations do not tell it; drive one path slowly "
-                "and fast"
+                f"parameter {name!r} depends on the path: single configurations do not "
+                "determine it; record one path slowly and fast"
             )
     chosen = choose_parameters(robot, data, names, registration)
     model = ArmModel(robot, data, chosen, registration)
@@ -160,7 +160,7 @@ def _asked(
         )
     if count > len(data) // 2:
         raise SolveError(
-            f"of {search.candidates} random configurations {len(data)} have the margin; too few to choose {count}"
+            f"{len(data)} of {search.candidates} random configurations have the margin; {count} are needed"
         )
     _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
     if lost:
@@ -200,14 +200,14 @@ def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSea
         if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max():
             found.append(shift)
     if not found:
-        raise SolveError("no random translations within the limits keep carriages and ends in order")
+        raise SolveError("no random translations within the limits satisfy the tube order")
     shift = np.array(found)
     least, most = np.array(limits.rotations).T
     alpha = random.uniform(least, most, size=(len(found), robot.n_tubes))
     poses = solve_poses(robot, alpha, shift, np.zeros(1))
     good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
     if good.sum() < 3:
-        raise SolveError(f"hardly any random configuration of the robot has the margin {min_margin:g}")
+        raise SolveError(f"too few random configurations of the robot have the margin {min_margin:g}")
     return alpha[good], shift[good], poses.position[good, 0]
 
 

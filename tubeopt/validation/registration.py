@@ -178,8 +178,9 @@ def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) 
         there, here = np.vstack([there, ratio * d.predicted]), np.vstack([here, ratio * d.measured])
     if np.linalg.svd(there, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
         raise InputError(
-            "registration is 'rigid' and the predicted tips lie on a line, about which the frame could turn; measure "
-            "more configurations, or use base-axis or none"
+            "registration is 'rigid', but the predicted tips lie on a line and do not "
+            "determine the rotation about it; measure more configurations, or use base-axis "
+            "or none"
         )
     rotation = scipy.spatial.transform.Rotation.align_vectors(there, here)[0].as_matrix()
     return Registration("rigid", rotation, p_mean - rotation @ m_mean)

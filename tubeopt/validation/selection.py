@@ -127,7 +127,7 @@ def compare_effects(
             )
     check_counts(measurements, FREEDOMS[options.registration] + 1, options.folds)
     if not options.folds:
-        raise InputError("folds is 0; a comparison holds rows out, so it must be at least 2")
+        raise InputError("folds is 0; a comparison needs cross-validation, so it must be at least 2")
     search = _Search(robot, measurements, {k: known[k] for k in (effects or known)}, options, progress)
     search.run()
     return search.answer()

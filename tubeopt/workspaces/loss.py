@@ -120,7 +120,7 @@ def snapping_loss(
 def require_centred(robot: Robot) -> None:
     """Raise InputError for tubes off the centreline."""
     if robot.assembly(robot.home_translations).eccentric:
-        raise InputError("the loss to snapping is computed for tubes on the centreline; this robot's are beside it")
+        raise InputError("the loss to snapping is supported for concentric robots only")
 
 
 def _sorted(
@@ -145,7 +145,7 @@ def _sorted(
         if progress is not None:
             progress(done, drawn.count)
     if stores is None:
-        raise InputError("limits of the rotations leave none of the equilibria that were sampled")
+        raise InputError("no sampled equilibrium is within the rotation limits")
     return stores
 
 

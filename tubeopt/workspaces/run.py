@@ -72,7 +72,7 @@ def workspace(
     drawn = JointSamples(robot, method, samples, seed)
     count = sum(len(rotations) for rotations, _ in drawn.blocks()) if method == "grid" else samples
     if not count:
-        raise InputError(f"samples is {samples}; a grid of no more points has none that keeps the tubes in order")
+        raise InputError(f"samples is {samples}; no point of such a coarse grid satisfies the tube order")
     sink = _Memory(robot, count) if out is None else _Disk(robot, count, Path(out), _spec(robot, method, seed, count))
     with closing(sink):
         done = sink.done
@@ -195,9 +195,9 @@ class _Disk:
         path = directory / SAMPLES
         if (directory / HEAD).exists():
             if _head(directory) != spec:
-                raise InputError(f"{directory}: holds the workspace of another robot or of other samples")
+                raise InputError(f"{directory}: it has the workspace of another robot or of other samples")
         elif path.exists():
-            raise InputError(f"{path}: is there already, but no {HEAD} that tells what it is; give another directory")
+            raise InputError(f"{path}: it exists, but {HEAD} is missing; give another directory")
         else:
             write_text(directory / HEAD, json.dumps(spec, indent=2) + "\n")
         try:
@@ -269,9 +269,7 @@ def _stored(directory: Path, count: int, columns: int) -> tuple[Array, tuple[tup
     try:
         table = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, EOFError, ValueError):
-        raise InputError(
-            f"{path}: is missing or not finished; compute the workspace once more to go on with it"
-        ) from None
+        raise InputError(f"{path}: it is missing or not finished; compute the workspace again to resume") from None
     if table.shape != (count, columns):
         raise InputError(f"{path}: has the shape {table.shape}; it must be {(count, columns)}")
     return table, _read_failures(directory / FAILURES)

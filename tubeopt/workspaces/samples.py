@@ -69,7 +69,7 @@ class JointSamples:
             q = q[space.ordered(q)]
             barren = 0 if len(q) else barren + 1
             if barren > 256:
-                raise InputError("limits leave so few joint values that keep the tubes in order that none was drawn")
+                raise InputError("no random joint values within the limits satisfy the tube order")
             joint = (q @ space.spread.T + space.offset)[:left]
             left -= len(joint)
             if len(joint):

@@ -111,8 +111,9 @@ def place_pair(
     """
     if not 0 < finite("least_distance", least_distance) <= finite("most_distance", most_distance):
         raise InputError(
-            f"the plates stand {least_distance * 1e3:g} to {most_distance * 1e3:g} mm apart; the least must be greater "
-            "than 0, and no more than the most"
+            f"the distance of the base plates is {least_distance * 1e3:g} to "
+            f"{most_distance * 1e3:g} mm; the first must be greater than 0 and at most the "
+            "second"
         )
     edge = shared_workspace(workspaces, (Frame(), Frame()), size=size, min_margin=min_margin).size
     tips = [_tips(each, finite("min_margin", min_margin)) for each in workspaces]

@@ -81,7 +81,10 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     robot = workspace.robot
     turns = np.diff(np.array(robot.limits.rotations), axis=1)
     if robot.assembly(robot.home_translations).eccentric or turns.min() < 2 * np.pi - 1e-9:
-        raise InputError("the workspace is no body of revolution: tubes off the centreline, or less than a turn free")
+        raise InputError(
+            "the workspace is not a body of revolution: the robot is "
+            "eccentric, or rotations are limited to less than a full turn"
+        )
     finer = 1 if workspace.method == "grid" else 4
     scale = default_size(workspace) / finer if size is None else positive("size", size)
     seen: dict[bool, Keys] = {}
@@ -93,7 +96,7 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
         for early, found in ((False, index), (True, index[of_first_half(workspace, first, len(table))[kept]])):
             seen[early] = np.unique(np.concatenate([seen.get(early, found[:0]), found]), axis=0)
     if not len(seen[False]):
-        raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
+        raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
     value, surface = _revolved(seen[False], scale)
     first_half = _revolved(seen[True], scale)[0] if len(seen[True]) else 0.0
     return Volume(value, "meridian", scale, first_half, float("nan"), surface)

@@ -90,7 +90,7 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
         early = of_first_half(workspace, first, len(table))
         store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
     if not len(store.keys):
-        raise InputError(f"min_margin is {min_margin:g}; no sample is that stable")
+        raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
     return store.voxels()
 
 

@@ -133,7 +133,7 @@ def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytes
 
 def test_it_leads_without_load_and_replays_what_was_recorded_only() -> None:
     session = open_session(THESIS, *SOME)
-    with pytest.raises(InputError, match="led without load"):
+    with pytest.raises(InputError, match="moved without load"):
         Hand().lead(push_on(session, Load((0.01, 0.0, 0.0))), np.array([1.0, 0, 0]), 0.05)
     for each in (session, record(session, True)):
         with pytest.raises(InputError, match="nothing was recorded"):

@@ -120,7 +120,7 @@ def test_the_command_ends_cleanly_on_ctrl_c(how: signal.Signals) -> None:
         (("nowhere.yaml",), "nowhere.yaml: there is no such file"),
         (
             (CRL_FILE, "--study", "configs/studies/thesis_snap.yaml"),
-            f"configs/studies/thesis_snap.yaml: its robot is another one than {CRL_FILE}",
+            f"configs/studies/thesis_snap.yaml: the robot of the study differs from {CRL_FILE}",
         ),
         ((FILE, "--trajectory", "nowhere.csv"), "nowhere.csv: there is no such file"),
         ((FILE, "--obstacles", "nowhere.yaml"), "nowhere.yaml: there is no such file"),

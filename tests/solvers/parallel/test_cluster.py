@@ -103,7 +103,5 @@ def test_addresses_without_a_scheduler_are_refused(monkeypatch: pytest.MonkeyPat
     with pytest.raises(InputError, match=r"scheduler is 'tcp://127.0.0.1:1'; no Dask scheduler answers there"):
         list(each(slow, [1], scheduler="tcp://127.0.0.1:1"))
     for address in ("nonsense://x", "localhost:8786", ""):
-        with pytest.raises(
-            InputError, match=r"no Dask scheduler answers there: it must be an address as tcp://host:8786"
-        ):
+        with pytest.raises(InputError, match=r"must be an address such as tcp://host:8786"):
             list(each(slow, [1], scheduler=address))

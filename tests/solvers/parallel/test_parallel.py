@@ -153,7 +153,7 @@ def test_workers_that_cannot_begin_are_no_failure_of_the_items(tmp_path: Path, t
     command = [sys.executable, "-c", LOCAL] if typed else [sys.executable, str(script)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    told = "the function cannot be loaded by the workers" if typed else "a script must begin its work under"
+    told = "the function cannot be loaded by the workers" if typed else "your script under"
     assert told in done.stdout
 
 

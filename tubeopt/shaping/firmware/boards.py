@@ -110,8 +110,8 @@ def converter_for(sensor: str, wanted: str | None = None) -> str:
     """
     if sensor not in READS:
         raise InputError(
-            f"sensor is {sensor!r}; for a sketch it must be one of {', '.join(READS)}; what it would make of the "
-            "heating tells plan_heating(..., sensor=) in Python"
+            f"sensor is {sensor!r}; for a sketch it must be one of {', '.join(READS)}; "
+            "plan_heating(..., sensor=) in Python evaluates other sensors"
         )
     return READS[sensor][0] if wanted is None else choice(f"converter of a {sensor}", wanted, READS[sensor])
 
@@ -144,9 +144,9 @@ def hall_slope(wiring: Wiring, circuit: Circuit) -> float:
     if found is None and wiring.measures_electrics:
         most = steepest * limit / wired[-1]
         raise InputError(
-            f"peak_limit of the circuit is {limit:g} A; for the {board.title} it must be at most {most:.0f} A, what it "
-            f"reads of a Hall sensor of {1e3 * wired[-1]:g} mV/A with a fifth to spare: above that no over-current "
-            "would be seen"
+            f"peak_limit of the circuit is {limit:g} A; for the {board.title} it must be at "
+            f"most {most:.0f} A (80 % of the range of a Hall sensor of {1e3 * wired[-1]:g} "
+            "mV/A), so that over-current is detected"
         )
     return wired[-1] if found is None else found
 

@@ -30,7 +30,7 @@ def _lost() -> Iterator[None]:
     try:
         yield
     except OSError as error:  # of which the exceptions of pyserial are
-        raise SolveError(f"the line to the rig is lost: {error}; look whether the rig is off") from None
+        raise SolveError(f"the connection to the rig is lost: {error}; check that the rig is off") from None
 
 
 class SerialLine:

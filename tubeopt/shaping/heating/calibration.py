@@ -158,7 +158,7 @@ def calibrate(
         choice("noise", name, NOISE): positive(f"noise of {name}", value) for name, value in (noise or {}).items()
     }
     if not names:
-        raise InputError(f"parameters is empty; it must name some of {', '.join(FACTORS)}")
+        raise InputError(f"parameters is empty; it must have at least one of {', '.join(FACTORS)}")
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
     expected = {name: values[:, 0] for name, values in predict(tube, [rig], log, step=solver.step).items()}

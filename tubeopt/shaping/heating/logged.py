@@ -97,7 +97,7 @@ class HeatingLog:
             )
         object.__setattr__(self, "position", float(places[0]) if seen == 1 else places)
         if not any(np.isfinite(values).any() for values in self.channels.values()):
-            raise InputError("the log holds neither temperature nor voltage nor current; it must hold one of them")
+            raise InputError("the log has neither temperature nor voltage nor current; it must have one of them")
 
     @property
     def positions(self) -> Array:
@@ -196,8 +196,9 @@ def believable(
         values, rise = channels[name][read], float(np.ptp(expected[name][read]))
         if rise > solver.heated and np.ptp(values) == 0:
             raise InputError(
-                f"{name} of the log is {values[0] - ZERO_CELSIUS:.1f} degC in all of its {len(values)} readings, while "
-                f"the rig's file expects a rise of {rise:.0f} K: the thermometer is dead; leave it out"
+                f"{name} of the log is {values[0] - ZERO_CELSIUS:.1f} degC in all "
+                f"{len(values)} readings; the rig file predicts a rise of {rise:.0f} K: the "
+                "thermometer is broken; leave it out"
             )
         top = np.flatnonzero(values == values.max())
         stays = len(top) >= solver.flat and len(top) == top[-1] - top[0] + 1

@@ -40,8 +40,8 @@ the shortest treatment, s, that the source tells of (ASME 2nd Frontiers in Biome
 class HeatingStatus(Sentence):
     """What became of a plan; every value reads as a sentence."""
 
-    HELD = "window, limits and ramp are kept"
-    MISSED = "the best schedule that was found does not keep all that was demanded"
+    HELD = "window, limits and ramp are satisfied"
+    MISSED = "the best schedule violates a requirement"
 
 
 @dataclass(frozen=True)

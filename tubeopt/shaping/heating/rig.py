@@ -133,8 +133,8 @@ class Battery:
             raise InputError(f"voltage of the battery is {voltage:g} V; it must be {table[0, 1]:g} to {most:g} V")
         if voltage > most:
             LOGGER.warning(
-                f"the battery shows {voltage:g} V, a full one {most:g} V at rest: it is taken as full; let it rest, or "
-                "it heats less than planned when the surplus is gone"
+                f"the battery voltage is {voltage:g} V, above {most:g} V of a full battery "
+                "at rest; it is assumed full; let it rest, or it heats less than planned"
             )
         return float(np.interp(voltage, table[:, 1], table[:, 0]))
 

@@ -158,7 +158,7 @@ class Camera(Sensor):
     def target(self, model: ThermalModel, state: State) -> Array:
         """(B,) mean temperature of the places that it sees."""
         if not self.positions or max(abs(place) for place in self.positions) >= model.half_length:
-            raise InputError("positions of the camera must be places on the tube, at least one")
+            raise InputError("positions of the camera must be at least one point on the tube")
         return np.asarray(tube_at(model, state, self.positions).mean(1))
 
 

@@ -76,9 +76,7 @@ def contact_decay(tube: Tube, rig: Rig) -> float:
 def thermal_data(tube: Tube) -> ThermalData:
     """The tube's thermal data; raises InputError where its material has none."""
     if tube.material.thermal is None:
-        raise InputError(
-            f"material {tube.material.name!r} has no thermal data; it must have them for a tube that is to be heated"
-        )
+        raise InputError(f"material {tube.material.name!r} has no thermal data; they are required to heat a tube")
     return tube.material.thermal
 
 
@@ -166,7 +164,7 @@ def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
 def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
     """Lengths of the zones from the clamp to the middle of the curved part, m; raises InputError without a curve."""
     if tube.curved_length <= 0:
-        raise InputError(f"curved_length is {tube.curved_length:g} m; a tube that is shape-set must have a curved part")
+        raise InputError(f"curved_length is {tube.curved_length:g} m; a tube to be shape-set must have a curved part")
     return rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length
 
 

@@ -75,7 +75,7 @@ class ColourTable(Displayed):
         check_fields(self, "the table of colours")
         names = [colour.name for colour in self.colours]
         if not self.source.strip() or not names or len(set(names)) < len(names):
-            raise InputError("a table of colours must say its source, and have colours of different names")
+            raise InputError("a table of colours must have a source and different colour names")
 
     def chance(self, name: str, temperature: Array, duration: float) -> Array:
         """Probability of a colour at temperatures, degC, after `duration` s.
@@ -87,8 +87,9 @@ class ColourTable(Displayed):
         one = next(colour for colour in self.colours if colour.name == name)
         if one.time is not None and not one.time / OTHER_TIME <= duration <= one.time * OTHER_TIME:
             raise InputError(
-                f"the table of colours knows {name} after {one.time:g} s; a trial took {duration:g} s, and more than "
-                f"{OTHER_TIME:g} times as long or short makes another colour"
+                f"the table of colours has {name} after {one.time:g} s; a trial took "
+                f"{duration:g} s; the times must differ by at most a factor of "
+                f"{OTHER_TIME:g}"
             )
         below, above = (
             scipy.stats.norm.cdf((temperature + ZERO_CELSIUS - edge) / self.spread) for edge in (one.low, one.high)

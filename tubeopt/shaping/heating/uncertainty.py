@@ -96,8 +96,9 @@ class Uncertainty(Displayed):
         inner = tube.inner_diameter + by["inner_diameter"] if tube.inner_diameter > 0 else 0.0
         if not 0 <= inner < tube.outer_diameter:
             raise InputError(
-                f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it must leave the tube a "
-                f"wall, whose diameters are {1e3 * tube.inner_diameter:g} and {1e3 * tube.outer_diameter:g} mm"
+                f"inner_diameter of the uncertainty is {1e6 * self.inner_diameter:g} um; it "
+                f"must be less than the wall allows (diameters {1e3 * tube.inner_diameter:g} "
+                f"and {1e3 * tube.outer_diameter:g} mm)"
             )
         material = replace(rig.mold.material, conductivity=rig.mold.material.conductivity * (1 + by["conductivity"]))
         lost = rig.circuit.lost_on_time + 0.5 * (self.lost_on_time + by["lost_on_time"])

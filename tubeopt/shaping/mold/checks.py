@@ -70,9 +70,9 @@ def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float
     if smaller:
         return smaller[-1], least
     raise InputError(
-        f"the smallest end mill at hand ({mills[0].diameter * 1e3:g} mm) is wider than the groove of tube {number}: "
-        f"outer diameter {tube.outer_diameter * 1e3:g} mm and at most {spec.groove.most_clearance * 1e3:g} mm of "
-        "clearance"
+        f"the smallest available end mill ({mills[0].diameter * 1e3:g} mm) is wider than the "
+        f"groove of tube {number}: outer diameter {tube.outer_diameter * 1e3:g} mm and at "
+        f"most {spec.groove.most_clearance * 1e3:g} mm of clearance"
     )
 
 
@@ -164,7 +164,7 @@ def held_in_plane(number: int, tube: Tube, spec: MoldSpec, who: str) -> Tube:
     if tube.curved_length == 0:
         raise InputError(f"tube {number} has no curved part; it needs no mold")
     if bend_direction(tube) is None:
-        raise InputError(f"tube {number} is a space curve; {who} planar bends only: it takes a mandrel")
+        raise InputError(f"tube {number} is a space curve; {who} planar bends only: use a mandrel")
     return as_held(number, tube, spec)
 
 

@@ -92,7 +92,7 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
         document.saveas(temporary)
         deviation = dxf_deviation(centreline, temporary)
         if deviation > TOLERANCE:
-            raise SolveError(f"{path}: the centreline in the file lies {deviation * 1e6:.3g} um from the one wanted")
+            raise SolveError(f"{path}: the centreline in the file deviates by {deviation * 1e6:.3g} um")
     return path
 
 

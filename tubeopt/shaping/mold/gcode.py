@@ -68,7 +68,7 @@ def write_gcode(mold: Mold, directory: Path) -> list[Path]:
     made = programs_of(mold)
     deviation = toolpath_deviation(mold, groove_gcode(mold))
     if deviation > TOLERANCE:
-        raise SolveError(f"{directory}: a cutter's way lies {deviation * 1e6:.3g} um from its groove's")
+        raise SolveError(f"{directory}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
     return write_programs(made, directory)
 
 
@@ -138,8 +138,8 @@ def check_duration(file: str, time: float) -> None:
     """Raise InputError for a program whose moves take longer than any is run, s."""
     if time > LONGEST:
         raise InputError(
-            f"the moves of {file} take {time / 86400:.3g} days; they must take at most {LONGEST / 86400:.0f} days, by "
-            "greater feeds or deeper cuts"
+            f"the program {file} takes {time / 86400:.3g} days; it must take at most "
+            f"{LONGEST / 86400:.0f} days: use larger feeds or deeper cuts"
         )
 
 

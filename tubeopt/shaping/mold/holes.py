@@ -59,8 +59,9 @@ def place_fasteners(
     bolts, dowels = (sum(hole.purpose == purpose for hole in holes) for purpose in ("bolt", "dowel"))
     if bolts < LEAST_BOLTS or dowels < 2:
         raise InputError(
-            f"the plate of {size[0] * 1e3:g} x {size[1] * 1e3:g} mm has room for {bolts} bolts and {dowels} dowels "
-            f"beside the grooves; it needs {LEAST_BOLTS} and 2: take a larger plate or smaller holes"
+            f"the plate of {size[0] * 1e3:g} x {size[1] * 1e3:g} mm fits {bolts} bolts and "
+            f"{dowels} dowels next to the grooves; it needs {LEAST_BOLTS} and 2: use a "
+            "larger plate or smaller holes"
         )
     return tuple(holes)
 
@@ -78,9 +79,10 @@ def place_vents(curve: Centreline, width: float, vents: VentSpec) -> tuple[Hole,
     nearest = float(np.diff(places).min()) if count > 1 else math.inf
     if nearest < vents.diameter + VENT_BRIDGE - 1e-12:
         raise InputError(
-            f"the profile of the vents asks for {vents.diameter * 1e3:g} mm holes every {nearest * 1e3:.3g} mm; at "
-            f"least {(vents.diameter + VENT_BRIDGE) * 1e3:.3g} mm must lie between them: open less, or take larger "
-            "vents"
+            f"the profile of the vents needs {vents.diameter * 1e3:g} mm holes every "
+            f"{nearest * 1e3:.3g} mm; the distance must be at least "
+            f"{(vents.diameter + VENT_BRIDGE) * 1e3:.3g} mm: use a smaller open fraction or "
+            "larger vents"
         )
     return tuple(Hole("vent", (float(x), float(y)), vents.diameter) for x, y in curve.bend_point(places))
 
@@ -96,8 +98,8 @@ def _rim(size: Point, inset: float, step: float) -> Array:
     (x0, y0), (x1, y1) = (inset, inset), (size[0] - inset, size[1] - inset)
     if x1 <= x0 or y1 <= y0:
         raise InputError(
-            f"the plate is {size[0] * 1e3:g} x {size[1] * 1e3:g} mm; that leaves no room for bolts {inset * 1e3:g} mm "
-            "from its edges"
+            f"the plate is {size[0] * 1e3:g} x {size[1] * 1e3:g} mm; it is too small for "
+            f"bolts {inset * 1e3:g} mm from its edges"
         )
     across, up = np.arange(x0, x1 + step / 2, step), np.arange(y0, y1 + step / 2, step)
     sides = [[(x, y) for x in across] for y in (y0, y1)] + [[(x, y) for y in up] for x in (x0, x1)]

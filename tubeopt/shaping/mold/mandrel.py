@@ -219,7 +219,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     spec = MoldSpec() if mold is None else mold
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
-        raise InputError(f"tube {number} is bent in a plane; it takes a plate, not a mandrel")
+        raise InputError(f"tube {number} is planar; use a plate, not a mandrel")
     held, cold = as_held(number, tube, spec), cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
     wound = "wound into the groove"
     checks = [strain_check(number, held, spec, wound, f"when it is {wound}", "set it in steps")]
@@ -318,9 +318,9 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
             best = float(size.prod()), Block((float(size[0]), float(size[1]), float(size[2]))), winding
     if best is None:
         raise InputError(
-            f"tube {number} winds so that no side of a block opens all of its groove; what can be made is a helix of "
-            f"at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a turned mandrel, or a curve that does "
-            "not pass over itself seen from one side"
+            f"the groove of tube {number} is not accessible from any side of a block. Use a "
+            f"helix of at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a "
+            "turned mandrel, or a curve without overlap in one view"
         )
     return best[1], best[2]
 

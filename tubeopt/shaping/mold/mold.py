@@ -164,7 +164,7 @@ class MoldStatus(Sentence):
     """How a mold was planned; every value reads as a sentence. One that fails a check is refused."""
 
     CHECKED = "the mold passes all checks"
-    REMARKED = "the mold passes all checks, with remarks to keep in mind"
+    REMARKED = "the mold passes all checks, with remarks"
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def plan_mold(
         raise InputError("tubes is empty; there must be at least one")
     called = range(1, len(wanted) + 1) if numbers is None else numbers
     if len(called) != len(wanted):
-        raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one for every tube")
+        raise InputError(f"numbers has {len(called)} entries; it must have {len(wanted)}, one per tube")
     blanks = [_blank(number, tube, spec) for number, tube in zip(called, wanted, strict=True)]
     checks = [check for blank in blanks for check in tube_checks(blank, spec)]
     refuse_failed(checks)

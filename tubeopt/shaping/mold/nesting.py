@@ -186,19 +186,22 @@ def _why_not(blanks: Sequence[Blank], spec: MoldSpec) -> InputError:
         low, high = _extent([blank], here)
         wide, tall = (high - low) * 1e3
         return InputError(
-            f"the groove of tube {blank.number} leaves the plate{plate}: bend and leads take {wide:.1f} x {tall:.1f} "
-            f"mm, and the wall beside the bend {spec.groove.wall * 1e3:g} mm"
+            f"the groove of tube {blank.number} does not fit on the plate{plate}: bend and "
+            f"leads need {wide:.1f} x {tall:.1f} mm, plus a wall of "
+            f"{spec.groove.wall * 1e3:g} mm"
         )
     numbers = ", ".join(str(blank.number) for blank in blanks)
     return InputError(
-        f"the grooves of tubes {numbers} cross on a plate{plate}, one above the other and side by side; they need "
-        f"{spec.groove.wall * 1e3:g} mm between them: take a larger plate or one plate per tube"
+        f"the grooves of tubes {numbers} cross on a plate{plate} in every arrangement; they "
+        f"need {spec.groove.wall * 1e3:g} mm between them: use a larger plate or one plate "
+        "per tube"
     )
 
 
 def _crossing(blank: Blank) -> InputError:
     turn = math.degrees(blank.bend_angle)
     return InputError(
-        f"the groove of tube {blank.number} crosses itself: it bends through {turn:.1f} deg and its leads are at least "
-        f"{blank.least_lead * 1e3:.1f} mm long; shorten the curved part or the leads, or set the tube in two molds"
+        f"the groove of tube {blank.number} crosses itself: it bends by {turn:.1f} deg, with "
+        f"leads of at least {blank.least_lead * 1e3:.1f} mm; shorten the curved part or the "
+        "leads, or use two molds"
     )

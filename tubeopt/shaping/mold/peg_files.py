@@ -36,7 +36,7 @@ def write_pegs(board: PegBoard, directory: Path) -> list[Path]:
     table, made = pegs_csv(board), board_programs(board)
     off = max(_pins_off(board, table), *(_holes_off(board, each.text) for each in made[:1]))
     if off > TOLERANCE:
-        raise SolveError(f"{directory}: a pin or a hole lies {off * 1e6:.3g} um from where it is meant to be")
+        raise SolveError(f"{directory}: a pin or hole deviates from its position by {off * 1e6:.3g} um")
     paths = write_drawing(draw_board(board), board.centreline.pieces, directory / "board")
     write_text(directory / "pegs.csv", table)
     return [*paths, directory / "pegs.csv", *write_programs(made, directory)]

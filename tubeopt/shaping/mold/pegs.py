@@ -37,8 +37,8 @@ from .spec import MoldSpec
 class PegStatus(Sentence):
     """Whether pegs hold a tube on its curve; every value reads as a sentence."""
 
-    HELD = "the pegs hold the tube as near to its curve as was asked for"
-    LEFT = "between its pegs the tube leaves its curve by more than was asked for"
+    HELD = "the deviation of the tube from its curve is within the limit"
+    LEFT = "the deviation of the tube from its curve between pegs exceeds the limit"
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def plan_pegs(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> P
     # The straight part of the tube lies in the lead, or hangs out of the clamp.
     kept = max(0.0, leads[0] + over[0] - tube.straight_length), curve.length - leads[1] - over[1]
     if crosses_itself(curve, tube.outer_diameter + 2 * spec.pegs.pin):
-        raise InputError(f"tube {number} comes back to itself: pegs find no room between")
+        raise InputError(f"tube {number} comes too close to itself: there is no space for pegs")
     size, curve = _on_board(curve, spec, number)
     lattice = Lattice.of(size, spec.pegs, spec.solver.pegs.reach)
     worst, placed, pegs, lying = _pegged(curve, lattice, tube, spec, kept)

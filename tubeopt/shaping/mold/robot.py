@@ -62,7 +62,7 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
         else:
             numbers.append(k)
     if not numbers and any("space curve" in line for line in left_out):
-        raise InputError("no tube of this robot is bent in a plane; space curves take mandrels: tubeopt mold mandrel")
+        raise InputError("no tube of this robot is planar; use `tubeopt mold mandrel` for space curves")
     if not numbers:
         raise InputError("no tube of this robot is curved; none needs a mold")
     return numbers, left_out
@@ -89,7 +89,7 @@ def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback
     instance("mold", mold, Mold)
     count = len(mold.grooves)
     if index is None and count > 1:
-        raise InputError(f"the mold has {count} grooves; index must say which, 0 to {count - 1}")
+        raise InputError(f"the mold has {count} grooves; give index, 0 to {count - 1}")
     if not 0 <= (which := whole("index", 0 if index is None else index)) < count:
         raise InputError(f"index is {index}; it must lie in 0 to {count - 1}")
     return tube_from_mold(mold.grooves[which].held, springback or mold.spec.springback)

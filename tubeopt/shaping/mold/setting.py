@@ -129,7 +129,7 @@ def signed_curvature(tube: Tube) -> list[tuple[float, Array]]:
     positive about the bend direction."""
     direction = bend_direction(tube)
     if direction is None:
-        raise InputError("the tube is a space curve; a groove in a plate holds planar bends only")
+        raise InputError("the tube is a space curve; a plate supports planar bends only")
     out: list[tuple[float, Array]] = []
     for piece in tube.chain:
         x, y, _ = piece.precurvature

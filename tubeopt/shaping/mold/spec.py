@@ -207,8 +207,10 @@ class PegSpec:
         check_fields(self, "the pegs")
         if 2 * self.eccentricity + self.pin > self.pitch + 1e-9:
             raise InputError(
-                f"pitch of the pegs is {self.pitch * 1e3:g} mm; it must be at least twice the eccentricity and the "
-                f"pin's diameter, {(2 * self.eccentricity + self.pin) * 1e3:g} mm, or neighbours run into one another"
+                f"pitch of the pegs is {self.pitch * 1e3:g} mm; it must be at least twice "
+                "the eccentricity plus the pin's diameter, "
+                f"{(2 * self.eccentricity + self.pin) * 1e3:g} mm, to avoid collisions of "
+                "neighbours"
             )
 
     def reach(self, outer_diameter: float) -> float:

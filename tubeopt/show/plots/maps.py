@@ -59,7 +59,7 @@ def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -
     if not 1 <= len(maps) <= MOST_MAPS:
         raise InputError(f"{len(maps)} maps are given; there must be 1 to {MOST_MAPS}")
     if titles and len(titles) != len(maps):
-        raise InputError(f"{len(titles)} titles are given for {len(maps)} maps; they must be as many")
+        raise InputError(f"{len(titles)} titles are given for {len(maps)} maps; the numbers must be equal")
     columns = min(2, len(maps))
     rows = -(-len(maps) // columns)
     figure = new_figure(1.2 + 3.1 * columns, 0.7 + 2.9 * rows)

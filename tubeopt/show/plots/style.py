@@ -190,7 +190,7 @@ def picture_format(path: str | PathLike[str]) -> str:
     """Format that the file name asks for; raises InputError where it is none of `FORMATS`."""
     suffix = Path(path).suffix.lower().removeprefix(".")
     if suffix not in FORMATS:
-        raise InputError(f"the picture's name is {str(path)!r}; it must end in .{', .'.join(FORMATS)}")
+        raise InputError(f"the file name of the plot is {str(path)!r}; it must end in .{', .'.join(FORMATS)}")
     return suffix
 
 

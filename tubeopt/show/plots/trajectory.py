@@ -161,7 +161,7 @@ def film_ending(path: str | PathLike[str]) -> str:
 
     ending = Path(path).suffix.lower()
     if ending not in (".gif", ".mp4"):
-        raise InputError(f"{path}: the name of a film must end in .gif or .mp4")
+        raise InputError(f"{path}: the file name of an animation must end in .gif or .mp4")
     if ending == ".mp4" and not writers.is_available("ffmpeg"):
         raise InputError(f"{path}: MP4 needs ffmpeg, which was not found; install it, or let the name end in .gif")
     return ending

@@ -68,7 +68,7 @@ def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
     if name.endswith((*IMAGES, ".gz")):
         image = read_image(path)
         if not image.labels:
-            raise InputError(f"{path} has no label but 0; what the arm shall keep out of must have another one")
+            raise InputError(f"{path} has only label 0; forbidden regions must have another label")
         field = field_of_image(image, forbidden=image.chosen(image.labels, "label"), name=path.name)
         labels = ", ".join(map(str, image.labels))
         return (field,), f"all that has a label ({labels}), where the file has it"

@@ -104,7 +104,7 @@ class Hand:
         if not velocity.any():
             return session, ""
         if session.equilibrium.load is not None:
-            raise InputError("the tip is led without load; take it off first")
+            raise InputError("the tip can be moved without load only; remove the load first")
         options = ServoOptions(speed=SPEED, min_margin=max(min_margin, LEAST_MARGIN))
         known = self._servo
         here = session.equilibrium

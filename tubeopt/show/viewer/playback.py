@@ -96,7 +96,7 @@ def recorded(session: Session) -> Waypoints:
     rows = np.array(session.recording or [np.zeros(2 * session.robot.n_tubes)])
     moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
     if moved.sum() < 2:
-        raise InputError("nothing was recorded: tick 'record what the robot passes', and move it")
+        raise InputError("nothing was recorded: tick 'record what the robot passes', and move the robot")
     rotations, translations = np.split(rows[moved], 2, axis=1)
     return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
 

@@ -43,7 +43,7 @@ def pull(
         InputError: a target that is not three finite numbers, a margin that is not from 0 to 1; a load.
     """
     if session.equilibrium.load is not None:
-        raise InputError("the tip is led without load; take it off first")
+        raise InputError("the tip can be moved without load only; remove the load first")
     places = session.equilibrium, None
     goal = pose_question(
         session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles, options=QUICK

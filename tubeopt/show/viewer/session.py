@@ -271,7 +271,7 @@ def redesign(session: Session, robot: Robot) -> Session:
         SolveError: no stable equilibrium with the new tubes.
     """
     if session.equilibrium.load is not None:
-        raise InputError("tubes are changed without load; take it off first")
+        raise InputError("tubes can be changed without load only; remove the load first")
     old, space = session.equilibrium, space_of(robot)
     q, before = space.join(old.rotations, old.translations), space_of(old.robot)
     inside = bool((space.clip(q) == q).all())

@@ -276,7 +276,7 @@ class Tab(Wishes):
 
     def _sweep(self) -> None:
         if self._player.playback is None:
-            raise InputError("there is no trajectory whose swept volume could be shown")
+            raise InputError("there is no trajectory for a swept volume")
         self._say("joining shapes …")
         swept = swept_volume(self._player.playback)
         self.scene.layer("swept", [Part("volume", swept.surface, COLOUR, OPACITY)])

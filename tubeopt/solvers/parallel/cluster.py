@@ -100,7 +100,8 @@ def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]
     # Of what is no address, Dask's client says so only when it is collected, on stderr.
     if str(scheduler).partition("://")[0] not in backends or "://" not in str(scheduler):
         raise InputError(
-            f"scheduler is {scheduler!r}; no Dask scheduler answers there: it must be an address as tcp://host:8786"
+            f"scheduler is {scheduler!r}; no Dask scheduler answers there; it must be an "
+            "address such as tcp://host:8786"
         )
     try:
         client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)

@@ -235,7 +235,7 @@ class _Run(Generic[A, B]):
         except (NotLoadedError, LateError):
             raise
         except CancelledError:
-            raise SolveError("the connection to the cluster is lost; what was computed before is kept") from None
+            raise SolveError("the connection to the cluster is lost; finished points are kept") from None
         except Exception as error:  # of the executor: an item that does not pickle, a worker of the cluster lost thrice
             kind = "WorkerLost" if type(error).__name__ == "KilledWorker" else type(error).__name__
             return Outcome(index, None, Failure(kind, str(error) or "no message"))
@@ -258,8 +258,8 @@ def _require_start() -> None:
             pool.submit(os.getpid).result()
         except BrokenProcessPool:
             raise InputError(
-                "worker processes do not start; a script must begin its work under `if __name__ == '__main__':`, since "
-                "they import it, or give workers=1"
+                "worker processes do not start; put the code of your script under `if "
+                "__name__ == '__main__':`, or give workers=1"
             ) from None
 
 
