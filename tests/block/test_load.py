@@ -139,7 +139,7 @@ def test_what_a_block_does_not_bear_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             EquilibriumBlock(ca.Opti(), near, load=load)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="load is given for"):
+    with pytest.raises(InputError, match="load is given for an eccentric robot"):
         EquilibriumBlock(ca.Opti(), forward_kinematics(eccentric_robot(0.02), [0.0, 1.0, -1.0]), load=Load((0.1, 0, 0)))
     block = EquilibriumBlock(ca.Opti(), near, load=Load((0.01, 0.0, 0.0)))
     with pytest.raises(InputError, match="force of 10 mN; it must be at most max_force, 9 mN"):

@@ -391,9 +391,9 @@ def test_the_stiffness_against_a_small_force_is_that_of_the_unloaded_arm() -> No
     ("given", "message"),
     [
         ({"kind": "tip_stiffness"}, "tip_force is required for the objectives tip_deflection and tip_stiffness"),
-        ({"kind": "length", "tip_force": (0.1, 0, 0)}, "for the objectives"),
-        ({"kind": "tip_deflection", "tip_force": (0, 0, 0)}, "tip_force of"),
-        ({"kind": "tip_deflection", "tip_moment": (0, 0, 0)}, "tip_moment of"),
+        ({"kind": "length", "tip_force": (0.1, 0, 0)}, "tip_force is required for the objectives"),
+        ({"kind": "tip_deflection", "tip_force": (0, 0, 0)}, "tip_force of the objective is 0; it must not be 0"),
+        ({"kind": "tip_deflection", "tip_moment": (0, 0, 0)}, "tip_moment of the objective is 0; it must not be 0"),
         ({"kind": "length", "tip_moment": (0, 0, 1)}, "tip_moment is allowed for the objective tip_deflection"),
     ],
 )

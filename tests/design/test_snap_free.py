@@ -173,5 +173,5 @@ def test_a_design_that_no_force_up_to_a_size_can_snap() -> None:
     strong = replace(task, requirements=(SnapFree(0.05, max_force=1e3), *task.requirements[1:]))
     with pytest.raises(SolveError, match=r"certified for 1e\+06 mN"):
         optimize_design(strong, turns=0)
-    with pytest.raises(InputError, match="max_force and box are"):
+    with pytest.raises(InputError, match="max_force and box are both given"):
         SnapFree(0.05, box=((0.0,), (0.1,)), max_force=0.01)

@@ -34,8 +34,11 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: DesignTask(two_tubes(), (Free("curvature", (2,), 0, 1),)), "names tube 3; the robot has tubes 1 to 2"),
     (lambda: DesignTask(two_tubes(), FREE * 2), "curvature of tube 1 is free twice"),
     (lambda: DesignTask(two_tubes(), FREE, (SnapFree(0.1, ((0.0,),)),)), "has 1 numbers; it must be 2"),
-    (lambda: DesignTask(two_tubes(), FREE, (SnapFree(0.1, ((0.2, 0.0),)),)), "at most the"),
-    (lambda: DesignTask(two_tubes(), FREE, (SnapFree(0.1), SnapFree(0.2))), "SnapFree is"),
+    (
+        lambda: DesignTask(two_tubes(), FREE, (SnapFree(0.1, ((0.2, 0.0),)),)),
+        "at most the lower bound of its straight length",
+    ),
+    (lambda: DesignTask(two_tubes(), FREE, (SnapFree(0.1), SnapFree(0.2))), "SnapFree is given twice"),
     (lambda: DesignTask(two_tubes(), FREE, (SnapFreeInUse(),)), "SnapFreeInUse needs"),
     (lambda: DesignTask(two_tubes(), FREE, (Strain((0.01,) * 3),)), "strain has 3 limits; it must be 1 or 2"),
     (lambda: DesignTask(two_tubes(), FREE, (Length("length", 4, 0.1),)), "length names tube 5"),

@@ -517,7 +517,7 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
         with pytest.raises(InputError, match=message):
             call()
     assert mass_per_length(steel.tubes[0]) is None
-    with pytest.raises(InputError, match="no tube is in front of the"):
+    with pytest.raises(InputError, match="no tube is in front of the base plate"):
         forward_kinematics(thesis, ROTATIONS, (-0.2, -0.15, -0.1), load=load)
 
 

@@ -169,11 +169,11 @@ def test_inverse_kinematics_starts_at_the_plate_and_goes_there() -> None:
 def test_what_needs_an_arm_says_that_there_is_none(tmp_path: Path) -> None:
     at = withdrawn("thesis_ctr")
     for length in (0.0, 1e-13):
-        with pytest.raises(InputError, match="no tube is in front of the"):
+        with pytest.raises(InputError, match="no tube is in front of the base plate"):
             forward_kinematics(at.robot, at.rotations, at.translations + length, load=Load(force=(0.1, 0, 0)))
     with pytest.raises(InputError, match="goal has no tube in front of the plate"):
         follow_the_leader(at.robot, at)
-    with pytest.raises(InputError, match="no tube is in front of the"):
+    with pytest.raises(InputError, match="no tube is in front of the base plate"):
         find_stroke_force(at.robot, at.rotations, at.translations)
     at.save(tmp_path / "at")
     assert load_equilibrium(tmp_path / "at").tip_position == pytest.approx([0, 0, 0])
@@ -193,7 +193,7 @@ def test_an_arm_of_length_zero_is_drawn_and_has_no_surface(tmp_path: Path) -> No
     at = withdrawn("thesis_ctr")
     assert plot_shape(at) is not None
     assert not Centreline(at).position([0.0]).any()
-    with pytest.raises(InputError, match="no tube is in front of the"):
+    with pytest.raises(InputError, match="no tube is in front of the base plate"):
         save_solid(at, tmp_path / "arm.stl")
     assert not list(tmp_path.iterdir())
 

@@ -45,7 +45,7 @@ class Rack:
     width: Annotated[float, unit("mm"), POSITIVE, "of the board"] = 0.3
     slack: Annotated[float, unit("percent"), Range(least=0.0, most=0.5), "of the width"] = 0.1
     kiln: Annotated[float, key("dried_degC"), POSITIVE, "at which it was dried"] = 333.15
-    board: Annotated[Wood, Named({"oak": OAK}), "give one of"] = OAK
+    board: Annotated[Wood, Named({"oak": OAK}), "what it is made of"] = OAK
     pegs: Annotated[tuple[Peg, ...], "by default two"] = (Peg(0.01), Peg(0.02))
     place: Annotated[tuple[float, float] | None, unit("mm"), "where it hangs"] = None
     marks: Annotated[tuple[float, ...], unit("mm"), NOT_NEGATIVE, "along the board"] = (0.1,)

@@ -466,7 +466,7 @@ class TestJoints:
 
     def test_limits_that_contradict_the_order_are_refused(self) -> None:
         limits = JointLimits(((-1, 1),) * 3, ((-0.2, -0.19), (0.1, 0.15), (0.09, 0.1)))
-        with pytest.raises(InputError, match="limits allow no joint values with the"):
+        with pytest.raises(InputError, match="limits allow no joint values with the tube order"):
             inverse_kinematics(THESIS, TARGET, limits=limits)
 
     def test_gaps_and_section_lengths_are_kept(self) -> None:
@@ -496,7 +496,7 @@ class TestInput:
             ({"min_margin": -0.1}, "min_margin is -0.1"),
             ({"seed": 3}, "seed is 3; it must be a pair"),
             ({"seed": ([0, 0], None)}, "rotations of seed has 2 numbers"),
-            ({"reference": ([0, 0, 0], [1, 1, 1])}, "it out of its"),
+            ({"reference": ([0, 0, 0], [1, 1, 1])}, "moves it out of its carriage"),
             ({"robot": None}, "robot is None; it must be a robot"),
             ({"limits": 3}, "limits is 3; it must be a JointLimits"),
             ({"obstacles": Sphere((0, 0, 1), 0.1)}, r"it must be a sequence of bodies, as \[Sphere"),

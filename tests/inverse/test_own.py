@@ -94,5 +94,5 @@ def test_what_makes_no_sense_is_refused() -> None:
         with pytest.raises(InputError, match=words):
             inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))
     target = forward_kinematics(THESIS, *SEED).tip_position
-    with pytest.raises(InputError, match="the turning of"):
+    with pytest.raises(InputError, match="the turning of a pose is available in designs only"):
         inverse_kinematics(THESIS, target, seed=SEED, options=InverseOptions(extra_constraints=(Turning(),)))

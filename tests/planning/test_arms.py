@@ -204,7 +204,7 @@ def test_what_makes_no_question_is_refused() -> None:
         plan_arms([arm], [REST], [REST])
     with pytest.raises(InputError, match="goals has 1 for 2 arms; it must have one for each"):
         plan_arms([arm] * 2, [REST] * 2, [REST])
-    with pytest.raises(InputError, match="roadmap and max_force are"):
+    with pytest.raises(InputError, match="roadmap and max_force are given; they are supported for plans of one robot"):
         plan_arms([arm] * 2, [REST] * 2, [REST] * 2, options=PlanOptions(max_force=0.01))
     with pytest.raises(SolveError, match=r"arm 1 \(CRL CTR\) and arm 2 \(CRL CTR\) at the start is -1.5 mm"):
         plan_arms([arm] * 2, [REST] * 2, [REST] * 2)

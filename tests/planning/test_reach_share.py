@@ -62,7 +62,7 @@ def test_a_wall_takes_away_what_is_behind_it() -> None:
     [
         ([[0.0, 1.0]], r"targets has shape \(1, 2\); it must be rows of finite x, y, z in m, at least one"),
         (np.zeros((0, 3)), "at least one"),
-        ([["a", "b", "c"]], "targets is"),
+        ([["a", "b", "c"]], "targets is not a table of numbers"),
     ],
 )
 def test_what_is_no_table_of_places_is_refused(targets: object, message: str) -> None:

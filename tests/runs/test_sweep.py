@@ -313,7 +313,7 @@ def test_nonsense_at_the_end_of_a_journal_is_computed_again(tmp_path: Path, rubb
 def test_a_file_that_is_no_journal_is_left_alone(tmp_path: Path) -> None:
     file = tmp_path / "journal.jsonl"
     file.write_text("Dear diary")
-    with pytest.raises(InputError, match="line 1 is"):
+    with pytest.raises(InputError, match="line 1 is damaged; this is not the journal of a sweep"):
         sweep(partial(slow_parabola, 0.0), POINTS[:3], tmp_path, workers=1)
     assert file.read_text() == "Dear diary"
 

@@ -44,7 +44,7 @@ EXPECTED = {"temperature": TRUE[:, 0]}
 
 def test_a_dead_thermometer_is_refused() -> None:
     dead = HeatingLog(TIME, DUTY, np.full(len(TIME), 298.15))
-    with pytest.raises(InputError, match=r"log is 25.0 degC in all 15 readings.*the thermometer is"):
+    with pytest.raises(InputError, match=r"log is 25.0 degC in all 15 readings.*the thermometer is broken"):
         believable(dead, thesis_rig(), EXPECTED)
     cold = HeatingLog(TIME, 0 * DUTY, np.full(len(TIME), 298.15))
     assert believable(cold, thesis_rig(), {"temperature": np.full(len(TIME), 298.15)})[1] == ()

@@ -155,7 +155,7 @@ def test_a_printed_mandrel_is_told() -> None:
 @pytest.mark.parametrize(
     ("pieces", "message"),
     [
-        ([Piece(0.05, 10.0)], "tube 1 is"),
+        ([Piece(0.05, 10.0)], "tube 1 is planar; use a plate, not a mandrel"),
         ([Piece.helix(0.2, 20e-3, 4e-3)], "leave 2.348 mm of wall between them; it must be at least 3 mm"),
         ([Piece.helix(0.05, 10e-3, 3e-3, left=True)], "tube 1 is strained 7.98 %"),
         ([Piece.helix(0.3, 5e-3, 6e-3)], "tube 1 is strained"),
@@ -177,5 +177,5 @@ def test_what_cannot_be_wound_is_refused(pieces: Any, message: str) -> None:
 def test_the_mold_of_a_robot_leaves_space_curves_out() -> None:
     robot = ConcentricRobot([TUBES["left"], Tube(2.2e-3, 1.9e-3, 10e-3, 60e-3, 8.0)])
     assert chosen_tubes(robot) == ([2], ["tube 1 is a space curve and takes a mandrel: tubeopt mold mandrel"])
-    with pytest.raises(InputError, match="no tube of this robot is"):
+    with pytest.raises(InputError, match="no tube of this robot is planar"):
         chosen_tubes(ConcentricRobot([TUBES["left"]]))

@@ -293,8 +293,8 @@ class JointSpace:
         if shift is None:
             gap = f" with carriages {self.carriage_gap * TO_MM:.4g} mm apart" if self.carriage_gap else ""
             raise InputError(
-                f"limits leave no joint values that keep the tubes in order{gap}: every tube must be held behind, and "
-                "end beyond, the one around it"
+                f"limits allow no joint values with the tube order{gap}: every tube must be clamped behind, and end "
+                "beyond, the tube around it"
             )
         return self._independent(rotations, shift)
 
