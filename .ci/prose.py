@@ -48,7 +48,6 @@ PENDING = (
             "first-tube",
             "heating",
             "how-to-choose",
-            "index",
             "install",
             "inverse",
             "json",
