@@ -40,7 +40,6 @@ PENDING = (
             "benchmark",
             "command-line",
             "comparison",
-            "control",
             "data",
             "design",
             "eccentric",
