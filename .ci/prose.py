@@ -61,7 +61,6 @@ PENDING = (
             "stability",
             "theory",
             "tubes",
-            "tutorial",
             "validation",
             "view",
         )
