@@ -47,7 +47,6 @@ PENDING = (
             "first-tube",
             "heating",
             "how-to-choose",
-            "install",
             "inverse",
             "json",
             "loads",
