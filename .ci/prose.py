@@ -44,7 +44,6 @@ PENDING = (
             "design",
             "eccentric",
             "files",
-            "first-tube",
             "heating",
             "how-to-choose",
             "inverse",
