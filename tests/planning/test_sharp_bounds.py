@@ -508,4 +508,5 @@ def test_sections_are_in_order_where_no_places_along_the_arm_meet(
         places=np.array(places),
         constants=SimpleNamespace(stretch=lambda middle, tubes: None),
     )
-    assert Intervals.of(arms, np.array([0]), np.array([1])).ordered.tolist() == [ordered]
+    forwards_and_backwards = np.array([0, 1]), np.array([1, 0])
+    assert Intervals.of(arms, *forwards_and_backwards).ordered.tolist() == [ordered] * 2

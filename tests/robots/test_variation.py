@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 
-from tubeopt.robots.variation import _bound
+from tubeopt import Piece, Tube
+from tubeopt.robots.variation import BEYOND, _bound, variation
 from tubeopt.typing import Array
 
 
@@ -31,3 +32,28 @@ def test_bounds_of_what_varies_are_attained_where_all_terms_add_up() -> None:
     assert found[8:12] == pytest.approx(1.25 * derivatives(chebyshev.chebmul(kb, x), 1, half))
     assert found[12:15] == pytest.approx(derivatives(z, 1, half)[:3])
     assert found[15:] == pytest.approx(high[:, 0])
+
+
+def test_bounds_of_cells_hold_a_little_beyond_them_and_behind_the_end() -> None:
+    """Of a stiffness that grows linearly, in cells and in a piece of 0.1 mm; behind the end kt is what it was. A tube
+    of fewer cells is filled up with its last."""
+    long, short, straight, start = 0.03, 1e-4, 0.04, 1e-3
+
+    def kt(s: float) -> float:
+        return start * (1 + 60 * s)
+
+    pieces = Piece(long, 8.0, torsional_stiffness=kt), Piece(short, 8.0, torsional_stiffness=lambda s: 2 * kt(s))
+    varying = Tube.of_pieces(1.0e-3, 0.8e-3, pieces, straight_length=straight)
+    even = Tube(1.4e-3, 1.2e-3, straight, long, 4.0)
+    found = variation((varying, even))
+    cells = found.cuts[0] - straight
+    inner = np.flatnonzero((cells > 1e-9) & (cells < long - 1e-9))
+    assert len(inner) > 1
+    # Cell k + 1 begins at cut k.
+    assert found.torsional[0, inner + 1] == pytest.approx([kt(s - BEYOND) for s in cells[inner]], rel=1e-10)
+    assert found.stiffest[1, 0, inner] == pytest.approx([kt(s + BEYOND) for s in cells[inner]], rel=1e-10)
+    assert found.torsional[0, -2] == pytest.approx(2 * start, rel=1e-6)
+    assert found.torsional[:, -1] == pytest.approx(found.torsional[:, -2])
+    assert not any(found.__dict__[name][..., -1].any() for name in ("bending", "ease", "pull", "twist"))
+    assert (np.diff(found.cuts[1])[1:] == 0).all()
+    assert found.pull[0, 1, 1:-1] == pytest.approx(even.bending_stiffness * even.curvature)
