@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tubeopt.physics.certificate import WHOLE, base_determinant
+from tubeopt.physics.certificate import ONCE, WHOLE, base_determinant, worst_function
 
 
 @pytest.mark.parametrize("varying", [False, True])
@@ -18,12 +18,13 @@ def test_the_determinant_of_two_tubes_is_that_of_their_difference(varying: bool)
         sections = 3
         kt = random.uniform(0.5, 2.0, (2, sections if varying else 1))
         kb, m = random.uniform(0.5, 2.0, (2, sections)), random.uniform(0.2, 2.0, (2, sections))
+        m *= random.choice([-1, 1], m.shape)  # where a tube is curved the other side it is turned about
         length, straight = random.uniform(0.2, 0.8, sections), random.uniform(0.0, 1.0, 2)
         for eigenvalue in (0.3, 1.0, 4.0):
             d, torque = 1.0, 0.0
             for k in reversed(range(sections)):
                 here = kt[:, k if varying else 0]
-                g, c = (1 / here).sum(), m[0, k] * m[1, k] / kb[:, k].sum() / eigenvalue
+                g, c = (1 / here).sum(), abs(m[0, k] * m[1, k]) / kb[:, k].sum() / eigenvalue
                 q = np.sqrt(c * g)
                 cos, sin = np.cos(q * length[k]), np.sin(q * length[k])
                 d, torque = d * cos - torque * g / q * sin, torque * cos + d * c / q * sin
@@ -38,3 +39,24 @@ def test_the_determinant_of_two_tubes_is_that_of_their_difference(varying: bool)
             assert float(base_determinant(ca.DM(eigenvalue), given, WHOLE)) == pytest.approx(
                 expected, rel=1e-8, abs=1e-8
             )
+
+
+@pytest.mark.parametrize("across", [WHOLE, ONCE])
+def test_series_cross_a_quarter_of_a_wave_to_round_off(across: tuple[int, int]) -> None:
+    """Of two tubes that are held at the plate itself: cos(1.5), where each can bend them by 0.75 rad."""
+    given = {"torsional_stiffness": [2.0, 2.0], "transmission": [0.0, 0.0], "length": [1.5]}
+    tubes = {"stiffness": [1.0, 1.0], "moment": [1.0, 1.0]}
+    found = base_determinant(0.5, {name: ca.DM(value) for name, value in {**given, **tubes}.items()}, across)
+    assert float(found) == pytest.approx(np.cos(1.5), abs=1e-12)
+
+
+def test_tubes_curved_to_either_side_oppose_each_other_alike() -> None:
+    """-sum |c_ij| (y_i - y_j)^2, whatever the signs of the curvatures."""
+    kb, m, y = np.random.default_rng(1).uniform(0.5, 2.0, (3, 3))
+    pull = np.outer(m, m) / kb.sum()
+    true = -sum(pull[i, j] * (y[i] - y[j]) ** 2 for i in range(3) for j in range(i))
+    for signs in ([1, 1, 1], [1, -1, 1], [-1, -1, 1]):
+        matrix, form, _, pairs = (np.array(each) for each in worst_function(3)(kb, m * signs, y))
+        assert form.item() == pytest.approx(true)
+        assert y @ matrix @ y == pytest.approx(true)
+        assert pairs == pytest.approx(pull * (1 - np.eye(3)))

@@ -17,10 +17,12 @@ Tubes = tuple[Array, Array]
 def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, float]) -> float:
     """Largest quotient N / T over polynomials, each section its own, continuous Y_i and phi: never above lambda.
 
-    T = sum int kt Y'^2 + K r^2 + sum kt / |beta| Y(0)^2, r = phi' - A . Y, phi(0) = 0, by Gauss points.
+    T = sum int kt Y'^2 + K r^2 + sum kt / |beta| Y(0)^2, r = phi' - A . Y, phi(0) = 0, by Gauss points; kt (n,) or
+    (n, m).
     """
     (length, stiffness, pull), (kt, held), order = sections, tubes, 8
     n, m = len(kt), len(length)
+    kt = kt if kt.ndim == 2 else np.repeat(kt[:, None], m, axis=1)
     node, weight = leggauss(24)
     place, share = (node + 1) / 2, weight / 2
     slopes = np.array([Legendre.basis(k, domain=[0, 1])(place) for k in range(order)])
@@ -30,7 +32,7 @@ def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, flo
     T, N = np.zeros((size, size)), np.zeros((size, size))
     before = np.zeros((n + 1, size))
     before[:n, :n] = np.eye(n)
-    T[:n, :n] = np.diag(kt / held)
+    T[:n, :n] = np.diag(kt[:, 0] / held)
     lever = float(length.sum())
     for k in range(m):
         own = [slice(n + (k * (n + 1) + i) * order, n + (k * (n + 1) + i + 1) * order) for i in range(n + 1)]
@@ -42,7 +44,7 @@ def ritz(force: float, sections: Sections, tubes: Tubes, pairs: tuple[float, flo
                 y[i, own[i]] += length[k] * values[:, g]
                 slope[i, own[i]] += slopes[:, g]
             bend = slope[n] - A @ y[:n]
-            T += w * (slope[:n].T @ np.diag(kt) @ slope[:n] + stiffness[k] * np.outer(bend, bend))
+            T += w * (slope[:n].T @ np.diag(kt[:, k]) @ slope[:n] + stiffness[k] * np.outer(bend, bend))
             moment = force * (lever - x * length[k])
             form = pairs[0] * np.diag(c.sum(1)) + pairs[1] * c + np.diag(moment * A)
             N += w * (y[:n].T @ form @ y[:n] + 1.5 * force * np.outer(y[n], y[n]))
@@ -79,7 +81,29 @@ def test_no_motion_has_a_larger_quotient_and_the_best_polynomials_come_to_it(
     """Of sum |c_ij| (Y_i + Y_j)^2, of sum |c_ij| (Y_i - Y_j)^2, and of what the force makes alone."""
     random = np.random.default_rng(seed)
     sections = random.uniform(0.02, 0.06, 2), random.uniform(1e-3, 4e-3, 2), random.uniform(0.005, 0.04, (2, 2))
-    tubes = random.uniform(5e-4, 3e-3, 2), random.uniform(0.02, 0.1, 2)
-    value, tip = largest_eigenvalue(force, sections, tubes, pairs)
-    assert tip[np.argmax(np.abs(tip))] == 1
-    assert value == pytest.approx(ritz(force, sections, tubes, factors), rel=1e-9)
+    kt, held = random.uniform(5e-4, 3e-3, (2, 2)), random.uniform(0.02, 0.1, 2)
+    for torsional in (kt[:, 0], kt):
+        value, tip = largest_eigenvalue(force, sections, (torsional, held), pairs)
+        assert tip[np.argmax(np.abs(tip))] == 1
+        assert value == pytest.approx(ritz(force, sections, (torsional, held), factors), rel=1e-9)
+
+
+@pytest.mark.parametrize(("force", "pairs"), [(0.0, OPPOSED), (0.02, OPPOSED), (1.0, APART)])
+def test_an_eigenvalue_does_not_depend_on_where_sections_are_cut(force: float, pairs: tuple[float, float]) -> None:
+    """A section that tubes can bend by 16 rad, and the same in 16 sections."""
+    stiffness, length, pull = 2e-3, 0.2, np.array([0.1, 0.06])
+    tubes = np.full(2, 1e-3), np.full(2, 0.05)
+    assert length * pull.sum() / stiffness == pytest.approx(16)
+    whole, cut = (
+        largest_eigenvalue(force, (np.full(m, length / m), np.full(m, stiffness), np.tile(pull, (m, 1))), tubes, pairs)
+        for m in (1, 16)
+    )
+    assert whole[0] == pytest.approx(cut[0], rel=5e-14)
+    assert whole[1] == pytest.approx(cut[1], abs=1e-9)
+
+
+def test_numbers_that_overflow_leave_no_bound() -> None:
+    """Nor does a series that has no finite value."""
+    for kt in (1e-300, 0.0):
+        sections = np.array([0.1]), np.array([1e-3]), np.full((1, 2), 1e200)
+        assert largest_eigenvalue(1.0, sections, (np.full(2, kt), np.full(2, 0.1)))[0] == np.inf

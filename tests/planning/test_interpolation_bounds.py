@@ -213,6 +213,24 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
     assert lifted[0] == pytest.approx(share * m[3], rel=1e-5)
 
 
+@pytest.mark.parametrize("steps", [(0.01, 0.005), (0.005, 0.01)])
+@pytest.mark.parametrize(("kind", "name"), [(Arms, "_errors"), (LoadedArms, "_wrong")])
+def test_an_arm_is_as_far_off_as_in_its_longest_step(
+    kind: type, name: str, steps: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two steps that are alike but for their length."""
+    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
+    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
+    one, both = loaded_stub(max(steps)), loaded_stub(max(steps))
+    both.arc_length, both.inner = np.cumsum([0.0, *steps]), np.arange(2)
+    both.owner, both.wide = np.zeros(3, dtype=int), np.zeros(2, dtype=bool)
+    both._onwards, both.torsion = np.tile([0.8, 1.1], (3, 1)), np.tile([1.1, 0.8], (3, 1))
+    both.torque = np.full((3, 2), 0.45)
+    both.borne, both._felt = ((both.torque, both.torque), None), tuple(np.tile(each[:1], (3, 1)) for each in one._felt)
+    for longest, found in zip(found_by(kind, name, one), found_by(kind, name, both), strict=True):
+        assert found == pytest.approx(longest, rel=1e-12)
+
+
 def test_the_torque_along_a_step_is_the_larger_of_its_ends_and_what_it_gains() -> None:
     """Twist less the natural one, times kt, towards the tip and from the plate."""
     stiff, natural = np.array([[2.0, 3.0]]), np.array([[0.1, 0.2]])

@@ -680,6 +680,18 @@ def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
     assert intervals.couple.v[0, -1] == pytest.approx(moment)
 
 
+def test_what_is_ahead_of_a_place_that_moves_through_a_load_changes_there() -> None:
+    """An outer tube ends 2 mm farther on a stretch of load, which begins before: no change there, and 2 mm here."""
+    robot = nested((0.04, 0.05, 0.0), (0.02, 0.03, 0.0))
+    along = Stretch(0.01, 0.02, force=(0.3, 0.0, 0.0), moment=(0.0, 0.2, 0.0))
+    pull = Pull.of(robot, Load(distributed=(along,)))
+    arms = [forward_kinematics(robot, [0.0, 0.0], [0.0, shift]) for shift in (-0.018, -0.016)]
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
+    k = int(np.argmax(np.isclose(intervals.begin[0], 0.01) & np.isclose(np.roll(intervals.begin[0], -1), 0.012)))
+    assert [jet.v[0, k] for jet in intervals._loads] == pytest.approx([0.003, 0.002])
+    assert [jet.d[0, k] for jet in intervals._loads] == pytest.approx([6e-4, 4e-4])
+
+
 @pytest.mark.parametrize(
     ("load", "inwards", "ordered"),
     [
@@ -703,6 +715,9 @@ def test_no_branch_is_sought_where_a_moment_passes_from_one_tube_to_another(
     ends = np.array([0]), np.array([1])
     assert Intervals.of(table, *ends).ordered.all()
     assert LoadedIntervals.of(table, *ends).ordered.item() == ordered
+    # Breakpoints that change their order exclude it under loads, too.
+    table.breakpoints[1] = table.breakpoints[1, ::-1]
+    assert not LoadedIntervals.of(table, *ends).ordered.any()
 
 
 @pytest.mark.parametrize("lost", ["margin of one", "margin of other", "samples", "order"])

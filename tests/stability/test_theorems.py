@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.examples import CRL, nested
+from tests.physics.test_loaded_certificate import ritz
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability.certificate import convexity, worst_case
@@ -99,7 +100,7 @@ def test_what_a_mesh_leaves_out_is_taken_off_the_certificate() -> None:
     plain, finest = on_mesh(0), on_mesh(3)
     assert plain > finest + 1e-11
     assert finest - 2 * (plain - finest) < convexity(robot, home) <= finest + 1e-13
-    assert snap_free_certificate(robot) == convexity(robot, home)
+    assert snap_free_certificate(robot) == convexity(robot, home) == certify(robot).margin
 
 
 def stretched_segment(*outer: tuple[float, float]) -> Segment:
@@ -181,3 +182,35 @@ def test_a_certificate_within_round_off_of_0_excludes_no_snap() -> None:
     assert [replace(found, margin=margin).snap_free for margin in (-1e-12, 0.0, 1e-12, 1e-10, 1e-8)] == [False] * 4 + [
         True
     ]
+
+
+def test_a_bundle_for_a_box_of_translations_is_as_soft_and_as_curved_as_any_arm_at_a_place() -> None:
+    """Stiffness and pull at every place, of two tubes that move by themselves, by all arms of a grid."""
+    robot = nested((0.02, 0.05, 4.0), (0.01, 0.03, 3.0))
+    near, far = np.array([0.005, 0.002]), np.array([0.012, 0.006])
+    bundle = bundle_of(robot, near, far)
+    places = bundle.start + bundle.length / 2
+    softest, pulls = np.full(len(places), np.inf), np.zeros((len(places), 2))
+    kb, kappa = np.array([[tube.bending_stiffness, tube.curvature] for tube in robot.tubes]).T
+    for shares in np.stack(np.meshgrid(*[np.linspace(0, 1, 30)] * 2), axis=-1).reshape(-1, 2):
+        begin = near + shares * (far - near)
+        there = places[:, None] < begin + np.array([0.05, 0.03])
+        softest = np.minimum(softest, np.where(there.any(1), there @ kb, np.inf))
+        pulls = np.maximum(pulls, (there & (begin < places[:, None])) * kb * kappa)
+    assert bundle.stiffness == pytest.approx(softest)
+    assert bundle.pull == pytest.approx(pulls)
+
+
+@pytest.mark.parametrize(("tubes", "force"), [(2, 0.05), (2, 0.5), (3, 0.002)])
+def test_a_force_leaves_the_larger_of_two_bounds(tubes: int, force: float) -> None:
+    """Of pairs and force at once, and of what the force takes alone from the margin without it."""
+    robot = nested((0.03, 0.05, 12.0), (0.02, 0.05, 12.0), (0.01, 0.05, 12.0))
+    robot = ConcentricRobot(robot.tubes[3 - tubes :])
+    unloaded, bundle = snap_free_certificate(robot), bundle_of(robot, np.zeros(tubes))
+    together, apart = (
+        ritz(force, (bundle.length, bundle.stiffness, bundle.pull), (bundle.torsional, bundle.transmission), pairs)
+        for pairs in ((1, 1), (0, 0))
+    )
+    assert (1 - together > unloaded - apart) == (tubes == 2)
+    assert 1 - together < unloaded
+    assert snap_free_certificate(robot, max_force=force) == pytest.approx(max(1 - together, unloaded - apart), abs=1e-8)
