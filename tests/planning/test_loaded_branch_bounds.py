@@ -680,6 +680,29 @@ def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
     assert intervals.couple.v[0, -1] == pytest.approx(moment)
 
 
+def test_moments_twist_the_outermost_tube_by_their_whole_size_where_they_act() -> None:
+    """At the ends of sections, where several add up, and along them; at the plate they twist nothing, and beyond the
+    arm they act on the tip."""
+    robot = nested((0.04, 0.05, 0.0), (0.02, 0.03, 0.0))
+    at, moment = np.array([0.0, 0.01, 0.01, 0.03, 0.04, 0.07]), np.array([3.0, 0.0, 4.0])
+    points = tuple(PointLoad(place, moment=tuple((k + 1) * moment)) for k, place in enumerate(at.tolist()))
+    along = Stretch(0.005, 0.035, moment=(0.0, 0.3, 0.4))
+    pull = Pull.of(robot, Load(moment=tuple(10 * moment), distributed=(along,), points=points))
+    arm = forward_kinematics(robot, [0.0, 0.0], [0.0, 0.0])
+    intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), [arm, arm], pull=pull), *np.array([[0], [1]]))
+    ends, per_length = intervals.twisting
+    long = intervals.length[0][0] > 1e-9
+    found = dict(zip(np.round(intervals.begin[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
+    acting = {0.01: [0, 25], 0.03: [0, 20], 0.04: [25, 0], 0.05: [80, 0]}
+    assert found == {place: pytest.approx(acting.get(place, [0, 0])) for place in found}
+    assert set(acting) < set(found)
+    assert not ends[0, ~long].any()
+    middles = (intervals.begin[0, :-1] + intervals.begin[0, 1:])[long] / 2
+    outer = (middles > 0.005) & (middles < 0.03)
+    inner = (middles > 0.03) & (middles < 0.035)
+    assert per_length[0, long] == pytest.approx(0.5 * np.stack([inner, outer], axis=1))
+
+
 def test_what_is_ahead_of_a_place_that_moves_through_a_load_changes_there() -> None:
     """An outer tube ends 2 mm farther on a stretch of load, which begins before: no change there, and 2 mm here."""
     robot = nested((0.04, 0.05, 0.0), (0.02, 0.03, 0.0))
