@@ -45,7 +45,6 @@ PENDING = (
             "eccentric",
             "files",
             "heating",
-            "how-to-choose",
             "inverse",
             "json",
             "loads",
