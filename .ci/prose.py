@@ -38,7 +38,6 @@ PENDING = (
             "anatomy",
             "api",
             "benchmark",
-            "command-line",
             "comparison",
             "data",
             "design",
