@@ -112,15 +112,22 @@ def servo() -> Iterable[Call]:
     return [partial(session.solve, target) for target in circle((0.055, 0.02, 0.15), 0.03, 200)]
 
 
-def slopes(name: str = "thesis_ctr", load: Load | None = None, **asked: Any) -> Iterable[Call]:
-    """Jacobians of random configurations; under a load and of tubes off the centreline, of random rotations."""
+def slopes(name: str = "thesis_ctr", load: Load | None = None, read: str = "position", **asked: Any) -> Iterable[Call]:
+    """Jacobians of random configurations, of which one part is read; under a load and of tubes off the centreline, of
+    random rotations."""
     one = robot(name)
     if load is None and isinstance(one, ConcentricRobot):
         joints = random_joints(one, 200)
     else:
         joints = [(a, one.home_translations) for a in np.random.default_rng(7).uniform(-1, 1, (200, one.n_tubes))]
     poses = [forward_kinematics(one, a, d, load=load) for a, d in joints]
-    return [partial(pose.jacobian, **asked) for pose in poses]
+
+    def ask(pose: Equilibrium) -> Any:
+        found = pose.jacobian(**asked)
+        getattr(found, read)
+        return found
+
+    return [partial(ask, pose) for pose in poses]
 
 
 def of_slopes(found: Any) -> Array:
@@ -180,7 +187,12 @@ QUESTIONS = {
     ),
     "jacobian-pieces": Question("Jacobian of tubes made of pieces", partial(slopes, "example_pieces"), of_slopes),
     "jacobian-loaded": Question("Jacobian under a force", partial(slopes, load=Load((0.02, 0.01, 0.0))), of_slopes),
-    "jacobian-eccentric": Question("Jacobian of an eccentric robot", partial(slopes, "thesis_etr"), of_slopes),
+    "jacobian-loaded-margin": Question(
+        "Jacobian under a force, with margin", partial(slopes, load=Load((0.02, 0.01, 0.0)), read="margin"), of_slopes
+    ),
+    "jacobian-eccentric": Question(
+        "Jacobian of an eccentric robot", partial(slopes, "thesis_etr", read="margin"), of_slopes
+    ),
     "verify": Question("verify a trajectory", verifications, lambda proof: np.array([proof.least_margin])),
     "verify-loaded": Question(
         "verify a trajectory under a force",

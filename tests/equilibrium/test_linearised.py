@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -346,6 +347,30 @@ def test_a_moment_does_not_pass_from_tube_to_tube() -> None:
     for side in (1, -1):
         with pytest.raises(SolveError, match="the end of tube"):
             e.jacobian(wrt=("curved_length",), side=side)
+
+
+@pytest.mark.parametrize("load", [None, LOADS["tip"]])
+def test_a_jacobian_computes_beyond_the_pose_what_is_read(load: Load | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load_robot("configs/robots/thesis_etr.yaml") if load is None else _robot(3)
+    e = forward_kinematics(robot, ROTATIONS[:3], None if load is None else SHIFT[:3], load=load)
+    read: list[str] = []
+    for name in ("margin", "energy"):
+        known = getattr(Linearised, name)
+        monkeypatch.setattr(Linearised, name, property(lambda self, k=known, n=name: (read.append(n), k.func(self))[1]))
+    found, at_once = e.jacobian(), derivatives_of(e)
+    assert not read
+    np.testing.assert_array_equal(found.matrix, [*at_once.tip_position, *at_once.tip_rotation])
+    for _ in range(8):  # of other equilibria, for which those kept of this one make room
+        forward_kinematics(robot, np.zeros(3), load=load).jacobian()
+    margin, mine = found.margin, pickle.loads(pickle.dumps(found))
+    assert read == ["margin", "energy"]
+    assert found.margin is margin
+    for name in ("tip_rotations", "margin", "energy"):
+        for one in (found, mine, replace(found, wrt=())):
+            np.testing.assert_allclose(getattr(one, name), getattr(at_once, name), rtol=0, atol=1e-12)
+    assert repr(mine) == repr(found)
+    with pytest.raises(AttributeError, match="'Jacobian' object has no attribute 'margins'"):
+        found.margins  # type: ignore[attr-defined]  # noqa: B018
 
 
 def test_friction_is_refused() -> None:

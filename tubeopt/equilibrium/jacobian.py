@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -53,9 +54,9 @@ def compiled_slopes(
 
 
 def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
-    """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, or
-    what it finds from here is not this equilibrium to the last digits."""
-    if not set(wrt) <= set(JOINTS) or side not in (1, -1):
+    """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, as
+    under a load, or what it finds from here is not this equilibrium to the last digits."""
+    if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
     found = compiled_slopes(equilibrium, (side,) * n, either=False)
@@ -87,10 +88,14 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
         InputError: an unknown name, or a side that is neither.
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    found = _found(equilibrium, wrt, side)
-    if isinstance(found, Jacobian):
-        return found
-    return Jacobian(found.wrt, found.tip_position, found.tip_rotation, found.tip_rotations, found.margin, found.energy)
+    by_kernel = _by_kernel(equilibrium, wrt, side)
+    return Jacobian.of(partial(_kept, equilibrium, tuple(wrt), side)) if by_kernel is None else by_kernel
+
+
+@lru_cache(maxsize=8)
+def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearised:
+    """`derivatives_of`, kept for what is read later of a Jacobian."""
+    return derivatives_of(equilibrium, wrt, side=side)
 
 
 @small
@@ -100,11 +105,5 @@ def position_slopes(equilibrium: Equilibrium) -> Array:
     Raises:
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    found = _found(equilibrium, JOINTS, 1)
-    return found.position if isinstance(found, Jacobian) else found.tip_position
-
-
-def _found(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | Linearised:
-    """All derivatives at once from the compiled kernel, where it has them; else what computes those asked for."""
-    by_kernel = _by_kernel(equilibrium, wrt, side) if equilibrium.load is None else None
-    return derivatives_of(equilibrium, wrt, side=side) if by_kernel is None else by_kernel
+    found = _by_kernel(equilibrium, JOINTS, 1)
+    return derivatives_of(equilibrium).tip_position if found is None else found.position

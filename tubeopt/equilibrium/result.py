@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.parallel.blas import small
 from ..typing import Array, Mask, Of, Sentence, late
 
 if TYPE_CHECKING:
@@ -111,6 +112,8 @@ class Jacobian(Displayed):
 
     Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
     translation in equal parts, so that the chain rule holds for every motion that is possible.
+
+    Where no compiled kernel has them all at once, what is not of the tip's pose is computed when it is first read.
     """
 
     wrt: tuple[str, ...]
@@ -131,6 +134,52 @@ class Jacobian(Displayed):
     def matrix(self) -> Array:
         """(6, Q) geometric Jacobian of the tip: position (m) above the turn of its frame (rad), in the plate frame."""
         return np.concatenate([self.position, self.rotation])
+
+    @classmethod
+    def of(cls, derivatives: Callable[[], Derivatives]) -> Jacobian:
+        """The Jacobian of `derivatives`, which are asked for again where more than the pose of the tip is read."""
+        found, jacobian = derivatives(), object.__new__(cls)
+        pose = {"position": found.tip_position.copy(), "rotation": found.tip_rotation.copy()}
+        jacobian.__dict__.update(wrt=found.wrt, **pose, _derivatives=derivatives)
+        return jacobian
+
+    if not TYPE_CHECKING:  # which would take any name for an attribute
+
+        def __getattr__(self, name: str) -> Array:
+            derivatives = self.__dict__.get("_derivatives")
+            if derivatives is None or name not in READ_LATER:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            with small:
+                self.__dict__[name] = value = getattr(derivatives(), name).copy()
+            return value
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+READ_LATER = ("tip_rotations", "margin", "energy")
+"""What a Jacobian computes when it is first read."""
+
+
+class Derivatives(Protocol):
+    """Derivatives of an equilibrium, computed where they are read: those of a Jacobian, by the same names."""
+
+    wrt: tuple[str, ...]
+
+    @property
+    def tip_position(self) -> Array: ...
+
+    @property
+    def tip_rotation(self) -> Array: ...
+
+    @property
+    def tip_rotations(self) -> Array: ...
+
+    @property
+    def margin(self) -> Array: ...
+
+    @property
+    def energy(self) -> Array: ...
 
 
 @dataclass(frozen=True)
