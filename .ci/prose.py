@@ -44,7 +44,6 @@ PENDING = (
             "eccentric",
             "files",
             "heating",
-            "inverse",
             "json",
             "loads",
             "many",
