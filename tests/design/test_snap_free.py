@@ -160,6 +160,7 @@ def test_scaled_curvatures_follow_the_law_of_squares() -> None:
     assert design.robot.tubes[0].curvature == pytest.approx(10 * factor, rel=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 def test_a_design_that_no_force_up_to_a_size_can_snap() -> None:
     task = tightest(equal_pair(0.1, 0.05), 0.3)
     bearing = replace(task, requirements=(SnapFree(0.3, max_force=0.02), *task.requirements[1:]))

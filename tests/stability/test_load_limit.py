@@ -369,6 +369,7 @@ def test_a_stroke_force_has_no_change_with_what_leaves_the_plane() -> None:
         stroke_slopes(forward_kinematics(THESIS, (0, 0, 0)), ["rotations"])
 
 
+@pytest.mark.filterwarnings("ignore::tubeopt.errors.ImplausibleWarning")
 @pytest.mark.parametrize("force", [1e150, 1e250, 1.7e308])
 def test_forces_beyond_all_numbers_are_not_certified(force: float) -> None:
     assert snap_free_certificate(CRL, np.full(3, -0.03), max_force=force) < -1e100

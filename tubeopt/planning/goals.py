@@ -327,7 +327,7 @@ def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> l
         asked = _asked(task, start, goal, clock)
         answer = inverse_kinematics(task.chart.space.robot, position, **asked)
     except SolveError as error:
-        raise SolveError(f"no plan was found, since no joint values meet the goal: {error}") from None
+        raise SolveError(f"no plan was found: inverse kinematics found no joint values for the goal: {error}") from None
     return [answer.equilibrium]
 
 
