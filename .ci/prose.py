@@ -49,7 +49,6 @@ PENDING = (
             "many",
             "med-rad",
             "model-error",
-            "mold",
             "own-problem",
             "planning",
             "several-arms",
