@@ -40,7 +40,6 @@ PENDING = (
             "benchmark",
             "comparison",
             "data",
-            "design",
             "eccentric",
             "files",
             "heating",
