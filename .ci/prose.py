@@ -51,7 +51,6 @@ PENDING = (
             "own-problem",
             "planning",
             "several-arms",
-            "stability",
             "theory",
             "tubes",
             "validation",
