@@ -42,7 +42,6 @@ PENDING = (
             "data",
             "eccentric",
             "files",
-            "heating",
             "json",
             "loads",
             "many",
