@@ -276,7 +276,7 @@ def missed(plan: HeatingPlan) -> str:
     """What a plan does not keep, in words."""
     low, high = plan.spec.window_degC
     window = f"no schedule was found that holds {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    cold = [f"it is missed by {plan.shortfall:.1f} K"] if plan.shortfall > 0 else []
+    cold = [f"it is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
     return f"{window}{':' if cold else ' within the limits:'} {'; '.join((*cold, *plan.broken))}"
 
 

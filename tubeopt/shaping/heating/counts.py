@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from ...constants import ZERO_CELSIUS
 from ...errors import InputError
 from ...robots.tubes import Tube
 from ...typing import Array
+from .outcome import count_warms, one_count
 from .rig import COUNTS, Rig
 from .simulation import LOOK, State, advance, at_rest, warming_span
 from .spec import HeatingSpec
@@ -78,45 +79,39 @@ def ripple(tube: Tube, rig: Rig, spec: HeatingSpec) -> float:
     return 0.5 * spec.slot * count_rate(tube, rig)
 
 
-def guarded_counts(
-    model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, rough: ThermalModel | None = None
-) -> Counts:
-    """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit as it begins.
+def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array, *, hurried: bool = False) -> Counts:
+    """Counts (T,) of sum-up rounding, fewer in a slot where they would break ramp or current limit in it.
 
     What is left out is given in later slots, but for what the tube has forgotten by then: the sum falls behind by no
     more than half a count and what makes the tube colder by what the solver allows. One count is worth several K/s:
-    without the guard rounding alone breaks the ramp by as much. Where not even one count keeps the ramp from rest,
-    nothing would ever be heated: there the counts break it least without falling behind, by a quick look.
+    without the guard rounding alone breaks the ramp by as much. Where not even one count keeps the limits from rest,
+    nothing would ever be heated: there the counts break them by as much as one does.
 
     Args:
-        model: one member, whose temperatures are simulated along. duty: (T,) in [0, 1], mean over each slot.
-        rough: for the quick look, on a coarser grid.
+        model: one member, whose temperatures are simulated along.
+        duty: (T,) in [0, 1], mean over each slot.
+        hurried: whether counts that break the limits anyway break the ramp by more rather than fall behind.
     """
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
-    given, asked = 0.0, (spec, rig)
+    given, asked = 0.0, kept_by_one(model, spec, rig)
     now = Instant.of(model, at_rest(model), asked)
     slow, fast = idle_rates(model, now.state)
     owed = 0.5 + spec.solver.counts.colder * COUNTS / (spec.slot * float((fast - slow).max()))
-    hopeless = beyond_counts(rig, now)
+    hurried = hurried and asked != (spec, rig)
     heated = int(np.count_nonzero(duty))
-    if hopeless and rough is not None:
-        model = rough
-        now = Instant.of(model, at_rest(model), asked)
     watched = heated - spec.hold_slots + math.ceil(spec.solver.counts.watched / spec.slot)
     k = 0
     # Without a look, all that is owed would be given at once.
     while k < heated and (k < watched or sums[k - 1] - given > 0.5 + 1e-9):
         due = math.floor(sums[k] - given + 0.5)
-        if hopeless:
-            least = math.ceil(sums[k] - given - owed - 1e-9)
-            count = min(max(min(due, int(now.most)), least, 0), COUNTS)
-            now = Instant.of(model, advance(model, now.state, count / COUNTS, spec.slot), asked, count)
-        else:
-            now = sustained(model, now, asked, float(min(max(due, 0), int(now.most))), spec.slot)
+        before, now = now, sustained(model, now, asked, float(min(max(due, 0), int(now.most))), spec.slot)
+        more = now.count + 1
+        if hurried and more <= before.by_current and now.count < sums[k] - given - owed - 1e-9:
+            now = Instant.of(model, advance(model, before.state, more / COUNTS, spec.slot), asked, more)
         counts[k] = int(now.count)
         given += now.count
-        if not hopeless:
+        if not hurried:
             given = max(given, sums[k] - owed)
         k += 1
     rest = np.maximum(np.floor(sums[k:heated] - given + 0.5), 0.0)
@@ -134,6 +129,8 @@ class Instant:
     calm: float
     """Greatest with which no cell warms faster than the ramp, those in the clamps included: none does later either, for
     under constant power the fastest warming of all cells never grows."""
+    by_current: float
+    """Greatest that the mean current alone allows now."""
     count: float = 0.0
     """That was kept until now."""
 
@@ -147,7 +144,7 @@ class Instant:
         lost, bound = rig.circuit.lost_share, min(rig.circuit.current_limit / float(now[0]), 1.0)
         free = model.resolution.grip
         most, calm = (COUNTS * max(min(float(cells.min()) + lost, bound), 0.0) for cells in (room[free:], room))
-        return cls(state, most, calm, count)
+        return cls(state, most, calm, COUNTS * bound, count)
 
 
 def sustained(
@@ -159,11 +156,8 @@ def sustained(
     """
 
     def tried(count: float) -> tuple[Instant, float]:
-        looks, at, least = math.ceil(span / LOOK - 1e-9) if count > now.calm else 1, now, math.inf
-        for _ in range(looks):
-            at = Instant.of(model, advance(model, at.state, count / COUNTS, span / looks), asked, count)
-            least = min(least, at.most)
-        return at, least - count
+        course = _followed(model, now, asked, count, span)
+        return course[-1], min(at.most for at in course) - count
 
     above, spare = tried(count)
     if spare >= 0:
@@ -182,14 +176,50 @@ def sustained(
     return found
 
 
+def _followed(
+    model: ThermalModel, now: Instant, asked: tuple[HeatingSpec, Rig], count: float, span: float
+) -> list[Instant]:
+    """What follows at a count, looked at as often as ramp and mean current need, the end of `span` s last."""
+    looks, course = math.ceil(span / LOOK - 1e-9) if count > now.calm else 1, [now]
+    for _ in range(looks):
+        state = advance(model, course[-1].state, count / COUNTS, span / looks)
+        course.append(Instant.of(model, state, asked, count))
+    return course[1:]
+
+
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
     """Greatest count that keeps the ramp, less what is `spared`, and the mean current at a state."""
     return int(Instant.of(model, state, (spec, rig)).most)
 
 
-def beyond_counts(rig: Rig, rest: Instant) -> bool:
-    """Whether not even one count keeps ramp and mean current at rest."""
-    return int(rest.most) < 1 + COUNTS * rig.circuit.lost_share
+def kept_by_one(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> tuple[HeatingSpec, Rig]:
+    """What is asked for, with the least ramp and mean current that one count keeps for a slot from rest where it breaks
+    the limits: no count that heats breaks them by less."""
+    kept = 1 - spec.solver.counts.spared
+    warms = count_warms(model, rig, spec)
+    if warms > kept * spec.ramp:
+        spec = replace(spec, ramp=(1 + 1e-6) * warms / kept)
+    allowed = Instant.of(model, at_rest(model), (spec, rig)).by_current
+    if allowed < one_count(rig):
+        limit = (1 + 1e-6) * rig.circuit.current_limit * one_count(rig) / allowed
+        rig = replace(rig, circuit=replace(rig.circuit, current_limit=limit))
+    return spec, rig
+
+
+def stops(model: ThermalModel, spec: HeatingSpec, rig: Rig, counts: Counts, states: Sequence[State]) -> list[str]:
+    """(T,) what allows no count more from each of the states for a slot: "duty", "current" or "ramp"; "" where all
+    allow one more."""
+    found, asked = [], (spec, rig)
+    for count, state in zip((counts + 1).tolist(), states, strict=True):
+        now = Instant.of(model, state, asked)
+        course = [now, *_followed(model, now, asked, count, spec.slot)] if count <= COUNTS else []
+        if not course:
+            found.append("duty")
+        elif min(at.by_current for at in course) < count:
+            found.append("current")
+        else:
+            found.append("ramp" if min(at.most for at in course) < count else "")
+    return found
 
 
 def idle_rates(model: ThermalModel, state: State) -> tuple[Array, Array]:
@@ -320,7 +350,7 @@ def paced(
     other = np.flatnonzero((caps[:shared] != known.caps[:shared]) | (centred[:shared] != known.centred[:shared]))
     first, middle = int(other[0]) if len(other) else shared, 0.5 * sum(spec.window_degC)
     states, levels, asked = list(known.states[: first + 1]), known.levels[:first].tolist(), (spec, rig)
-    hopeless = beyond_counts(rig, Instant.of(model, states[0], asked))
+    hopeless = kept_by_one(model, spec, rig) != asked
     now = Instant.of(model, states[-1], asked)
     for cap, centre in zip(caps[first:].tolist(), centred[first:].tolist(), strict=True):
         target = min(cap, _centred(model, now.state, middle)) if centre else cap

@@ -12,7 +12,7 @@ from ...constants import ZERO_CELSIUS
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
 from .rig import COUNTS, Rig
-from .simulation import History, at_rest, warming_span
+from .simulation import History, resimulate
 from .spec import HeatingSpec
 from .thermal import ThermalModel, joined, seen
 
@@ -120,16 +120,24 @@ def broken(
     limits = {"steepest": spec.ramp, "peak_current": circuit.peak_limit, "mean_current": circuit.current_limit}
     beyond = {name: limit for name, limit in limits.items() if found[name] > limit}
     words = {name: BROKEN[name].format(_above(found[name], limit), limit) for name, limit in beyond.items()}
-    if "steepest" in words and model is not None and count_warms(model) > spec.ramp:
+    if "steepest" in words and model is not None and count_warms(model, rig, spec) > spec.ramp:
         words["steepest"] += COARSE_COUNT
     return tuple(words.values())
 
 
-def count_warms(model: ThermalModel) -> float:
-    """Fastest warming of the cold tube outside of the clamps by one count, K/s."""
-    rest = at_rest(model)
-    idle, full, _ = warming_span(model, rest.cells, rest.lumped)
-    return float((full - idle)[0, model.resolution.grip :].max() / COUNTS)
+def one_count(rig: Rig) -> int:
+    """The least count that heats as much as one does where no pulse loses anything."""
+    return math.ceil(1 + COUNTS * rig.circuit.lost_share - 1e-9)
+
+
+def count_warms(model: ThermalModel, rig: Rig, spec: HeatingSpec) -> float:
+    """Fastest warming of the cold tube outside of the clamps by one count in one slot, K/s.
+
+    It is not fastest at once where contacts heat the tube in the clamps, which warms the tube beside them.
+    """
+    within = resimulate(model, spec.slot, [one_count(rig) / COUNTS]).within
+    assert within is not None
+    return within.rate
 
 
 def _above(value: float, limit: float) -> str:

@@ -19,6 +19,7 @@ from .counts import Counts, heating_rate
 from .cures import Cure
 from .law import Feedback
 from .outcome import Outcome, hold_slots, remarks
+from .reasons import reasons_of
 from .rig import COUNTS, Rig
 from .schedule import Schedule
 from .simulation import stored
@@ -119,8 +120,10 @@ class HeatingPlan(Displayed):
     """Where the energy goes."""
     hold_start: float
     """Beginning of the hold, s."""
+    reasons: tuple[str, ...]
+    """What keeps it from the window, in words; empty where the window is kept."""
     problems: tuple[str, ...]
-    """What is broken, and what else is wrong in words: a mold or a battery that suffers."""
+    """What is broken or missed and why, and what else is wrong in words: a mold or a battery that suffers."""
     cures: tuple[Cure, ...]
     """Changes that would help, where something is not kept; those that cure it come first."""
     quench_time: float
@@ -252,6 +255,8 @@ class HeatingPlan(Displayed):
         rise = (row - model.ambient) * model.width
         covered = model.zone >= LEAD
         walls = history.walls[:, 0][:, covered, 0]
+        reasons = reasons_of(found)
+        missed = (f"the window is missed by {outcome.shortfall:.1f} K: {'; '.join(reasons)}",) if reasons else ()
         course = Course(
             time=history.time,
             duty=np.append(found.counts, 0),
@@ -276,7 +281,8 @@ class HeatingPlan(Displayed):
             outcome=outcome,
             energies=Energies(float(history.lumped[-1, 0, DRAWN]), held, float(history.imbalance[0])),
             hold_start=run.start,
-            problems=outcome.broken + remarks(rig, history, float(walls.max())),
+            reasons=reasons,
+            problems=outcome.broken + missed + remarks(rig, history, float(walls.max())),
             cures=cures,
             quench_time=quench_time(tube, spec, float(row.max())),
             growth=float(2 * thermal_data(tube).expansion * rise[model.zone > GRIP].sum()),

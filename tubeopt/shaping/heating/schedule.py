@@ -260,9 +260,13 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: 
 
 def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Programmed | None) -> Schedule:
     """The schedule of counts in the place of mean duties, times a scale."""
-    rough = thermal_model(tube, run.rig, COARSE)
-    counts = guarded_counts(run.model, spec, run.rig, scale * run.levels, rough=rough)
-    return checked(spec, run, counts, program)
+    levels = scale * run.levels
+    found = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels), program)
+    if not found.breaks or found.outcome.shortfall <= 0:
+        return found
+    # Limits that one count breaks already are broken by more only where that keeps much more of the window.
+    hurried = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels, hurried=True), program)
+    return hurried if hurried.outcome.shortfall < found.outcome.shortfall - spec.solver.hopeless else found
 
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
@@ -274,8 +278,8 @@ def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
 
 def realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
     """What whole counts in the place of an ideal schedule keep."""
-    (fine, rough), levels = (thermal_model(tube, ideal.rig, grid) for grid in (FINE, COARSE)), slots(ideal, spec)
-    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), rough=rough)
+    fine, levels = thermal_model(tube, ideal.rig, FINE), slots(ideal, spec)
+    counts = guarded_counts(fine, spec, ideal.rig, commanded(levels, ideal.rig), hurried=True)
     return _outcome(tube, ideal.rig, spec, counts, hold_start(ideal, spec))
 
 
