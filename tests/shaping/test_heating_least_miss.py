@@ -104,6 +104,15 @@ def test_ranked_materials_are_held_where_their_plan_is(hold: float) -> None:
         assert (rating.plan.feasible, rating.shortfall) == (plan.feasible, pytest.approx(plan.shortfall))
         assert not rating.suitable or (plan.feasible and not plan.problems)
         assert rating.suitable == (plan.feasible and rating.limit_margin >= 0 and rating.leak <= 0.01)
+        assert rating.energy == (pytest.approx(plan.energy) if plan.feasible else None)
+        assert any("cannot be heated" in reason for reason in rating.reasons) != plan.feasible
+    # Those that can be heated come first, each by what the battery gives, which is more than tube and mold take.
+    energies = [rating.energy for rating in ratings if rating.leak <= 0.01 and rating.limit_margin >= 0]
+    known = [energy for energy in energies if energy is not None]
+    assert known == sorted(known) == energies[: len(known)]
+    assert all(rating.energy is None or rating.heat < rating.energy < 12.0 * 60.0 * 3600.0 for rating in ratings)
+    misses = [rating.shortfall for rating in ratings if rating.energy is None]
+    assert misses == sorted(misses)
 
 
 STEEL = load_rig(ROOT / "configs" / "rigs" / "thesis_steel.yaml")

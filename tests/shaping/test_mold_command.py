@@ -79,7 +79,12 @@ def test_materials(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     other = answer(run("mold", "materials", THESIS, "--tube", "2", "--hold-s", "5", "--json"))
     assert other["outer_diameter_mm"] == pytest.approx(load_robot(THESIS).tubes[1].outer_diameter * 1e3)
     assert other["materials"][0]["heat_drawn_J_per_m"] < out["materials"][0]["heat_drawn_J_per_m"]
-    assert "mdf: chars above 300 degC" in run("mold", "materials").out
+    shown = run("mold", "materials").out
+    assert "mdf: chars above 300 degC" in shown
+    page = (ROOT / "docs" / "mold.md").read_text(encoding="utf-8")
+    _, table = page.split("    tubeopt mold materials\n")[1].split("```text\n", 1)
+    lines = [line.rstrip() for line in shown.splitlines()]
+    assert table.split("```")[0].splitlines() == lines[1:7]
 
 
 def test_every_key_of_a_mold_file() -> None:

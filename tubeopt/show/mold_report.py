@@ -232,7 +232,8 @@ RATING: tuple[Quantity[MaterialRating], ...] = (
     Quantity("shortfall_K", "by how much the rig misses the window with it"),
     Quantity("heat_drawn_J_per_m", "per length of tube during the hold"),
     Quantity("heat_flow_W_per_m", "per length of tube at the end of the hold"),
-    Quantity("energy_J", "that it takes to heat and hold the tube"),
+    Quantity("heat_J", "that the curved part and the mold around it take to the end of the hold"),
+    Quantity("energy_J", "that the heating on the rig draws from the battery; none where the tube cannot be heated"),
     Quantity("leak", "part of the current that goes astray"),
     Quantity("limit_degC", "that it endures", lambda r: r.material.limit_temperature_degC),
     Quantity("limit_margin_K", "that are left to it"),
@@ -271,7 +272,7 @@ class RankingReport(Report[Ranking]):
             (
                 r.material.name,
                 f"{r.heat_drawn:.0f}",
-                f"{r.energy * per_si('kJ'):.3g}",
+                "-" if r.energy is None else f"{r.energy * per_si('kJ'):.3g}",
                 f"{r.material.limit_temperature_degC:.0f}",
                 f"{r.leak:.1g}",
                 r.material.price_class,
@@ -280,7 +281,7 @@ class RankingReport(Report[Ranking]):
             )
             for r in ratings
         ]
-        columns = ("material", "draws J/m >", "energy kJ >", "limit degC >", "leak >", "price >", "held >", "suits >")
+        columns = ("material", "draws J/m >", "battery kJ >", "limit degC >", "leak >", "price >", "held >", "suits >")
         reasons = [Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in ratings]
         return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
 

@@ -38,8 +38,8 @@ class MaterialRating:
     """At the end of the hold, W per m of tube."""
     leak: float
     """Part of the current that bypasses the tube through the plates, with perfect contact: an upper bound."""
-    energy: float
-    """From the source to heat the curved part and hold it, for the tube, the mold and what leaks, J."""
+    heat: float
+    """That the curved part and the mold around it take to the end of the hold, J; ends and circuit take more."""
     limit_margin: float
     """The material's limit less the tube's set temperature, K."""
     plan: HeatingPlan | None = None
@@ -51,6 +51,12 @@ class MaterialRating:
     def shortfall(self) -> float | None:
         """By how much the plan on the rig misses the window, K; None where no rig was given."""
         return None if self.plan is None else self.plan.shortfall
+
+    @property
+    def energy(self) -> float | None:
+        """That the plan on the rig draws from the battery, J; None where no rig was given, or where the tube cannot be
+        heated on it."""
+        return self.plan.energy if self.plan is not None and self.plan.feasible else None
 
     @property
     def suitable(self) -> bool:
@@ -69,7 +75,9 @@ def rank_mold_materials(
     rig: Rig | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> tuple[MaterialRating, ...]:
-    """The materials in order: those that are suitable, then the others; each by the energy it takes.
+    """The materials in order: those that are suitable, then the others; each by the energy from the battery.
+
+    Those on which the rig misses the window come last, by their miss. Without a rig the heat of tube and mold counts.
 
     The mold is taken without end around the tube (`heat_drawn`); for a metal plate that is an upper bound.
 
@@ -99,7 +107,15 @@ def rank_mold_materials(
         ratings = [replace(rating, plan=_planned(tube, heat, rig, rating.material)) for rating in ratings]
     least = min(rating.heat_drawn for rating in ratings)
     explained = [replace(rating, reasons=_reasons(rating, heat, least)) for rating in ratings]
-    return tuple(sorted(explained, key=lambda rating: (not rating.suitable, rating.energy)))
+    return tuple(sorted(explained, key=_place))
+
+
+def _place(rating: MaterialRating) -> tuple[bool, bool, float]:
+    """By which materials are ordered."""
+    if rating.plan is None:
+        return not rating.suitable, False, rating.heat
+    missed = rating.energy is None
+    return not rating.suitable, missed, rating.plan.shortfall if missed else rating.plan.energy
 
 
 def tube_heat(tube: Tube, heat: HeatSpec) -> float:
@@ -121,14 +137,12 @@ def current_leak(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: Plat
 def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) -> MaterialRating:
     end = np.array([heat.hold_time])
     drawn = float(heat_drawn(tube.outer_diameter, material, heat, end)[0])
-    leak = current_leak(tube, material, heat, plate)
-    energy = (tube_heat(tube, heat) + drawn) * tube.curved_length / (1 - leak)
     return MaterialRating(
         material=material,
         heat_drawn=drawn,
         heat_flow=float(heat_flow(tube.outer_diameter, material, heat, end)[0]),
-        leak=leak,
-        energy=energy,
+        leak=current_leak(tube, material, heat, plate),
+        heat=(tube_heat(tube, heat) + drawn) * tube.curved_length,
         limit_margin=material.limit_temperature - heat.set_temperature,
     )
 
@@ -151,7 +165,8 @@ def _reasons(rating: MaterialRating, heat: HeatSpec, least: float) -> tuple[str,
     else:
         reasons.append("insulates")
     if rating.plan is not None:
-        reasons.append(f"{rating.plan.verdict} on the rig")
+        verdict = rating.plan.verdict
+        reasons.append(f"{verdict} on the rig" if rating.plan.feasible else f"cannot be heated on the rig: {verdict}")
     draws = rating.heat_drawn / least
     times = f"{draws:.2g} times " if draws > 1 else ""
     reasons.append(f"draws {times}the least heat in {heat.hold_time:g} s")
