@@ -6,7 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tubeopt.physics.certificate import ONCE, WHOLE, base_determinant, worst_function
+from tubeopt.physics.certificate import (
+    ONCE,
+    WHOLE,
+    base_determinant,
+    bend_rate_function,
+    coupling_rate_function,
+    worst_function,
+)
 
 
 @pytest.mark.parametrize("varying", [False, True])
@@ -60,3 +67,22 @@ def test_tubes_curved_to_either_side_oppose_each_other_alike() -> None:
         assert form.item() == pytest.approx(true)
         assert y @ matrix @ y == pytest.approx(true)
         assert pairs == pytest.approx(pull * (1 - np.eye(3)))
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_torsion_grows_or_oscillates_no_faster_than_its_rate(n: int) -> None:
+    """kt_i y_i'' = (V'' y)_i at any rotations; two tubes that oppose each other attain it."""
+    random = np.random.default_rng(2)
+    kb, kt = random.uniform(0.5, 2.0, (2, n))
+    m = random.uniform(0.5, 2.0, n) * np.array([1, -1, 1])[:n]
+    bound = float(coupling_rate_function(n)(kb, m, kt))
+    pull, rates = np.abs(m), []
+    for turn in [np.arange(n) * np.pi, *random.uniform(-np.pi, np.pi, (200, n))]:
+        pairs = np.outer(pull, pull) / kb.sum() * np.cos(turn[:, None] - turn) * (1 - np.eye(n))
+        second = np.diag(pairs.sum(1)) - pairs
+        rates.append(np.sqrt(np.abs(np.linalg.eigvals(second / kt[:, None])).max()))
+    assert max(rates) <= bound * (1 + 1e-12)
+    assert max(rates) >= (1 - 1e-9 if n == 2 else 0.8) * bound
+    assert np.array(bend_rate_function(n)(kb, m)).ravel() == pytest.approx(pull / kb.sum())
+    assert not np.array(bend_rate_function(n)(0 * kb, 0 * m)).any()
+    assert float(coupling_rate_function(n)(0 * kb, 0 * m, kt)) == 0

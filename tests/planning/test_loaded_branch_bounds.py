@@ -19,7 +19,7 @@ from tests.planning.test_branch_bounds import whirl_by_sums
 from tests.planning.test_cross_section_bounds import derivatives
 from tests.planning.test_cross_section_bounds import parts as parts_of
 from tests.planning.test_sharp_bounds import STEPPED
-from tubeopt import Load, forward_kinematics
+from tubeopt import ConcentricRobot, Load, Piece, Tube, forward_kinematics
 from tubeopt.planning.branch import whirled
 from tubeopt.planning.cross_sections import Constants, Jet
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
@@ -617,6 +617,35 @@ def test_what_differs_between_loaded_arms_is_as_wrong_as_both_ends() -> None:
     assert found.turn[1].item() == pytest.approx(0.9 + 2 * 0.03 + 2 * 0.2)
     assert (found.torque.item(), found.moment.item()) == pytest.approx((2.6, 4.0))
     assert found.sure.all()
+
+
+def test_torques_and_moments_between_points_are_those_of_statics() -> None:
+    """What acts ahead of a place turns about it: its part along the arm is the torque of all tubes, the rest bends."""
+    helix = Tube.of_pieces(1.3e-3, 1.1e-3, [Piece(0.03, (3.0, 0.0, 20.0))], straight_length=0.02)
+    robot = ConcentricRobot((STEPPED.tubes[0], helix))
+    point = PointLoad(0.025, (0.1, 0.0, 0.0), (3e-3, 2e-3, 4e-3))
+    along = Stretch(0.0, 0.05, (0.0, 2.0, 0.0), (0.02, 0.0, 0.05))
+    load = Load(force=(0.05, 0.1, 0.2), moment=(1e-3, 2e-3, 3e-3), points=(point,), distributed=(along,))
+    arm = forward_kinematics(robot, [0.3, 1.5], [0.0, -0.003], load=load)
+    arms = LoadedArms.of(Constants.of(robot), [arm], pull=Pull.of(robot, load))
+    s = (arm.arc_length[1:] + arm.arc_length[:-1])[np.diff(arm.arc_length) > 1e-6] / 2
+    places, step = np.zeros(len(s), dtype=int), 1e-6
+    here, before, after = (arms.points(places, s + d * step) for d in (0, -1, 1))
+    tangent = (after - before) / (2 * step)
+    acts = np.cross(arm.tip_position - here, load.force) + load.moment
+    moments = np.cross(arms.points(places[:1], np.array([0.025]))[0] - here, point.force) + point.moment
+    acts += (s < 0.025)[:, None] * moments
+    node, weight = np.polynomial.legendre.leggauss(12)
+    for k, begin in enumerate(s):
+        x = begin + (0.05 - begin) * (node + 1) / 2
+        each = np.cross(arms.points(np.zeros(12, dtype=int), x) - here[k], along.force) + along.moment
+        acts[k] += (0.05 - begin) / 2 * weight @ each
+    torque, bending = arms.sampled(places, s)
+    turning = (acts * tangent).sum(1)
+    assert torque.sum(1) == pytest.approx(turning, abs=1e-7)
+    assert np.linalg.norm(bending, axis=1) == pytest.approx(
+        np.linalg.norm(acts - turning[:, None] * tangent, axis=1), abs=1e-7
+    )
 
 
 @pytest.mark.parametrize("order", [1, -1])
