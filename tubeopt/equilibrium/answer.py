@@ -178,16 +178,17 @@ def sure_margin(equilibrium: Equilibrium) -> float:
     return monotonicity(member.problem, member.at(x))
 
 
-def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array]:
-    """Rotations (N, n) without the natural turn, and curvature (N, 2), of a loaded equilibrium at the points of a
-    problem."""
-    s = problem.torsion.arc_length
-    if (
-        len(s) == len(start.point)
-        and np.abs(s - start.point).max() <= CONTINUATION.largest_shift * start.arc_length[-1]
-    ):
-        return sample_rotation(start, start.point), start.point_curvature
-    return sample_rotation(start, s), _own(start).mesh.interpolated(start.point_curvature, s)
+def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array | None]:
+    """Rotations (N, n) without the natural turn, and curvature (N, 2), of an equilibrium at the points of a problem;
+    without a load the curvature is None."""
+    s, curvature = problem.torsion.arc_length, None
+    if start.load is not None:
+        near = CONTINUATION.largest_shift * start.arc_length[-1]
+        if len(s) == len(start.point) and np.abs(s - start.point).max() <= near:
+            s, curvature = start.point, start.point_curvature
+        else:
+            curvature = _own(start).mesh.interpolated(start.point_curvature, s)
+    return sample_rotation(start, s), curvature
 
 
 def discretisation_of(equilibrium: Equilibrium) -> Discretisation:

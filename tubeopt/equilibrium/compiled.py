@@ -21,7 +21,7 @@ from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compile
 from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
 from ..solvers.settings import CONTINUATION, NEWTON, Newton
 from ..typing import Array, Mask
-from .answer import answered, at_points, built, largest_error, sample_arms, sample_rotation
+from .answer import answered, at_points, built, largest_error, sample_arms
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
 from .loaded import Loaded
 from .method import Asked
@@ -87,15 +87,13 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
     if not (load.has_energy and start.margin > 0):
         return None
     problem, turn = there.problem, rotations - start.rotations
-    given: tuple[Array, Array | None]
     if start.load is None:
-        if turn.any() or not np.array_equal(start.translations, shift):
-            return None
-        given, word = (sample_rotation(start, problem.torsion.arc_length), None), "the load before, from none"
-    elif small_motion(turn, shift - start.translations, float(start.arc_length[-1])):
-        given, word = at_points(start, problem), "guess"
+        word, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
     else:
+        word, close = "guess", small_motion(turn, shift - start.translations, float(start.arc_length[-1]))
+    if not close:
         return None
+    given = at_points(start, problem)
     margin, settings = start.margin, asked.method.newton
     coarse: Found | None = None
     for refinement in range(settings.loaded_refinements + 1):

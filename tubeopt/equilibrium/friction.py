@@ -174,9 +174,9 @@ def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array |
     problem = contact.loaded
     if problem is None:
         return sample_rotation(equilibrium, contact.problem.arc_length), None
-    if equilibrium.load is None:
-        return sample_rotation(equilibrium, contact.problem.arc_length), np.zeros((len(problem.softness), 2))
     theta, curvature = at_points(equilibrium, problem)
+    if curvature is None:
+        return theta, np.zeros((len(problem.softness), 2))
     x = loaded.unknowns(problem, equilibrium.rotations, theta, curvature)
     return theta, bent_of(contact, x)
 

@@ -53,7 +53,7 @@ EXTRA_POINTS = 1
 """Collocation points by which the check of the mesh is finer than the solution."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT)
 def assembly_of(robot: Robot, translations: tuple[float, ...]) -> Assembly:
     """The bundle of a robot at translations (n,), m."""
     return robot.assembly(np.array(translations))
@@ -148,7 +148,7 @@ def _check_places(load: Load, length: float) -> None:
 
 @lru_cache(maxsize=KEPT)
 def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
-    assembly = _cut(robot, translations, ())
+    assembly = assembly_of(robot, translations)
     if assembly.eccentric:
         raise InputError("this robot is eccentric; only concentric robots can be loaded")
     length = assembly.total_length
@@ -206,7 +206,8 @@ def loaded_rules(robot: Robot, translations: tuple[float, ...], load: Load, refi
 
 @lru_cache(maxsize=KEPT)
 def _cut(robot: Robot, translations: tuple[float, ...], cuts: tuple[float, ...]) -> Assembly:
-    return cut(_cut(robot, translations, ()), np.array(cuts)) if cuts else robot.assembly(np.array(translations))
+    assembly = assembly_of(robot, translations)
+    return cut(assembly, np.array(cuts)) if cuts else assembly
 
 
 @lru_cache(maxsize=KEPT)

@@ -42,6 +42,12 @@ def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
     return space.join(alpha, shift, name)
 
 
+def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array, tuple[float, ...]]:
+    """Rotations and translations (n,) of a configuration, as its joint space has them; raises as `configuration`."""
+    q = configuration(space, name, value)
+    return space.split(q)
+
+
 def shift_of(robot: Robot, *places: Any) -> list[Array]:
     """(n,) translations, m, of each place that is a configuration, so far as it makes sense; a tip pose has none."""
     found = []

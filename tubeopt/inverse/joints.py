@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..files.units import TO_MM
-from ..robots.assembly import ROUND_OFF
+from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.limits import JointLimits
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
@@ -285,6 +285,11 @@ class JointSpace:
         """(m,) joint values in the middle of all ranges and of what the order leaves; raises InputError without any."""
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        """The tubes of the arm at some joint values."""
+        return self.robot.assembly(self.joint(self.inside())[self.robot.n_tubes :])
 
     def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
         """(m,) joint values of rotations (n,) and of translations in order; see `in_order`."""

@@ -20,7 +20,6 @@ from ..display import in_full
 from ..equilibrium.batch import solved_batch
 from ..errors import InputError
 from ..files.files import atomic_write
-from ..robots.assembly import Assembly
 from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .clock import Clock
@@ -96,7 +95,7 @@ def build_table(
 def _by_mirror(space: JointSpace, q: Array) -> Array:
     """Samples (N, m) with the three tubes of every eccentric segment turned as a hand would: the first to a direction,
     the others to either side of it. Three independent rotations mostly wind a long transmission up until it snaps."""
-    if not _assembly(space).eccentric:
+    if not space.assembly.eccentric:
         return q
     out = q.copy()
     for tubes in space.robot.moving_together:
@@ -130,7 +129,7 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
 def _key(space: JointSpace, size: int) -> str:
     """Hash of all that the table depends on."""
     tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
-    assembly = _assembly(space)
+    assembly = space.assembly
     digest = hashlib.sha256(tubes.encode())
     for array in (
         space.lower,
@@ -175,7 +174,7 @@ def nearest_starts(
     limits allow.
     """
     position, direction = target
-    mirrored = direction is not None and not _assembly(space).eccentric
+    mirrored = direction is not None and not space.assembly.eccentric
     known = _mirrored(space, table) if mirrored else table
     chosen = known.margin >= min_margin
     q, tip, pointing = known.q[chosen], known.tip[chosen], known.direction[chosen]
@@ -224,11 +223,6 @@ def spread_starts(
             return
         yield q[farthest]
         gap = np.minimum(gap, np.linalg.norm(features - features[farthest], axis=1))
-
-
-def _assembly(space: JointSpace) -> Assembly:
-    """The arm at some joint values."""
-    return space.robot.assembly(space.joint(space.inside())[space.robot.n_tubes :])
 
 
 def _mirrored(space: JointSpace, table: StartTable) -> StartTable:

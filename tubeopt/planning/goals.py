@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
-from ..inverse.configurations import configuration
+from ..inverse.configurations import joints_of
 from ..inverse.descent import reach
 from ..inverse.goal import Goal, unit_vector
 from ..inverse.joints import JointSpace
@@ -110,7 +111,7 @@ def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, n
     """The equilibrium that a plan begins with, under the load; raises InputError and SolveError where there is none."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
     if not isinstance(known, Equilibrium):
-        rotations, shift = space.split(configuration(space, name, start))
+        rotations, shift = joints_of(space, name, start)
         return forward_kinematics(space.robot, rotations, shift, load=load)
     if known.robot != space.robot:
         raise InputError(f"{name} is an equilibrium of another robot")
@@ -159,6 +160,15 @@ def ends(
     if not out:
         raise InputError("goal is out of range: no number of full turns brings its rotations into the limits")
     return _nearest(task, start, out)
+
+
+def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
+    """The equilibria at which a plan may end, as its options ask for them; for a goal of the tip first `enough` of
+    those beside a roadmap."""
+    known = task.options.roadmap
+    near = None if known is None else partial(known.near, task, count=task.effort.goals.points)
+    share = Clock(task.effort.shares.goals * task.clock.left)
+    return ends(task, start, goal, share, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
 
 
 def _nearest(task: PlanTask, start: Equilibrium, found: list[End]) -> list[End]:
@@ -250,8 +260,7 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
     wanted = _tip_goal(goal)
     if wanted is not None:
         return _somewhere(task, start, wanted.places(), clock), False
-    q = configuration(space, "goal", goal)
-    rotations, shift = space.split(q)
+    rotations, shift = joints_of(space, "goal", goal)
     found: list[Equilibrium] = []
     if task.chart.eccentric or space.robot.n_tubes <= task.effort.goals.tubes or clock.left > task.effort.goals.seconds:
         with suppress(SolveError):

@@ -22,7 +22,7 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .building import Faults, build, motions_near, no_time
-from .goals import End, check_goal, check_start, ends, of_the_tip, other_ends, start_equilibrium
+from .goals import End, asked_ends, check_goal, check_start, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
 from .timing import Limits, stopping_at
@@ -88,7 +88,7 @@ def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     task = bearing(task, first.translations)
     check_start(task, first)
     hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = _goals(task, first, goal, 1 if hasty else effort.goals.answers)
+    goals = asked_ends(task, first, goal, 1 if hasty else effort.goals.answers)
     n = len(first.translations)
     task = bearing(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
@@ -109,14 +109,6 @@ def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     raise SolveError(f"no provable trajectory was found: {'; '.join(faults)}")
 
 
-def _goals(task: PlanTask, first: Equilibrium, goal: Any, enough: int) -> list[End]:
-    """The equilibria at which the plan may end; for a goal of the tip first `enough` of those beside a roadmap."""
-    known = task.options.roadmap
-    near = None if known is None else partial(known.near, task, count=task.effort.goals.points)
-    share = Clock(task.effort.shares.goals * task.clock.left)
-    return ends(task, first, goal, share, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
-
-
 def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTask:
     return task.from_to(task.chart.of(first), *(end.point for end in goals))
 
@@ -132,7 +124,7 @@ def _way(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: 
         way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left))
         enough = effort.goals.answers
         if way.points is None and len(goals) < enough and of_the_tip(goal):
-            goals = _goals(task, first, goal, enough)
+            goals = asked_ends(task, first, goal, enough)
             task = _between(task, first, goals)
             rest = Clock(effort.shares.roadmap * max(0.0, left - clock.seconds))
             way = options.roadmap.way(task, begin, [end.point for end in goals], rest)

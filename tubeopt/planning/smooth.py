@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
+from ..inverse.chart import Arms
 from ..inverse.clock import Clock
 from ..typing import Array, Mask
 from .motion import Motion
@@ -71,11 +72,14 @@ def smooth(
     intervals, iterations = task.effort.smoothing.intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
     room = np.array([task.margin_room + task.effort.smoothing.margin, task.clearance_room])
+    if task.chart.size > task.effort.program.operations:
+        return None
     for _ in range(task.effort.smoothing.refinements + 1):
-        near = _near(task, z)
-        if task.chart.size > task.effort.program.operations or clock.left < clock.crowding * building(near):
+        arms = task.chart.arms(z, 0.0)
+        near = _near(task, arms)
+        if clock.left < clock.crowding * building(near):
             return None
-        found = _solve(near, z, share, limits, (objective, own), room, clock)
+        found = _solve(near, (z, arms), share, limits, (objective, own), room, clock)
         if found is None:
             return None
         iterations += found.iterations
@@ -89,12 +93,12 @@ def smooth(
     return None
 
 
-def _near(task: PlanTask, z: Array) -> PlanTask:
-    """The same with the bodies alone that the arm may meet near knots (K, m)."""
+def _near(task: PlanTask, arms: Arms) -> PlanTask:
+    """The same with the bodies alone that the arm may meet near knots."""
     if not task.obstacles:
         return task
     reach = task.effort.smoothing.reach * task.chart.space.length + task.clearance + float(task.chart.radius.max())
-    points = task.chart.arms(z, 0.0).fine()[1]
+    points = arms.fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
 
@@ -104,11 +108,11 @@ Aim = tuple[str, tuple[Expression, float] | None]
 
 
 def _solve(
-    task: PlanTask, z: Array, share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock
+    task: PlanTask, knots: tuple[Array, Arms], share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock
 ) -> Smoothed | None:
-    """The program's solution from knots (K, m) in the chart, with so much room (2,) above the margin and the clearance
-    (m) to keep, at knots."""
-    objective, extra = aim
+    """The program's solution from knots (K, m) in the chart and their arms, with so much room (2,) above the margin and
+    the clearance (m) to keep, at knots."""
+    (z, _), (objective, extra) = knots, aim
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
@@ -142,7 +146,7 @@ def _solve(
     floor = min(task.min_margin + float(room[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = _to_keep(task, program, np.asarray(program.least(x, p)), z, float(room[1]))
+    least = _to_keep(task, program, np.asarray(program.least(x, p)), knots, float(room[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
     # What ran out of time or steps may still be allowed: following it tells.
@@ -171,15 +175,15 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
-def _to_keep(task: PlanTask, program: PathProgram, least: Array, z: Array, room: float) -> Array:
-    """(K, rows) least distances to keep, m, at knots (K, m): of those of an obstacle, all that of the closest. It may
-    fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare; and it must grow
-    where there is none.
+def _to_keep(task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, Arms], room: float) -> Array:
+    """(K, rows) least distances to keep, m, at knots (K, m) and their arms: of those of an obstacle, all that of the
+    closest. It may fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare;
+    and it must grow where there is none.
 
     The smooth least distances of the program, `least`, are bounded by what they are now less this: where much of an arm
     is about as close as its closest point, they are a few millimetres too small, of all knots alike.
     """
-    arms = task.chart.arms(z, 0.0)
+    z, arms = knots
     alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
     spare = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
     falls = spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None]))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, row_of, softness
+from ..block.transcription.reduced import ReducedProblem, evaluate, on_centreline, row_of
 from ..display import Displayed
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
@@ -118,7 +118,7 @@ def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
     (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
     """
     # theta(end) responds to the moment at a point by how soft the tube is up to there, which the integral has exactly.
-    inside, ends = softness(problem)
+    inside, ends = problem.softness
     places = np.append(problem.mesh.start, problem.assembly.total_length)
     whole = ends[int(np.abs(places - problem.assembly.end[tube]).argmin()), tube]
     a = row_of(problem, tube, inside[:, tube])

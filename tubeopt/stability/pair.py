@@ -36,7 +36,7 @@ import numpy as np
 import scipy
 
 from ..block.transcription.buffered import mapped
-from ..block.transcription.reduced import ReducedProblem, softness
+from ..block.transcription.reduced import ReducedProblem
 from ..physics.certificate import bend_rate_function
 from ..typing import Array
 
@@ -107,7 +107,7 @@ def pair_of(problem: ReducedProblem) -> Pair | None:
         return None
     i, j = (int(tube) for tube in coupled)
     compliance = sum(problem.factor[part, part] @ problem.factor[part, part].T for part in problem.by_tube)
-    lever = softness(problem)[0][:, [i, j]].sum(1)
+    lever = problem.softness[0][:, [i, j]].sum(1)
     rate = mapped(bend_rate_function(problem.assembly.n_tubes), len(problem.weight))(problem.stiffness, problem.moment)
     # A moment below 0, as tubes of one curvature may have it, is a size at half a turn.
     phase = np.pi * (problem.moment < 0) + problem.phase

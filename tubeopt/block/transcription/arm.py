@@ -15,7 +15,7 @@ from . import green
 from .buffered import section_function
 from .collocated import ENDS
 from .mesh import Mesh
-from .reduced import Evaluation, ReducedProblem, softness
+from .reduced import Evaluation, ReducedProblem
 from .tableau import Tableau
 
 
@@ -67,7 +67,7 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
 def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torque: Array) -> Profile:
     """The torsion with torques (R,), N m, on tubes (R,) besides: each turns its tube up to where piece `end` (R,)
     begins."""
-    soft = softness(problem)[1]
+    soft = problem.softness[1]
     rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
     for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
         rotation[:, i] += push * np.minimum(soft[:-1, i], soft[e, i])

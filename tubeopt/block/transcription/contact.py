@@ -29,7 +29,7 @@ from . import loaded
 from .arm import Profile, integrate, pushed
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
 from .mesh import loaded_mesh, make_mesh, piece_counts
-from .reduced import Evaluation, ReducedProblem, evaluate, reduce, softness, to_unknowns
+from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns
 
 DEGREE = 6
 """Collocation points of a piece."""
@@ -179,7 +179,7 @@ def _between(spots: list[tuple[float, int, float]]) -> tuple[Array, Index]:
 def _open(problem: ReducedProblem, place: Array, tube: Index) -> tuple[Array, Array]:
     """Rotations (M,) of tubes at ends of pieces by z, and by unknowns of their own for what z leaves open."""
     known, columns = np.zeros((len(place), problem.size)), []
-    soft_points, soft_ends = softness(problem)
+    soft_points, soft_ends = problem.softness
     ends = np.append(problem.mesh.start, problem.assembly.total_length)
     for j in np.unique(tube):
         mine, unknowns = np.flatnonzero(tube == j), np.flatnonzero(problem.tube == j)

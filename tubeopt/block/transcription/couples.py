@@ -24,7 +24,7 @@ from ...robots.load import Load
 from ...robots.order import last_tube, twisted_tube
 from ...typing import Array, Index
 from .orientation import Orientation, tangent_slopes, tangents
-from .reduced import ReducedProblem, row_of, softness
+from .reduced import ReducedProblem, row_of
 
 END = 1e-12
 """Distance (m) within which a moment acts where a tube ends: round-off of a length."""
@@ -79,7 +79,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     """The moments of a load: at the tip, at its points, and `per_length` (N, 3) at the collocation points, N; `spread`
     (N, n, U) is the turn of the tubes there by z."""
     assembly, mesh = torsion.assembly, torsion.mesh
-    ahead, ends = softness(torsion)
+    ahead, ends = torsion.softness
     at = [part for part in load.points if any(part.moment)]
     joint = np.array([len(mesh.length), *(_joint(mesh.start, part.at) for part in at)])
     tip = int(last_tube(assembly.end))

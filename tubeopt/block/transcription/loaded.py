@@ -32,7 +32,7 @@ from .buffered import section_function
 from .couples import Couples, couples_of
 from .mesh import Mesh
 from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
-from .reduced import ReducedProblem, row_of, softness, to_unknowns, torsional_hessian
+from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
 def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
     """Rotation of the tube that ends last at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
     tip = int(last_tube(torsion.assembly.end))
-    lever, ends = softness(torsion)
+    lever, ends = torsion.softness
     return row_of(torsion, tip, lever[:, tip]), float(ends[-1, tip])
 
 
@@ -367,7 +367,7 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
-    ends, row, tube = softness(problem.torsion)[1], couples.row[:joints], couples.tube[:joints]
+    ends, row, tube = problem.torsion.softness[1], couples.row[:joints], couples.tube[:joints]
     lever = ends[couples.joint, tube]
     alike = np.where(tube[:, None] == tube, np.minimum(lever[:, None], lever), 0.0)
     size, vectors = np.linalg.eigh(alike - row @ row.T)

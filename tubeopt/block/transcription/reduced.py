@@ -196,6 +196,11 @@ class ReducedProblem:
         return here.stiffness, here.moment
 
     @cached_property
+    def softness(self) -> tuple[Array, Array]:
+        """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points, and to the ends of pieces."""
+        return ahead(self.mesh, self.here), reach(self.mesh, self.here)
+
+    @cached_property
     def energy_parts(self) -> float:
         """Sum of the sizes of the bending energies, J. It bounds the round-off of their sum, which may be near 0."""
         rate = mapped(bend_rate_function(self.assembly.n_tubes), len(self.weight))(self.stiffness, self.moment)[0]
@@ -332,11 +337,6 @@ def pull_rate(problem: ReducedProblem) -> Array:
     stiffness, moment = problem.here.sections.stiffness, problem.here.sections.moment
     each = mapped(bend_rate_function(moment.shape[1]), len(moment))(stiffness, moment)[0].sum(1)
     return np.asarray(each.reshape(-1, problem.mesh.tableau.degree).max(1, initial=0.0))
-
-
-def softness(problem: ReducedProblem) -> tuple[Array, Array]:
-    """(N, n) and (P + 1, n) int ds / kt from where each tube is held to the points and to the ends of the pieces."""
-    return ahead(problem.mesh, problem.here), reach(problem.mesh, problem.here)
 
 
 def to_unknowns(problem: ReducedProblem, rotations: Array, theta: Array) -> Array:
