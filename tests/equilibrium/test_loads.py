@@ -27,14 +27,14 @@ from tubeopt import (
     load_equilibrium,
     load_robot,
 )
-from tubeopt.block.transcription.loaded import evaluate, unknowns
+from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.equilibrium.answer import point_of, to_equilibrium
 from tubeopt.equilibrium.continuation import Family, reach
+from tubeopt.equilibrium.loaded import Loaded
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
 from tubeopt.solvers.compiled.binding import kernel_of
-from tubeopt.solvers.newton import loaded_margin
 from tubeopt.typing import Array
 
 MM = 1e-3
@@ -522,6 +522,6 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
 
 
 def test_margin_is_one_without_coupling_or_compression() -> None:
-    problem = loaded_problem(rod(0.1, 1e-3), (0.0,), Load((0, 0, 1.0)))
-    x = unknowns(problem, np.zeros(1), np.zeros((len(problem.softness), 1)))
-    assert loaded_margin(problem, evaluate(problem, np.zeros(1), x)) == 1.0
+    member = Loaded.of(rod(0.1, 1e-3), np.zeros(1), (0.0,), Load((0, 0, 1.0)))
+    x = member.unknowns(np.zeros((len(member.problem.softness), 1)))
+    assert member.margin(member.at(x)) == 1.0

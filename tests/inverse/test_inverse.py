@@ -161,7 +161,7 @@ class TestSeed:
         random, tried = np.random.default_rng(0), 0
         for _ in range(60):
             moved = at.to(goal.space.clip(at.q + 0.01 * random.normal(size=3) @ kernel))
-            if moved is None or not goal.space.admissible(moved.q):
+            if moved is None or not moved.admissible:
                 continue
             beside = reach(goal, moved)
             assert not beside.reached or goal.cost(beside.posture) >= goal.cost(at) - 1e-5

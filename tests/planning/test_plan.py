@@ -44,8 +44,7 @@ from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import PlanTask, asked
 from tubeopt.planning.reach import least_miss
-from tubeopt.planning.timing import Limits, rounded, stopping_at
-from tubeopt.planning.tracking import joint_curves, violated
+from tubeopt.planning.timing import Limits, joint_curves, rounded, stopping_at, violated
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 

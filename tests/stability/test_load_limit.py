@@ -31,8 +31,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
-from tubeopt.equilibrium.problem import loaded_problem
-from tubeopt.solvers.newton import loaded_margin
+from tubeopt.equilibrium.loaded import Loaded
 from tubeopt.stability.folds import slide
 from tubeopt.stability.loaded_certificate import Bundle, bundle_of
 from tubeopt.stability.stroke import stroke_slopes
@@ -214,9 +213,9 @@ def test_certificate_is_below_every_loaded_margin() -> None:
             alpha = random.uniform(-np.pi, np.pi, 3)
             assert forward_kinematics(robot, alpha, load=Load(push)).margin >= bound
             # Not only at equilibria: at any shape.
-            problem = loaded_problem(robot, (0.0, 0.0, 0.0), Load(push))
-            x = random.normal(size=problem.size) * 0.1
-            assert loaded_margin(problem, evaluate(problem, alpha, x)) >= bound
+            member = Loaded.of(robot, alpha, (0.0, 0.0, 0.0), Load(push))
+            x = random.normal(size=member.problem.size) * 0.1
+            assert member.margin(member.at(x)) >= bound
 
 
 def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
@@ -277,7 +276,7 @@ def test_a_fall_ends_in_a_minimum_below() -> None:
     problem, member = start.member.problem, replace(start.member, factor=1.0)
     result = slide(member, start.state.x)
     assert result.converged
-    assert loaded_margin(problem, result.state) > -1e-9
+    assert member.margin(result.state) > -1e-9
     assert result.state.potential < evaluate(problem, np.zeros(1), start.state.x).potential
 
 

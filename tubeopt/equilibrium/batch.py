@@ -11,19 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..block.transcription.arm import arc_lengths
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import ROUND_OFF
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
-from ..solvers.compiled.binding import solve_many_compiled
+from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
+from ..solvers.compiled.loaded import solve_many_loaded_compiled
+from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, Sentence
-from .answer import largest_error
-from .compiled import grow_many
+from .answer import largest_error, sample_arms
 from .kinematics import forward_kinematics
 from .method import TOLERANCE
+from .problem import check_load, loaded_rules
 from .result import Equilibrium
 
 CHUNK = 2048
@@ -291,11 +294,42 @@ def _grow_rows(
     places, group = np.unique(shift[rows], axis=0, return_inverse=True)
     for k, place in enumerate(places):
         chosen = rows.start + np.flatnonzero(group.ravel() == k)
-        if len(chosen) > 1 and (solved := grow_many(robot, alpha[chosen], place, load, tolerance)) is not None:
+        if len(chosen) > 1 and (solved := _grow_many(robot, alpha[chosen], place, load, tolerance)) is not None:
             table[chosen], compliance[chosen], fine = solved
             chosen = chosen[~fine]
         left.append(chosen)
     return np.concatenate(left)
+
+
+def _grow_many(
+    robot: Robot, rotations: Array, translations: Array, load: Load, tolerance: float
+) -> tuple[Array, Array, Mask] | None:
+    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels.
+
+    Rows of tip position (3), tip frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy; the
+    compliances (M, 6, 6); and (M,) which are fine: grown from an equilibrium without load, and on a mesh fine enough.
+    None where there is no kernel for them.
+    """
+    shift = tuple(translations.tolist())
+    check_load(robot, load, shift)
+    first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
+    if first is None:
+        return None
+    s = first.found.arm.arc_length
+    arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
+    unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
+    assert unloaded is not None
+    rules = loaded_rules(robot, shift, load)
+    problem, n = rules.problem, robot.n_tubes
+    length = problem.torsion.assembly.total_length
+    theta = sample_arms(robot, translations, s, arms, problem.torsion.arc_length)
+    ends = np.searchsorted(arc_lengths(problem.mesh), np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
+    found = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
+    if found is None:
+        return None
+    table, compliance, declined = found
+    coarse = largest_error(table[:, n + 14], table[:, n + 15], length) > tolerance
+    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
 
 
 def _row(e: Equilibrium) -> Array:

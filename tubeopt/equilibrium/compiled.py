@@ -1,4 +1,4 @@
-"""Equilibria by the compiled kernels: one, those along a family, and many under one load.
+"""Equilibria by the compiled kernels: one, and those along a family.
 
 A function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is close
 by, or no mesh is fine enough. The general solver then goes on.
@@ -13,19 +13,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..block.transcription.arm import Found, arc_lengths
+from ..block.transcription.arm import Found
 from ..block.transcription.loaded import LoadedProblem
-from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.compiled.binding import Start, solve_compiled, solve_many_compiled
-from ..solvers.compiled.loaded import solve_loaded_compiled, solve_many_loaded_compiled
-from ..solvers.settings import CONTINUATION, NEWTON, Newton
-from ..typing import Array, Mask
-from .answer import answered, at_points, built, largest_error, sample_arms
+from ..solvers.compiled.binding import Start, solve_compiled
+from ..solvers.compiled.loaded import solve_loaded_compiled
+from ..solvers.settings import CONTINUATION, Newton
+from ..typing import Array
+from .answer import answered, at_points, built, largest_error
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
 from .loaded import Loaded
 from .method import Asked
-from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, check_load, loaded_rules
+from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, loaded_rules
 from .result import Equilibrium, Statistics
 
 
@@ -149,34 +148,3 @@ def along(family: Family, start: Milestone, asked: Asked | None = None) -> Itera
         step /= 2
         if step < longest * CONTINUATION.shortest_compiled:
             return
-
-
-def grow_many(
-    robot: Robot, rotations: Array, translations: Array, load: Load, tolerance: float
-) -> tuple[Array, Array, Mask] | None:
-    """Equilibria at rotations (M, n) and translations (n,) under a load, by the compiled kernels.
-
-    Rows of tip position (3), tip frame (9), tip rotations (n), margin, residual, errors of theta and tip, energy; the
-    compliances (M, 6, 6); and (M,) which are fine: grown from an equilibrium without load, and on a mesh fine enough.
-    None where there is no kernel for them.
-    """
-    shift = tuple(translations.tolist())
-    check_load(robot, load, shift)
-    first = solve_compiled(robot, rotations[0], translations) if load.has_energy else None
-    if first is None:
-        return None
-    s = first.found.arm.arc_length
-    arms = np.zeros((len(rotations), 2, len(s), robot.n_tubes))
-    unloaded = solve_many_compiled(robot, rotations, np.tile(translations, (len(rotations), 1)), arms)
-    assert unloaded is not None
-    rules = loaded_rules(robot, shift, load)
-    problem, n = rules.problem, robot.n_tubes
-    length = problem.torsion.assembly.total_length
-    theta = sample_arms(robot, translations, s, arms, problem.torsion.arc_length)
-    ends = np.searchsorted(arc_lengths(problem.mesh), np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
-    found = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
-    if found is None:
-        return None
-    table, compliance, declined = found
-    coarse = largest_error(table[:, n + 14], table[:, n + 15], length) > tolerance
-    return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))

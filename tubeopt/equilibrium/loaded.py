@@ -21,10 +21,9 @@ from ..block.transcription.loaded import (
 )
 from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
 from ..block.transcription.reduced import ReducedProblem
-from ..block.transcription.second_variation import softest_of, stiffnesses
+from ..block.transcription.second_variation import least, softest_of, stiffnesses
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.newton import loaded_margin, loaded_residual, turn_of
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .member import Member, Place, Point, pieces_of
@@ -77,15 +76,23 @@ class Loaded(Member[LoadedState]):
 
     def turn(self, state: LoadedState, step: Array) -> float:
         """Of a tube, or of the arm if its curvature changed alike all along it."""
-        return turn_of(self.problem, state, step)
+        tubes = np.abs(self.torsion.factor @ step[: self.torsion.size]).max(initial=0.0)
+        length = self.torsion.assembly.total_length
+        return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
 
     def residual(self, state: LoadedState) -> float:
-        """Of the equations of torsion and bending."""
-        return loaded_residual(self.problem, state)
+        """Of the equations of torsion and bending, as an error of theta at the points or of the arm's direction."""
+        split = self.torsion.size
+        tubes = np.abs(self.torsion.factor @ state.gradient[:split]).max(initial=0.0)
+        bend = np.abs(np.repeat(self.problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
+        return max(float(tubes), self.torsion.assembly.total_length * float(bend))
 
     def margin(self, state: LoadedState) -> float:
-        """By the second variation, or the linearised equations."""
-        return loaded_margin(self.problem, state)
+        """By the second variation relative to its torsional and bending part, at most 1; under loads without an energy
+        the least real part of the eigenvalues of the linearised equations."""
+        if self.problem.couples is None or not state.factor:  # without load the equations have an energy
+            return least(state.hessian)
+        return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))
 
     def index(self, state: LoadedState) -> int:
         """By the second variation, or the linearised equations."""

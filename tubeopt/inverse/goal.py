@@ -128,7 +128,7 @@ class Goal:
 
     def allowed(self, at: Posture, slack: float = 0.0) -> bool:
         """Whether joints, order, margin and clearance are kept, to within `slack` (m) of clearance."""
-        return self.space.admissible(at.q) and at.margin >= self.floor and self.violation(at) <= slack
+        return at.admissible and at.margin >= self.floor and self.violation(at) <= slack
 
     def violation(self, at: Posture) -> float:
         """By how much the arm is too close to the obstacle that it violates most, m, or steps of an own constraint are

@@ -185,9 +185,9 @@ class Multistart:
     def _from(self, start: Posture, name: str) -> InverseSolution | None:
         """The answer that a search from one start gives, if it does."""
         goal, space = self.goal, self.goal.space
-        if not space.admissible(start.q):
+        if not start.admissible:
             start = start.to(space.nearest(start.q)) or start
-        if start.margin < goal.floor or not space.admissible(start.q):
+        if start.margin < goal.floor or not start.admissible:
             return None
         self.tries += 1
         if goal.options.method == "nlp":

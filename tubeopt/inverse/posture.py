@@ -50,6 +50,11 @@ class Posture:
         """(2m + k,) bounds of a step that stays admissible, as `JointSpace.inequalities`."""
         return self.space.inequalities(self.q)[1]
 
+    @cached_property
+    def admissible(self) -> bool:
+        """Whether q keeps the ranges and the order, as `JointSpace.admissible`."""
+        return self.space.admissible(self.q)
+
     @property
     def tip(self) -> Array:
         """(3,) m."""

@@ -17,8 +17,7 @@ from .motion import Motion
 from .proof import Kept, proved
 from .question import PlanTask
 from .smooth import smooth
-from .timing import Limits, at_full_speed, stopping_at, through
-from .tracking import actuators, joint_curves, track, violated
+from .timing import Limits, actuators, at_full_speed, joint_curves, stopping_at, through, track, violated
 from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]

@@ -299,7 +299,7 @@ def _beside(
         points = near(question.position)
         for q in task.chart.joints(points):
             start = start_at(space, q)
-            if start is None or start.margin < question.floor or not space.admissible(q):
+            if start is None or start.margin < question.floor or not start.admissible:
                 continue
             search = reach(question, start)
             if search.reached and not _fault(task, "goal", search.posture.equilibrium):

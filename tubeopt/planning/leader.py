@@ -29,8 +29,8 @@ from .goals import check_goal, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import damped_step, step_constraints
+from .timing import track
 from .tip_path import distance_from
-from .tracking import track
 from .trajectory import Trajectory
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 
 from ..block.own import OwnObjective
+from ..block.quantities import Expression
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite, instance, positive
@@ -122,6 +123,8 @@ class PlanTask(Task):
     """How fast the actuators are."""
     options: PlanOptions = DEFAULT_PLAN
     """What was asked for beyond that."""
+    cost: tuple[Expression, float] | None = None
+    """Of smoothing, the own one of a pose, and what it is multiplied by."""
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
@@ -154,8 +157,8 @@ def asked(
     instance("limits", limits, JointLimits, optional=True)
     instance("rate_limits", rate_limits, RateLimits)
     bodies = checked_obstacles(obstacles)
-    if options.extra_cost is not None:
-        path_cost(options.extra_cost, robot.n_tubes)
+    extra = options.extra_cost
+    cost = None if extra is None else (path_cost(extra, robot.n_tubes), extra.sign * extra.weight)
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
@@ -175,6 +178,7 @@ def asked(
         max_force=options.max_force,
         rates=rate_limits,
         options=options,
+        cost=cost,
     )
 
 

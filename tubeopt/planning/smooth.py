@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ..block.quantities import Expression
 from ..equilibrium.result import Equilibrium
 from ..inverse.chart import Arms
 from ..inverse.clock import Clock
@@ -20,12 +19,10 @@ from .path_program import (
     WEIGHTS,
     PathProgram,
     PathQuestion,
-    path_cost,
     path_program,
 )
 from .question import PlanTask
-from .timing import Limits
-from .tracking import violated
+from .timing import Limits, violated
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
@@ -67,8 +64,6 @@ def smooth(
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
     the clock is over. How long it takes is told by objectives of time and effort only."""
-    extra = task.options.extra_cost
-    own = None if extra is None else (path_cost(extra, task.chart.space.robot.n_tubes), extra.sign * extra.weight)
     intervals, iterations = task.effort.smoothing.intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
     room = np.array([task.margin_room + task.effort.smoothing.margin, task.clearance_room])
@@ -79,7 +74,7 @@ def smooth(
         near = _near(task, arms)
         if clock.left < clock.crowding * building(near):
             return None
-        found = _solve(near, (z, arms), share, limits, (objective, own), room, clock)
+        found = _solve(near, (z, arms), share, limits, objective, room, clock)
         if found is None:
             return None
         iterations += found.iterations
@@ -103,16 +98,12 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
 
 
-Aim = tuple[str, tuple[Expression, float] | None]
-"""The objective, and an own cost with its weight."""
-
-
 def _solve(
-    task: PlanTask, knots: tuple[Array, Arms], share: Array, limits: Limits, aim: Aim, room: Array, clock: Clock
+    task: PlanTask, knots: tuple[Array, Arms], share: Array, limits: Limits, objective: str, room: Array, clock: Clock
 ) -> Smoothed | None:
     """The program's solution from knots (K, m) in the chart and their arms, with so much room (2,) above the margin and
     the clearance (m) to keep, at knots."""
-    (z, _), (objective, extra) = knots, aim
+    z = knots[0]
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
@@ -123,7 +114,7 @@ def _solve(
         task.obstacles,
         space.length,
         task.effort.program,
-        extra,
+        task.cost,
     )
     program = path_program(question)
     q = task.chart.joints(z)

@@ -13,9 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 import scipy
 
-from ..block.transcription.loaded import LoadedProblem, LoadedState
 from ..block.transcription.reduced import Evaluation, ReducedProblem
-from ..block.transcription.second_variation import least, stiffnesses
 from ..typing import Array
 from .settings import NEWTON, Newton
 from .time_limit import check_time
@@ -160,26 +158,3 @@ def newton_step(state: Any) -> tuple[Array, bool]:
         return state.gradient, False
     _, _, step, failed = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
     return step, failed != 0
-
-
-def turn_of(problem: LoadedProblem, state: LoadedState, step: Array) -> float:
-    """Largest turn (rad) of a tube at a point by a step, or of the arm if curvature changed alike all along it."""
-    tubes = np.abs(problem.torsion.factor @ step[: problem.torsion.size]).max(initial=0.0)
-    length = problem.torsion.assembly.total_length
-    return max(float(tubes), length * float(np.abs(state.turned @ step).max(initial=0.0)))
-
-
-def loaded_residual(problem: LoadedProblem, state: LoadedState) -> float:
-    """Largest violation of the equations, as an error of theta at the points or of the arm's direction, rad."""
-    split = problem.torsion.size
-    tubes = np.abs(problem.torsion.factor @ state.gradient[:split]).max(initial=0.0)
-    bend = np.abs(np.repeat(problem.softness, 2) * state.gradient[split:]).max(initial=0.0)
-    return max(float(tubes), problem.torsion.assembly.total_length * float(bend))
-
-
-def loaded_margin(problem: LoadedProblem, state: LoadedState) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional and bending part, at most 1; under loads
-    without an energy the least real part of the eigenvalues of the linearised equations."""
-    if problem.couples is None or not state.factor:  # without load the equations have an energy
-        return least(state.hessian)
-    return min(1.0, float(stiffnesses(state.hessian, symmetric=False).min(initial=1.0)))
