@@ -48,7 +48,6 @@ PENDING = (
             "med-rad",
             "model-error",
             "own-problem",
-            "planning",
             "several-arms",
             "theory",
             "tubes",
