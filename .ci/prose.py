@@ -43,7 +43,6 @@ PENDING = (
             "eccentric",
             "files",
             "json",
-            "loads",
             "many",
             "med-rad",
             "model-error",
