@@ -47,7 +47,6 @@ PENDING = (
             "med-rad",
             "model-error",
             "own-problem",
-            "several-arms",
             "theory",
             "tubes",
             "validation",
