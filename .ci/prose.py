@@ -43,7 +43,6 @@ PENDING = (
             "eccentric",
             "files",
             "json",
-            "many",
             "med-rad",
             "model-error",
             "own-problem",
