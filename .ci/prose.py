@@ -48,7 +48,6 @@ PENDING = (
             "own-problem",
             "theory",
             "tubes",
-            "validation",
             "view",
         )
     ),
