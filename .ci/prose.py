@@ -35,7 +35,6 @@ PENDING = (
     *(
         f"docs/{page}.md"
         for page in (
-            "anatomy",
             "api",
             "benchmark",
             "comparison",
