@@ -35,7 +35,6 @@ PENDING = (
     *(
         f"docs/{page}.md"
         for page in (
-            "api",
             "benchmark",
             "comparison",
             "data",
@@ -217,7 +216,7 @@ def _page(path: Path) -> Iterator[Text]:
     text = path.read_text(encoding="utf-8")
     if name == "docs/style.md":  # its table has the words on purpose
         text = text.partition("## Words to avoid")[0]
-    hidden = re.compile(r"^```.*?^```|^    .*?$|\$\$.*?\$\$|<!--.*?-->", re.MULTILINE | re.DOTALL)
+    hidden = re.compile(r"^```.*?^```|^    .*?$|^:::.*?$|\$\$.*?\$\$|<!--.*?-->", re.MULTILINE | re.DOTALL)
     text = hidden.sub(lambda found: re.sub(r"[^\n]", "", found[0]), text)
     text = re.sub(r"\$[^$\n]+\$", "x", text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
