@@ -37,7 +37,6 @@ PENDING = (
         for page in (
             "benchmark",
             "comparison",
-            "data",
             "eccentric",
             "files",
             "json",
