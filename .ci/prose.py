@@ -40,7 +40,6 @@ PENDING = (
             "eccentric",
             "files",
             "json",
-            "med-rad",
             "model-error",
             "own-problem",
             "theory",
