@@ -44,7 +44,6 @@ PENDING = (
             "own-problem",
             "theory",
             "tubes",
-            "view",
         )
     ),
 )
