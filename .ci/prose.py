@@ -39,7 +39,6 @@ PENDING = (
             "eccentric",
             "files",
             "json",
-            "model-error",
             "own-problem",
             "theory",
             "tubes",
