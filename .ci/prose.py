@@ -41,7 +41,6 @@ PENDING = (
             "json",
             "own-problem",
             "theory",
-            "tubes",
         )
     ),
 )
