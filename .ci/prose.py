@@ -36,7 +36,6 @@ PENDING = (
         f"docs/{page}.md"
         for page in (
             "benchmark",
-            "eccentric",
             "files",
             "json",
             "own-problem",
