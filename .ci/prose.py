@@ -38,7 +38,6 @@ PENDING = (
             "benchmark",
             "files",
             "json",
-            "own-problem",
             "theory",
         )
     ),
