@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -194,7 +195,10 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array 
 def discretisation_of(equilibrium: Equilibrium) -> Discretisation:
     """The discretisation on which an equilibrium was solved."""
     how = equilibrium.statistics
-    return Discretisation(how.family, how.degree, how.refinement)
+    return _discretisation(how.family, how.degree, how.refinement)
+
+
+_discretisation = lru_cache(maxsize=64)(Discretisation)
 
 
 def sample_rotation(equilibrium: Equilibrium, arc_length: Array) -> Array:

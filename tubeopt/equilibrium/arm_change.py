@@ -14,7 +14,7 @@ from ..block.transcription.collocated import ENDS
 from ..block.transcription.poses import cumulate
 from ..block.transcription.responsive import Forcing, Response
 from ..block.transcription.sections import Given, by_data_of, sections_of, values_of
-from ..block.transcription.standing import cross, hat
+from ..block.transcription.standing import cross
 from ..errors import InputError, SolveError
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import FORCE, MOMENT
@@ -49,7 +49,7 @@ class ArmChange(Directions):
     def forcing(self) -> Forcing:
         """All that the directions change."""
         forcing = self.entered.forcing
-        np.add.at(forcing.jumps, self.strips.index, self._gains[0][:, :, None] * self.widths[:, None])
+        forcing.jumps[:] += (self.strips.onto[:, None] * self._gains.T) @ self.widths
         return forcing
 
     @cached_property
@@ -62,37 +62,58 @@ class ArmChange(Directions):
         return np.asarray(table[index])
 
     @cached_property
-    def _gains(self) -> tuple[Array, Array, Array, Array]:
-        """What the rates of the state (T, 2 n + 6), the motion of the tip (T, 3), the elastic energy per length and
-        |u|^2 (T,) gain per width of a strip."""
-        here, points = self.here, self.strips
+    def _values_there(self) -> tuple[Array, Array, Array, Array]:
+        """Torque, curvature, bending energy and stretch of the cross-sections that strips uncover, then of what was
+        there."""
+        return values_of(self.given_there, self.here.offsets)
+
+    @cached_property
+    def _rates_there(self) -> Array:
+        """(2 T, 2 n + 6) rates of the state there."""
+        here, points, n = self.here, self.strips, self.n
         index, count = points.index, len(points.index)
-        if not count:
-            return np.zeros((0, here.size)), np.zeros((0, 3)), np.zeros(0), np.zeros(0)
         both = np.concatenate([index, index])
-        frame, there, n = here.end_frame[both], points.there, self.n
-        torque = (here.torque_plate_side if self.side < 0 else here.torque_tip_side)[both]
-        fall, curvature, stored, stretch = values_of(self.given_there, here.offsets)
-        rates = np.empty((2 * count, here.size))
-        rates[:, :n] = self.rate_there * torque * stretch
+        frame = here.end_frame[both]
+        fall, curvature, _, stretch = self._values_there
+        rates = np.zeros((2 * count, here.size))
+        rates[:, :n] = points.rate * self._torque_there * stretch
         rates[:, n : n + 3] = (frame[..., :2] @ curvature[..., None])[..., 0]
         rates[:, n + 3 : 2 * n + 3] = fall
-        falling = np.zeros((count, 3))
-        if here.load is not None:
-            falling -= cross(frame[:count, :, 2], self._force_there)
-        if here.load is not None and here.load.distributed is not None:
+        if here.load is None:
+            return rates
+        falling = -cross(frame[:count, :, 2], self._force_there)
+        if here.load.distributed is not None:
             along = here.load.per_length(self.cuts[index] + self.side * ROUND_OFF)[:, MOMENT]
             falling -= along
             felt = (along * frame[:count, :, 2]).sum(1)
             rates[np.arange(2 * count), n + 3 + points.outermost] -= np.concatenate([felt, felt])
         rates[:count, 2 * n + 3 :] = rates[count:, 2 * n + 3 :] = falling
-        energy = stored + (rates[:, :n] * torque).sum(1) / 2
-        squared = (curvature**2).sum(1)
-        signs = self.side * there
-        signs[count:] *= -1
-        gains = [part * signs[:, None] for part in (rates, frame[..., 2], np.column_stack([energy, squared]))]
-        state, tip, more = (part[:count] + part[count:] for part in gains)
-        return state, tip, more[:, 0], more[:, 1]
+        return rates
+
+    @property
+    def _torque_there(self) -> Array:
+        """(2 T, n) torques there."""
+        here, index = self.here, self.strips.index
+        torque = (here.torque_plate_side if self.side < 0 else here.torque_tip_side)[index]
+        return np.concatenate([torque, torque])
+
+    def _gained(self, there: Array) -> Array:
+        """(T, ...) gained per width of a strip, of what is there (2 T, ...)."""
+        new, old = (there.T * self.strips.there).T.reshape(2, -1, *there.shape[1:])
+        return np.asarray(self.side * (new - old))
+
+    @cached_property
+    def _gains(self) -> Array:
+        """(T, 2 n + 6) what the rates of the state gain per width of a strip."""
+        return self._gained(self._rates_there) if len(self.strips.index) else np.zeros((0, self.here.size))
+
+    @cached_property
+    def _stored(self) -> Array:
+        """(T,) what the elastic energy per length gains per width of a strip."""
+        if not len(self.strips.index):
+            return np.zeros(0)
+        stored = self._values_there[2] + (self._rates_there[:, : self.n] * self._torque_there).sum(1) / 2
+        return self._gained(stored)
 
     @cached_property
     def given_there(self) -> Given:
@@ -102,14 +123,7 @@ class ArmChange(Directions):
         frame, moment = here.end_frame[index], here.moment_plate_side if self.side < 0 else here.moment_tip_side
         bent = (frame[..., :2].swapaxes(1, 2) @ moment[index][..., None])[..., 0]
         phi = here.phi_ends[index]
-        # Where there is no tube a cross-section cannot be asked.
-        solid = np.where(points.there[:, None], tubes.stiffness, 1.0)
-        return np.concatenate([phi, phi]) + tubes.phase, solid, tubes.moment, np.concatenate([bent, bent])
-
-    @property
-    def rate_there(self) -> Array:
-        """(2 T, n) 1 / kt there."""
-        return np.asarray(1 / self.strips.sections.torsional_stiffness)
+        return np.concatenate([phi, phi]) + tubes.phase, points.stiffness, tubes.moment, np.concatenate([bent, bent])
 
     @cached_property
     def response(self) -> Response:
@@ -127,14 +141,16 @@ class ArmChange(Directions):
         """Refuse motions that draw the tip, or the end of a tube, from under what acts there."""
         here, ends, points = self.here, self.assembly.end, self.breakpoints
         assert here.load is not None
-        tip, pace = self.cuts[-1], np.zeros((self.n, self.size))
-        at_end = np.abs(points.place - ends[points.tube]) <= ROUND_OFF
-        pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
-        if (self.side * self._longer < 0).any() and any(part.at >= tip - TIP for part in here.load.points):
+        tip = self.cuts[-1]
+        if any(part.at >= tip - TIP for part in here.load.points) and (self.side * self._longer < 0).any():
             raise InputError(
-                f"a point load acts at the tip, {1e3 * tip:g} mm from the base plate; "
-                "backward derivatives do not exist there; use side=1"
+                f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
+                "derivatives by what moves it out (side=1)"
             )
+        if not here.joints and not any(here.load.moment):
+            return
+        at_end, pace = np.abs(points.place - ends[points.tube]) <= ROUND_OFF, np.zeros((self.n, self.size))
+        pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
         left = {tube for k, tube, _ in here.joints if (pace[tube] < 0).any() and abs(self.cuts[k] - ends[tube]) <= TIP}
         if any(here.load.moment):
             last = np.flatnonzero(tip - ends <= ROUND_OFF)
@@ -151,19 +167,19 @@ class ArmChange(Directions):
     def _longer(self) -> Array:
         """(Q,) change of the arm's length."""
         at_tip = self.strips.index == self.here.pieces
-        return np.asarray((self._gains[1] @ self.here.end_frame[-1, :, 2] * at_tip) @ self.widths)
+        return np.asarray((self.side * self.strips.grown * at_tip) @ self.widths)
 
     @property
     def pushed(self) -> Array:
         """(3, Q) motion of the tip with the tubes that push it out, or that alone hold it there."""
-        return np.outer(self.here.end_frame[-1, :, 2], self._longer)
+        return np.asarray(self.here.end_frame[-1, :, 2, None] * self._longer)
 
     @cached_property
     def tip_position(self) -> Array:
         """(3, Q) of the tip, m."""
         here = self.here
-        levers = (here.weights[..., None, None] * -hat(here.axis)).reshape(-1, 3, 3).swapaxes(0, 1).reshape(3, -1)
-        return np.asarray(levers @ self.response.psi.reshape(-1, self.size) + self.pushed)
+        moved = here.weights.ravel() @ (here.about_axis @ self.response.psi).reshape(-1, 3 * self.size)
+        return np.asarray(self.pushed - moved.reshape(3, self.size))
 
     @property
     def tip_rotation(self) -> Array:
@@ -240,7 +256,7 @@ class ArmChange(Directions):
     def position(self) -> Array:
         """(m, 3, Q) of the shape points at fixed arc lengths; the last one is the tip, which moves along."""
         here = self.here
-        out = cumulate(here.t, here.h[..., None] * (-hat(here.axis) @ self.response.psi))
+        out = cumulate(here.t, here.h[..., None] * (-here.about_axis @ self.response.psi))
         out[-1] += self.pushed
         return out
 
@@ -254,7 +270,8 @@ class ArmChange(Directions):
         """(Q,) of int |u|^2 ds, 1/m."""
         here, u = self.here, self.here.at.curvature
         pull = (2 * here.weights.ravel()[:, None] * u).ravel()
-        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + self._gains[3] @ self.widths)
+        squared = self._gained((self._values_there[1] ** 2).sum(1))
+        return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + squared @ self.widths)
 
     @cached_property
     def energy(self) -> Array:
@@ -275,7 +292,7 @@ class ArmChange(Directions):
         # The torque that the transmissions feel, on the plate's side of what moves there.
         held, gained = here.torque_plate_side[0], (moved.state - forcing.jumps)[0, n + 3 : 2 * n + 3]
         out += (held**2 / 2) @ forcing.transmission + (here.transmission * held) @ gained
-        return np.asarray(out + self._gains[2] @ self.widths)
+        return np.asarray(out + self._stored @ self.widths)
 
 
 def _parts(table: Array) -> tuple[Array, Array, Array, Array]:

@@ -153,11 +153,17 @@ class Directions:
 
     def _enter(self, entered: Entered, first: int, name: str) -> None:
         """Enter what a parameter of the tubes changes into n columns from the first one on."""
-        here, into, i = self.here, entered.forcing, np.arange(self.n)
-        kb, m, column = self.n + i, 2 * self.n + i, first + i
+        here, into, own = self.here, entered.forcing, slice(first, first + self.n)
         if name == "rotations":
-            into.base[i, column] = 1.0
-        elif name == "straight_length":
+            into.base[:, own] = np.eye(self.n)
+            return
+        if name == "translations" and self.assembly.lengthwise is None and not self._density.any():
+            entered.speed[:, own] = self.breakpoints.of_tubes
+            into.transmission[:, own] = np.diag(-_held(self.assembly, self.side))
+            return
+        i = np.arange(self.n)
+        kb, m, column = self.n + i, 2 * self.n + i, first + i
+        if name == "straight_length":
             into.transmission[i, column] = _held(self.assembly, 0)
         elif name == "curvature":
             bend = np.array([tube.curvature for tube in self.tubes])
@@ -171,10 +177,6 @@ class Directions:
             stiffness = np.array([tube.torsional_stiffness for tube in self.tubes], dtype=float)
             into.rate[..., i, column] = -here.rate / stiffness
             into.transmission[i, column] = -here.transmission / stiffness
-        elif name == "translations" and self.assembly.lengthwise is None and not self._density.any():
-            tube = self.breakpoints.tube
-            entered.speed[np.arange(len(tube)), first + tube] = 1.0
-            into.transmission[i, column] = -_held(self.assembly, self.side)
         else:
             for k in range(self.n):
                 self._advance(entered, first, name, k)

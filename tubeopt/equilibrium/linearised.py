@@ -154,7 +154,7 @@ class Linearised(ArmChange):
         turns, bends = hat(psi), (here.moment_plate_side if self.side < 0 else here.moment_tip_side)[index]
         whole = moment - (turns @ bends[..., None])[..., 0]
         felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
-        rate, given = self.rate_there, self.given_there
+        rate, given = points.rate, self.given_there
         both = (np.concatenate([part, part]) for part in (felt, y))
         form = self._form([*given, *both], softness, worst=worst)[0]
         lean = (self._force_there * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,6 +27,8 @@ class Breakpoints:
     end: Mask
     index: Index
     together: tuple[tuple[int, ...], ...]
+    of_tubes: Array
+    """(J, n) 1 where a tube has the breakpoint, 0 elsewhere."""
 
 
 @lru_cache(maxsize=64)
@@ -40,7 +42,8 @@ def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
     for j, k in enumerate(index.tolist()):
         where.setdefault(k, []).append(j)
     tube, end = np.array([i for i, _, _ in own], dtype=np.intp), np.array([last for _, _, last in own], dtype=bool)
-    return Breakpoints(tube, place, end, index, tuple(tuple(some) for _, some in sorted(where.items())))
+    together = tuple(tuple(some) for _, some in sorted(where.items()))
+    return Breakpoints(tube, place, end, index, together, np.eye(assembly.n_tubes)[tube])
 
 
 class Strip(NamedTuple):
@@ -86,6 +89,24 @@ class Uncovered:
     sections: CrossSections
     there: Mask
     outermost: Index
+    onto: Array
+    """(P + 1, T) 1 where the piece of a row begins, 0 elsewhere."""
+
+    @cached_property
+    def rate(self) -> Array:
+        """(2 T, n) 1 / kt."""
+        return np.asarray(1 / self.sections.torsional_stiffness)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """(2 T, n) kb; 1 where there is no tube, where a cross-section cannot be asked."""
+        return np.where(self.there[:, None], self.sections.stiffness, 1.0)
+
+    @cached_property
+    def grown(self) -> Array:
+        """(T,) 1 where a strip that the tip uncovers is new, -1 where there is none any more, else 0."""
+        new, old = self.there.reshape(2, -1)
+        return np.asarray(new * 1.0 - old)
 
 
 @lru_cache(maxsize=64)
@@ -107,6 +128,7 @@ def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) 
         sections=_sections(assembly, np.concatenate([place, place]), bends, present),
         there=np.asarray(present.any(1)),
         outermost=n - 1 - present[:, ::-1].argmax(1),
+        onto=np.asarray(np.arange(len(between) // 8)[:, None] == points.index[first], dtype=float),
     )
 
 

@@ -26,7 +26,6 @@ import numpy as np
 
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
-from ...robots.order import last_tube
 from ...typing import Array, Index
 from .buffered import section_function
 from .couples import Couples, couples_of
@@ -65,7 +64,7 @@ class LoadedProblem:
     @property
     def tip_tube(self) -> int:
         """The tube that ends last, of several the innermost."""
-        return int(last_tube(self.torsion.assembly.end))
+        return self.torsion.tip_tube
 
     @property
     def tip_row(self) -> Array:
@@ -157,7 +156,7 @@ def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedP
 @lru_cache(maxsize=64)
 def _tip_tube(torsion: ReducedProblem) -> tuple[Array, float]:
     """Rotation of the tube that ends last at its end: (U,) by z, and by a unit torque there, rad/(N m)."""
-    tip = int(last_tube(torsion.assembly.end))
+    tip = torsion.tip_tube
     lever, ends = torsion.softness
     return row_of(torsion, tip, lever[:, tip]), float(ends[-1, tip])
 

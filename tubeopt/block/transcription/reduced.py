@@ -27,6 +27,7 @@ import scipy
 
 from ...physics.certificate import bend_rate_function
 from ...robots.assembly import Assembly, without_offsets
+from ...robots.order import last_tube
 from ...typing import Array, Index, Mask
 from .blocks import Block, blocks_of
 from .buffered import mapped, section_function
@@ -188,6 +189,16 @@ class ReducedProblem:
         """The unknowns of each tube, between which L is 0."""
         cuts = np.searchsorted(self.tube, np.arange(self.assembly.n_tubes + 1)).tolist()
         return tuple(slice(a, b) for a, b in pairwise(cuts) if b > a)
+
+    @cached_property
+    def cuts(self) -> Array:
+        """(P + 1,) arc lengths where pieces begin, and of the tip, m."""
+        return np.append(self.mesh.start, self.assembly.total_length)
+
+    @cached_property
+    def tip_tube(self) -> int:
+        """The tube that ends last, of several the innermost, on which a moment at the tip acts."""
+        return int(last_tube(self.assembly.end))
 
     @cached_property
     def on_pieces(self) -> tuple[Array, Array]:

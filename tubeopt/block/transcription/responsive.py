@@ -11,8 +11,9 @@ is a jump of the rates there. Without a load m, n and l are 0: phi and t close t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,15 +49,13 @@ class Forced(NamedTuple):
 
 
 class Felt(NamedTuple):
-    """Change of t, m and b at the points, of t' and m', of u at fixed b, and of phi' at fixed t, by columns
+    """Change of t and m at the points, of t' beside u (P, K, n + 2, C), of m', and of phi' at fixed t, by columns
     (P, K, r, C); None where phi' is of the torques alone."""
 
     torque: Array
     moment: Array
-    bent: Array
-    twisting: Array
+    bending: Array
     falling: Array
-    curvature: Array
     turning: Array | None
 
 
@@ -75,15 +74,41 @@ class Maps:
 @dataclass(frozen=True, eq=False)
 class Response:
     """Change of an arm at fixed arc lengths: the state (P + 1, 2 n + 6, Q) where pieces begin, and at the tip;
-    phi (P, K, n, Q), psi, m (P, K, 3, Q), t (P, K, n, Q), b (P, K, 2, Q) and u (P, K, 2, Q) at the points."""
+    phi (P, K, n, Q) and psi (P, K, 3, Q) at the points. The rest is computed when it is first read: `felt` gives what
+    phi and psi make at the points, and `across` what b is by psi and m, None without a load."""
 
     state: Array
     phi: Array
     psi: Array
-    moment: Array
-    torque: Array
-    bent: Array
-    curvature: Array
+    felt: Callable[[], Felt]
+    across: tuple[Array, Array] | None
+
+    @cached_property
+    def _felt(self) -> Felt:
+        return self.felt()
+
+    @property
+    def torque(self) -> Array:
+        """(P, K, n, Q) of t."""
+        return self._felt.torque
+
+    @property
+    def moment(self) -> Array:
+        """(P, K, 3, Q) of m."""
+        return self._felt.moment
+
+    @cached_property
+    def bent(self) -> Array:
+        """(P, K, 2, Q) of b."""
+        if self.across is None:
+            return np.zeros((*self.psi.shape[:2], 2, self.psi.shape[3]))
+        by_turn, by_moment = self.across
+        return np.asarray(by_turn @ self.psi + by_moment @ self.moment)
+
+    @property
+    def curvature(self) -> Array:
+        """(P, K, 2, Q) of u."""
+        return self._felt.bending[..., -2:, :]
 
 
 class Responsive(Standing):
@@ -96,70 +121,73 @@ class Responsive(Standing):
         return 2 * self.n + 6
 
     @cached_property
-    def _slopes(self) -> tuple[Array, ...]:
-        """At the points: of b by psi and by m, of t' by psi, of m' by psi."""
-        across = self.frame[..., :2].swapaxes(2, 3)
-        twisting = np.zeros((*self.phi.shape, 3))
-        if self.along is not None:
-            twisting = -self.felt[..., None] * cross(self.axis, self.along)[..., None, :]
-        leaning = (self.force * self.axis).sum(2)[..., None, None] * np.eye(3)
-        return across @ hat(self.moment), across, twisting, leaning - self.axis[..., None] * self.force[..., None, :]
+    def _across(self) -> tuple[Array, Array]:
+        """At the points, of b by psi and by m."""
+        return self.across @ self.about_moment, self.across
 
     @cached_property
-    def _by(self) -> tuple[Array, ...]:
-        """At the points: of M by theta and by b, of u by theta."""
-        n, points = self.n, (self.pieces, self.degree)
-        at = self.at.by_torque, self.at.by_curvature
-        torque, curvature = (part.reshape(*points, *part.shape[1:]) for part in at)
-        return torque[..., :n], torque[..., n:], curvature[..., :n]
+    def _leaning(self) -> Array:
+        """(P, K, 3, 3) of m' by psi."""
+        return np.asarray(hat(-self.force) @ self.about_axis)
+
+    @cached_property
+    def _by(self) -> Array:
+        """(P, K, n + 2, n + 2) of M beside u by theta beside b at the points."""
+        both = np.concatenate([self.at.by_torque, self.at.by_curvature], axis=1)
+        return both.reshape(self.pieces, self.degree, *both.shape[1:])
+
+    def _by_state(self, softness: float) -> tuple[Array, Array | None]:
+        """(P, K, n + 2, own) of t' beside u by (phi, psi) and, under a load, (P, K, n + 2, 3) by m."""
+        n = self.n
+        if self.load is None:
+            return self._by[..., :n], None
+        by_bent = self._by[..., n:]
+        if softness != 1.0:
+            by_bent = by_bent.copy()
+            by_bent[..., n:, :] *= softness
+        out = np.empty((self.pieces, self.degree, n + 2, n + 3))
+        out[..., :n] = self._by[..., :n]
+        by_moment = by_bent @ self.across
+        np.matmul(by_moment, self.about_moment, out=out[..., n:])
+        if self.along is not None:
+            out[..., :n, n:] -= self.felt[..., None] * cross(self.axis, self.along)[..., None, :]
+        return out, by_moment
 
     def _swept(self, matrix: Array, rates: Array) -> Array:
-        """(P, K, r, C) integrals of rates (P, K, r, C) by a matrix (K, K) of the tableau."""
+        """(P, K, r, C) integrals of rates (P, K, r, C) by the matrices (P, K, K) of the pieces."""
         out = matrix @ rates.reshape(self.pieces, self.degree, -1)
-        out *= self.h
         return np.asarray(out.reshape(rates.shape))
 
-    def _felt(self, q: Array, starts: tuple[Array, Array], forced: Forced | None) -> Felt:
-        """What changes of (phi, psi) at the points, by columns (P, K, n + 3, C), and of t and m where the pieces begin
+    def _felt(self, q: Array, starts: tuple[Array, Array], forced: Forced | None, softness: float = 1.0) -> Felt:
+        """What changes of (phi, psi) at the points, by columns (P, K, own, C), and of t and m where the pieces begin
         (P or 1, 1, r, C) make there."""
-        n, (torque_by_phi, torque_by_bent, u_by_phi) = self.n, self._by
-        phi, shape = q[..., :n, :], (self.pieces, self.degree)
-        twisting, curvature = torque_by_phi @ phi, u_by_phi @ phi
-        if self.load is None:
-            moment, bent = (np.zeros((*shape, rows, q.shape[3])) for rows in (3, 2))
-            falling = moment
+        n, (by_state, by_moment) = self.n, self._by_state(softness)
+        bending = by_state @ q
+        if by_moment is None:
+            moment = falling = np.zeros((self.pieces, self.degree, 3, q.shape[3]))
         else:
-            (by_turn, across, twisted, leaning), psi = self._slopes, q[..., n:, :]
-            falling = leaning @ psi
+            falling = self._leaning @ q[..., n:, :]
             if forced is not None:
                 falling += forced.moment
-            moment = self._swept(self.t.adjoint, falling)
+            moment = self._swept(self.back, falling)
             moment += starts[1]
-            bent = across @ moment
-            bent += by_turn @ psi
-            twisting += torque_by_bent @ bent
-            if self.along is not None:
-                twisting += twisted @ psi
+            bending += by_moment @ moment
         if forced is not None:
-            twisting += forced.torque
-            curvature += forced.curvature
-        torque = self._swept(self.t.adjoint, twisting)
+            bending[..., :n, :] += forced.torque
+            bending[..., n:, :] += forced.curvature
+        torque = self._swept(self.back, bending[..., :n, :])
         torque += starts[0]
-        turning = None if self.coupled is None else self.coupled @ phi
+        turning = None if self.coupled is None else self.coupled @ q[..., :n, :]
         if forced is not None:
             turning = forced.phi if turning is None else turning + forced.phi
-        return Felt(torque, moment, bent, twisting, falling, curvature, turning)
+        return Felt(torque, moment, bending, falling, turning)
 
-    @cached_property
-    def _unforced(self) -> Felt:
+    def _unforced(self, softness: float) -> Felt:
         """`_felt` by columns of (phi, psi) at the points, then of the state where the pieces begin."""
         own, size, inner = self.own, 2 * self.own, self.degree * self.own
-        table = np.zeros((inner, inner + size))
-        table.ravel()[:: inner + size + 1] = 1.0
-        begin = np.zeros((size, inner + size))
-        begin[:, inner:] = np.eye(size)
-        q = table.reshape(1, self.degree, own, -1)
-        return self._felt(q, (begin[own : own + self.n], begin[own + self.n :]), None)
+        q, begin = _units(inner, inner + size), _units(size, inner + size, inner)
+        starts = begin[own : own + self.n], begin[own + self.n :]
+        return self._felt(q.reshape(1, self.degree, own, -1), starts, None, softness)
 
     def _ended(self, felt: Felt, softness: float) -> tuple[Array, Array]:
         """(P, K own, C) integrals of the rates of (phi, psi) up to the points and (P, 2 own, C) of those of the state
@@ -169,35 +197,33 @@ class Responsive(Standing):
         np.multiply(felt.torque, softness * self.winding[..., None], out=rates[..., :n, :])
         if felt.turning is not None:
             rates[..., :n, :] += felt.turning
-        parts = [(rates, slice(own)), (felt.twisting, slice(own, own + n))]
+        parts = [(rates, slice(own)), (felt.bending[..., :n, :], slice(own, own + n))]
         if own > n:
-            np.matmul(self.frame[..., :2], self._bending(felt, softness), out=rates[..., n:, :])
+            np.matmul(self.frame[..., :2], felt.bending[..., n:, :], out=rates[..., n:, :])
             parts.append((felt.falling, slice(own + n, None)))
         weights = self.weights[:, None]
         for part, rows in parts:
             np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
-        return self._swept(self.t.matrix, rates).reshape(self.pieces, k * own, count), end
+        return self._swept(self.ahead, rates).reshape(self.pieces, k * own, count), end
 
     def _maps(self, softness: float) -> Maps:
         """The linear maps of all pieces."""
-        own, size, inner = self.own, 2 * self.own, self.degree * self.own
-        there, end = self._ended(self._unforced, softness)
-        table = there.reshape(self.pieces, self.degree, own, -1)
-        table[..., inner:] += np.eye(own, size)
+        size, inner = 2 * self.own, self.degree * self.own
+        there, end = self._ended(self._unforced(softness), softness)
+        # A state adds itself to what it makes of (phi, psi) at every point, and at the end.
+        next_row = inner + size + 1
+        there.reshape(self.pieces, self.degree, -1)[..., inner::next_row] += 1.0
+        end.reshape(self.pieces, -1)[:, inner::next_row] += 1.0
         matrix = -there[..., :inner]
         matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
         solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
-        ends = end[..., inner:] + np.eye(size) + end[..., :inner] @ solved
+        ends = end[..., inner:] + end[..., :inner] @ solved
         return Maps(matrix, end[..., :inner], solved, ends)
 
     @cached_property
     def _standing_maps(self) -> Maps:
         """Of the arm as it stands."""
         return self._maps(1.0)
-
-    def _bending(self, felt: Felt, softness: float) -> Array:
-        """(P, K, 2, C) of u."""
-        return felt.bent * (softness * self._give) + felt.curvature
 
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
         """(P, K own, C) of (phi, psi) at the points and (P, 2 own, C) of the state at the ends of the pieces by
@@ -207,11 +233,6 @@ class Responsive(Standing):
         there, end = self._ended(self._felt(*none, forced), 1.0)
         solved = np.asarray(np.linalg.solve(maps.matrix, there))
         return solved, end + maps.gathered @ solved
-
-    @cached_property
-    def _give(self) -> Array:
-        """(P, K, 1, 1) of u by b: one over the bending stiffness of all tubes."""
-        return np.asarray(1 / self.stiffness.sum(2))[..., None, None]
 
     def _kicked(self) -> Array | None:
         """(P + 1, 2 n + 6, 2 n + 6) the state on the tip's side of a place by that on the plate's side; None where no
@@ -231,24 +252,22 @@ class Responsive(Standing):
         matrix = np.zeros((total, total))
         kicks = self._kicked()
         maps = ends if kicks is None else kicks[1:] @ ends
-        first = np.zeros((size, own))
-        first[own:] = np.eye(own)
-        first[range(n), range(n)] = softness * self.transmission
         matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
-        matrix[:size, :own] = -maps[0] @ first
+        matrix[:size, :own] = -maps[0, :, own:]
+        matrix[:size, :n] -= maps[0, :, :n] * (softness * self.transmission)
         for k in range(1, pieces):
             matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -maps[k]
         if turns is not None:
             turn = slice(total - size + n, total - size + own)
             matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
         last, rows = total - size, slice(pieces * size, total)
-        matrix[rows, last + own :] = np.eye(own)
+        matrix[rows].reshape(-1)[last + own :: total + 1] = 1.0
         if own == n:
             return matrix
         tip = matrix[rows, last + n : last + own]
         if self.following:
             tip[n:] += hat(self.tip_moment)
-        else:
+        elif self.tip_moment.any():
             tip[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
         return matrix
 
@@ -257,7 +276,7 @@ class Responsive(Standing):
         """(P, K, 3, 3) change of m' by the turn of the tip, with which a force turns; None of dead forces."""
         if not (self.following and self.tip_force.any()):
             return None
-        return np.asarray(hat(self.axis) @ hat(self.tip_force))
+        return np.asarray(self.about_axis @ hat(self.tip_force))
 
     def respond(self, forcing: Forcing) -> Response:
         """How the arm answers to changes.
@@ -269,12 +288,13 @@ class Responsive(Standing):
         first = np.zeros((size, count))
         first[:n] = forcing.base + forcing.transmission * self.torque_plate_side[0][:, None]
         if not self.pieces:
-            nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, 3, n, 2, 2)]
+            nothing = [np.zeros((0, self.degree, rows, count)) for rows in (n, 3, n + 2)]
             # What leaves the plate twists the transmissions.
             state, torque = forcing.jumps.copy(), slice(n + 3, 2 * n + 3)
             state[0, :n] += first[:n] - self.transmission[:, None] * state[0, torque]
             state[0, torque] = 0.0
-            return Response(state, *nothing)
+            felt = Felt(nothing[0], nothing[1], nothing[2], nothing[1], None)
+            return Response(state, nothing[0], nothing[1], lambda: felt, None)
         forced, columns = self._forced(forcing)
         maps, turned = self._standing_maps, self._turns
         inner, gained = (None, None) if forced is None else self._forced_maps(forced)
@@ -329,21 +349,21 @@ class Responsive(Standing):
     def _forced(self, forcing: Forcing) -> tuple[Forced | None, Index]:
         """What is forced at the points by the turn of the tip and by the changes that force anything there, and which
         of the changes these are."""
-        some = [part.any((0, 1, 2)) for part in (forcing.data, forcing.rate, forcing.force)]
+        extra, parts = self._turns, (forcing.data, forcing.rate, forcing.force)
+        if not extra and not any(part.any() for part in parts):
+            return None, np.zeros(0, dtype=np.intp)
+        some = [part.any((0, 1, 2)) for part in parts]
         columns: Index = np.flatnonzero(some[0] | some[1] | some[2])
-        extra = self._turns
-        if not len(columns) and not extra:
-            return None, columns
-        data, rate, force = (part[..., columns] for part in (forcing.data, forcing.rate, forcing.force))
+        data, rate, force = (part[..., columns] for part in parts)
         torque_by, u_by, _, phi_by = self.by_data
         turning = rate * self.stretched[..., None]
         if phi_by is not None:
             turning += phi_by @ data
-        parts = [turning, torque_by @ data, u_by @ data, -hat(self.axis) @ force]
+        made = [turning, torque_by @ data, u_by @ data, -self.about_axis @ force]
         if self.turning is not None:
-            parts = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in parts]
-            parts[3][..., :extra] = self.turning
-        return Forced(*parts), columns
+            made = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in made]
+            made[3][..., :extra] = self.turning
+        return Forced(*made), columns
 
     def _along(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
         """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K own, Q). Without a load the
@@ -351,17 +371,18 @@ class Responsive(Standing):
         n, begin = self.n, state[:-1, None]
         q = q.reshape(self.pieces, self.degree, self.own, -1)
         starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
-        felt = self._felt(q, starts, forced)
         if self.load is not None:
-            bends = felt.moment, felt.torque, felt.bent, self._bending(felt, softness)
-            return Response(state, q[..., :n, :], q[..., n:, :], *bends)
-        rates = self.frame[..., :2] @ felt.curvature
+            return Response(
+                state, q[..., :n, :], q[..., n:, :], partial(self._felt, q, starts, forced, softness), self._across
+            )
+        felt = self._felt(q, starts, forced, softness)
+        rates = self.frame[..., :2] @ felt.bending[..., n:, :]
         state[1:, n : n + 3] += (self.weights[:, None] @ rates.reshape(self.pieces, self.degree, -1)).reshape(
             self.pieces, 3, -1
         )
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
-        psi = state[:-1, None, n : n + 3] + self._swept(self.t.matrix, rates)
-        return Response(state, q, psi, felt.moment, felt.torque, felt.bent, felt.curvature)
+        psi = state[:-1, None, n : n + 3] + self._swept(self.ahead, rates)
+        return Response(state, q, psi, lambda: felt, None)
 
     def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
         """(K, n, Q) change of phi' at the points of a piece."""
@@ -376,13 +397,15 @@ class Responsive(Standing):
 
     def pulled(self, pull: Array, softness: float) -> Response:
         """The mode in which torques fall by (P, K, n) towards the plate, and nothing bends: one column."""
-        n, none = self.n, np.zeros((*self.axis.shape, 1))
-        torque, tip_side, _ = self._inwards(-pull, np.zeros((self.pieces + 1, n)), np.zeros(n))
+        n = self.n
+        torque, tip_side, _ = self._inwards(-pull, None, np.zeros(n))
         rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
         whole = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
         state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), tip_side
-        phi = state[:-1, None, :n, 0] + self.h * (self.t.matrix @ rates)
-        return Response(state, phi[..., None], none, none, torque[..., None], none[..., :2, :], none[..., :2, :])
+        phi = state[:-1, None, :n, 0] + self.ahead @ rates
+        none = np.zeros((*self.axis.shape[:2], n + 2, 1))
+        felt = Felt(torque[..., None], none[..., :3, :], none, none[..., :3, :], None)
+        return Response(state, phi[..., None], none[..., :3, :], lambda: felt, None)
 
     def mode(self, margin: float, *, one_of_two: bool = False) -> tuple[Response, float] | None:
         """How the arm buckles when its elasticity is softened by its margin, one column, and 1 / (1 - margin); None
@@ -434,7 +457,7 @@ class Responsive(Standing):
         """Second variation over its elastic part T along a mode, one column."""
         y, psi, curved = (part[..., 0] for part in (mode.phi, mode.psi, mode.curvature))
         bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
-        form = (y * (self._by[0] @ y[..., None])[..., 0]).sum(2)
+        form = (y * (self._by[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
         if self.load is not None:
             form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
         return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
@@ -455,3 +478,9 @@ far less than DOUBLE."""
 
 DOUBLE = 1e-9
 """Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""
+
+
+@lru_cache(maxsize=64)
+def _units(rows: int, columns: int, first: int = 0) -> Array:
+    """(rows, columns) 1 in the columns from the first one on, one by one, 0 elsewhere; not to be changed."""
+    return np.eye(rows, columns, first)

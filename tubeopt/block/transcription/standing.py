@@ -13,13 +13,12 @@ tubes off the centreline phi' = g t / kt, with the stretch g, and no load acts o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from ...robots.load import Load
-from ...robots.order import last_tube
-from ...typing import Array
+from ...typing import Array, Index
 from .arm import ArmShape
 from .collocated import STEPS
 from .couples import Couples
@@ -78,10 +77,10 @@ class Standing:
         self.pieces, self.degree = len(self.length), self.t.degree
         # Without a load the frame and the moment follow, and the state is of rotations and torques.
         self.own = self.n if burden is None else self.n + 3
-        self.kept = np.r_[: self.own, self.n + 3 : self.n + 3 + self.own]
+        self.kept = _kept(self.n, self.own)
         self.h = self.length[:, None, None]
         self.weights = self.length[:, None] * self.t.weights
-        self.cuts = np.append(self.mesh.start, problem.assembly.total_length)
+        self.cuts, self.tip_tube = problem.cuts, problem.tip_tube
         self.sections = sections = problem.here.sections
         points = self.pieces, self.degree
         self.phase, self.stiffness, self.moments = (
@@ -92,11 +91,14 @@ class Standing:
         self.offsets = (placed.offset, placed.offset_angle) if placed.eccentric else ()
         self.frame = frames_at_points(self.t, self.length, shape)
         self.axis = self.frame[..., 2]
+        self.across, self.about_axis = self.frame[..., :2].swapaxes(2, 3), hat(self.axis)
         self.end_frame = shape.frame[::STEPS]
         self._load(burden)
         self._moments()
-        theta = np.zeros((*points, self.n))
-        theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
+        theta = solved.reshape(-1, self.degree, self.n)
+        if len(theta) < self.pieces:
+            theta = np.zeros((*points, self.n))
+            theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
         self.theta = theta + self.phase
         # Of tubes that are straight here theta is not solved for, but follows.
         if straight or not self.mesh.collocated.all():
@@ -114,12 +116,13 @@ class Standing:
         self.load = None if burden is None else burden.load
         self.following = self.load is not None and self.load.frame == "tip"
         self.tip_force = self.tip_moment = np.zeros(3)
-        self.force = np.zeros((*points, 3))
+        self.force = np.zeros((*points, 3)) if burden is None else burden.force.reshape(*points, 3)
         if burden is not None:
             given = np.array(burden.load.force), np.array(burden.load.moment)
             tip = self.shape.frame[-1]
             self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in given)
-            self.force += burden.force.reshape(self.force.shape) + self.following * self.tip_force
+            if self.following:
+                self.force = self.force + self.tip_force
         self.along: Array | None = None
         self.felt = np.zeros(self.phase.shape)
         self.joints: list[tuple[int, int, Array]] = []
@@ -137,28 +140,46 @@ class Standing:
 
     def _moments(self) -> None:
         """The moment m at the points, and on the sides of plate and tip of the places between the pieces."""
-        kicks = np.zeros((self.pieces + 1, 3))
         if self.load is None:
-            self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros(self.axis.shape), kicks, kicks
+            none = np.zeros((self.pieces + 1, 3))
+            self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros(self.axis.shape), none, none
             self.bent = np.zeros((*self.axis.shape[:2], 2))
             return
-        fall = cross(self.axis, self.force)
+        fall = (self.about_axis @ self.force[..., None])[..., 0]
         if self.along is not None:
             fall += self.along
+        kicks = np.zeros((self.pieces + 1, 3)) if self.joints else None
         for k, _, moment in self.joints:
+            assert kicks is not None
             kicks[k] += moment
         self.moment, self.moment_tip_side, self.moment_plate_side = self._inwards(fall, kicks, self.tip_moment)
-        self.bent = (self.frame[..., :2].swapaxes(2, 3) @ self.moment[..., None])[..., 0]
+        self.bent = (self.across @ self.moment[..., None])[..., 0]
 
-    def _inwards(self, fall: Array, kicks: Array, tip: Array) -> tuple[Array, Array, Array]:
+    def _inwards(self, fall: Array, kicks: Array | None, tip: Array) -> tuple[Array, Array, Array]:
         """Integral from the tip of what falls (P, K, r) towards it and, with `kicks`, at places (P + 1, r): at the
         points, and on the sides of tip and plate of these places."""
-        whole = (self.weights[..., None] * fall).sum(1)
-        plate_side = np.zeros_like(kicks)
-        plate_side[:-1] = np.cumsum(whole[::-1], axis=0)[::-1]
-        plate_side += tip + np.cumsum(kicks[::-1], axis=0)[::-1]
-        tip_side = plate_side - kicks
-        return tip_side[:-1, None] - self.h * (self.t.adjoint @ fall), tip_side, plate_side
+        beyond = _beyond(self.pieces)
+        plate_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
+        tip_side = plate_side
+        if kicks is not None:
+            plate_side = plate_side + np.cumsum(kicks[::-1], axis=0)[::-1]
+            tip_side = plate_side - kicks
+        return tip_side[:-1, None] - self.back @ fall, tip_side, plate_side
+
+    @cached_property
+    def about_moment(self) -> Array:
+        """(P, K, 3, 3) matrices of a -> m x a."""
+        return hat(self.moment)
+
+    @cached_property
+    def back(self) -> Array:
+        """(P, K, K) integrals up to the points of what has t and m."""
+        return np.asarray(self.h * self.t.adjoint)
+
+    @cached_property
+    def ahead(self) -> Array:
+        """(P, K, K) integrals up to the points of what has phi and psi."""
+        return np.asarray(self.h * self.t.matrix)
 
     @property
     def tables(self) -> Given:
@@ -174,8 +195,9 @@ class Standing:
         fall = -gained.reshape(self.pieces, self.degree, self.n)
         if self.along is not None:
             fall += self.felt * (self.along * self.axis).sum(2)[..., None]
-        kicks = np.zeros((self.pieces + 1, self.n))
+        kicks = np.zeros((self.pieces + 1, self.n)) if self.joints else None
         for k, tube, moment in self.joints:
+            assert kicks is not None
             kicks[k, tube] += moment @ self.end_frame[k, :, 2]
         tip = np.zeros(self.n)
         if self.load is not None:
@@ -184,15 +206,9 @@ class Standing:
         self.stretched = self.torque * stretch
         """(P, K, n) g t."""
         turning = self.rate * self.stretched
-        whole = (self.weights[..., None] * turning).sum(1)
         first = self.base + self.transmission * self.torque_plate_side[0]
-        self.phi_ends = first + np.concatenate([np.zeros((1, self.n)), np.cumsum(whole, axis=0)])
-        self.phi = self.phi_ends[:-1, None] + self.h * (self.t.matrix @ turning)
-
-    @cached_property
-    def tip_tube(self) -> int:
-        """The tube that ends last, of several the innermost, on which a moment at the tip acts."""
-        return int(last_tube(self.problem.assembly.end))
+        self.phi_ends = first + _beyond(self.pieces)[::-1, ::-1] @ (self.weights[:, None] @ turning)[:, 0]
+        self.phi = self.phi_ends[:-1, None] + self.ahead @ turning
 
     @cached_property
     def coupled(self) -> Array | None:
@@ -225,3 +241,15 @@ class Standing:
         stretched = (self.rate * self.torque)[..., None] * own[3].reshape(*points, n, -1)
         energy[..., n:] += (self.torque[..., None, :] @ stretched)[..., 0, :] / 2
         return torque, curvature, energy, np.concatenate([self.coupled, stretched], axis=-1)
+
+
+@lru_cache(maxsize=16)
+def _kept(n: int, own: int) -> Index:
+    """Rows of the state that the chain is of."""
+    return np.concatenate([np.arange(own), n + 3 + np.arange(own)])
+
+
+@lru_cache(maxsize=64)
+def _beyond(pieces: int) -> Array:
+    """(P + 1, P) 1 where a piece lies beyond a place between pieces, 0 elsewhere."""
+    return np.triu(np.ones((pieces + 1, pieces)))
