@@ -250,6 +250,13 @@ CALLS: dict[str, Call] = {
     "save_table": (tubeopt.save_table, lambda: {"answer": home(), "path": DIRECTORY / "table.csv"}),
     "save_solid": (tubeopt.save_solid, lambda: {"equilibrium": home(), "path": DIRECTORY / "solid.stl"}),
     "save_robot": (tubeopt.save_robot, lambda: {"robot": PAIR, "path": DIRECTORY / "robot.yaml"}),
+    "load_measurements": (
+        tubeopt.load_measurements,
+        lambda: {"path": CONFIGS.parent / "experiments" / "example_poses.csv"},
+    ),
+    "load_study": (tubeopt.load_study, lambda: {"path": CONFIGS.parent / "studies" / "thesis_snap.yaml"}),
+    "plot_shape": (tubeopt.plot_shape, lambda: {"equilibrium": home()}),
+    "plot_shapes": (tubeopt.plot_shapes, lambda: {"equilibria": [home()]}),
     "load_robot": (tubeopt.load_robot, lambda: {"path": CONFIGS / "two_tube.yaml"}),
     "load_equilibrium": (tubeopt.load_equilibrium, lambda: {"directory": DIRECTORY}),
     "load_problem_solution": (tubeopt.load_problem_solution, lambda: {"directory": DIRECTORY}),

@@ -439,7 +439,7 @@ def test_every_kind_of_study_runs(run: Run, tmp_path: Path) -> None:
         (["snap", THESIS, "--to-mm", "0,nan,0"], "--to-mm[1] is NaN; it must be a finite number"),
         (
             ["snap", THESIS, "--from-deg", "1,0,0", "--to-deg", "1,0,0"],
-            "the way ends at the joint values at which it starts; give --to-deg or --to-mm others",
+            "start and end are the same joint values; give other values for --to-deg or --to-mm",
         ),
         (
             ["snap", THESIS, "--to-mm", "300,0,0"],

@@ -176,7 +176,7 @@ def test_folds_are_none_or_two_and_more(run: Run, value: str, code: int) -> None
     ("flags", "words"),
     [
         ("--fit curvture", "--fit: parameter 'curvture' is not known; did you mean 'curvature'?"),
-        ("--fit rotation_all,rotation_1", "--fit: parameter 'rotation_1' is named twice"),
+        ("--fit rotation_all,rotation_1", "--fit: parameter 'rotation_1' is given twice"),
         ("--compare --fit curvture", "--fit: effect 'curvture' cannot be compared; did you mean 'curvature'?"),
         ("--fit curvature --axis-noise-deg 1", "--axis-noise-deg is given, and the measurements have no directions"),
         *(

@@ -93,7 +93,7 @@ def test_what_cannot_be_is_left_out_and_what_is_late_is_compared_with_its_own_ti
 
 def test_other_robots_and_senseless_options_are_refused() -> None:
     etr = load_robot("configs/robots/thesis_etr.yaml")
-    with pytest.raises(InputError, match="concentric tubes"):
+    with pytest.raises(InputError, match="concentric robots only"):
         Observer(forward_kinematics(etr, np.zeros(3)))
     with pytest.raises(InputError, match="noise is 0"):
         ObserverOptions(noise=0.0)

@@ -63,7 +63,7 @@ def test_what_lies_beyond_the_arm_is_refused_or_remarked() -> None:
     ):
         forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.2, 0.3, PUSH),)))  # type: ignore[arg-type]
     with pytest.warns(
-        ImplausibleWarning, match=r"ends at 0\.3 m \(300 mm\), beyond the end of the arm; it acts as far"
+        ImplausibleWarning, match=r"ends at 0\.3 m \(300 mm\), beyond the end of the arm; it is cut at"
     ):
         cut = forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.1, 0.3, PUSH),)))  # type: ignore[arg-type]
     same = forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.1, 0.2, PUSH),)))  # type: ignore[arg-type]

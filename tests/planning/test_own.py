@@ -48,7 +48,7 @@ def test_own_cost_is_traded_for_length() -> None:
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    with pytest.raises(InputError, match="the cost height of the tip speaks of margin; on a path it may speak of"):
+    with pytest.raises(InputError, match="the cost height of the tip uses margin; on a path it may use"):
         planned(Height(what="margin"))
     with pytest.raises(InputError, match="extra_cost is 3; it must be an OwnObjective"):
         PlanOptions(extra_cost=3)  # type: ignore[arg-type]

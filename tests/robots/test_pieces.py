@@ -141,7 +141,7 @@ def dyadic_jump(s: float) -> float:
             "curved_length is 0.2 m; of a tube of",
         ),
         (lambda: tube_of(Piece(0.1, (0, 2000.0, 0))), "piece 1 is curved by 2000 per m; its radius must exceed"),
-        (lambda: EccentricRobot(tube_of(Piece(0.1, varying))), "tube 1 is made of pieces; an eccentric robot takes"),
+        (lambda: EccentricRobot(tube_of(Piece(0.1, varying))), "tube 1 is made of pieces; an eccentric robot supports"),
     ],
 )
 def test_what_is_no_tube_is_refused(make: Callable[[], object], message: str) -> None:

@@ -58,7 +58,7 @@ def test_every_file_reads_the_same_body(tmp_path: Path, written: dict[str, Any],
     ("written", "message"),
     [
         ({"kind": "spher"}, f"obstacles[0] is of kind 'spher'; {KINDS}; did you mean 'sphere'?"),
-        ({"radius_mm": 3}, f"obstacles[0] has no kind, and keys that tell none; {KINDS}"),
+        ({"radius_mm": 3}, f"obstacles[0] has no kind, and its keys do not determine one; {KINDS[4:]}"),
         ({"from_mm": [0, 0, 0], "to_mm": [0, 0, 1], "radius_mm": -1},
          "obstacles[0].radius_mm is -1; it must be greater than 0"),
     ],

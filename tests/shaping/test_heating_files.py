@@ -135,7 +135,7 @@ def test_logs_are_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"row 1 \(line 2\), column voltage_V is 'x'; it must be a number"):
         load_heating_log(file)
     file.write_text("time_s,duty\n0,3\n1,2\n2,2\n")
-    with pytest.raises(InputError, match=r"log.csv: the log holds neither temperature"):
+    with pytest.raises(InputError, match=r"log.csv: the log has neither temperature"):
         load_heating_log(file)
 
 

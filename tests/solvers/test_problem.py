@@ -46,7 +46,7 @@ def test_least_squares_within_bounds_that_change() -> None:
         assert found.objective == pytest.approx(cost, abs=1e-6)
     with pytest.raises(InputError, match=r"bounds of 'x' are \[1.0, 1.0\] to \[0.0, 0.0\]: out of order"):
         problem.set_bounds("x", 1.0, 0.0)
-    with pytest.raises(InputError, match="no constraint is called 'budge'; did you mean 'budget'"):
+    with pytest.raises(InputError, match="no constraint 'budge'; did you mean 'budget'"):
         problem.constraint("budge")
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError, extra, instance, positive, triple
 from ..files.csv_file import read_csv
 from ..files.files import read_bytes
@@ -39,7 +40,7 @@ AROUND = 0.25
 
 
 @dataclass(frozen=True)
-class Corridor:
+class Corridor(Displayed):
     """Everything but the points within `radius` of a polyline: a vessel, in which the arm must stay.
 
     With a radius for every point it goes linearly between them: the vessel is the union of such balls. It is closed at
@@ -114,7 +115,7 @@ def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class MeshObstacle:
+class MeshObstacle(Displayed):
     """A surface of triangles. A closed one bounds a body; an open one is avoided by the distance from its triangles.
 
     Raises:

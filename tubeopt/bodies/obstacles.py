@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..display import Displayed
 from ..errors import InputError, positive, triple
 from ..files.marks import POSITIVE, Usual, check_usual, unit
 from ..typing import Array
@@ -91,7 +92,7 @@ def as_points(points: ArrayLike) -> Array:
     return array
 
 
-class Measured:
+class Measured(Displayed):
     """A body that its `numbers` stand for, so that many of a kind are measured at once."""
 
     SOLID = True
@@ -270,7 +271,7 @@ class RoundCone(Axial):
 
 
 @dataclass(frozen=True)
-class HalfSpace:
+class HalfSpace(Displayed):
     """Everything behind a plane.
 
     Raises:

@@ -44,7 +44,7 @@ def at_most(value: Any, name: str) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
+class Command(Displayed):
     """What the tip shall do; what is None is free."""
 
     position: Vector | None = None
@@ -84,7 +84,7 @@ def check_places(command: Command, robot: Robot) -> None:
 
 
 @dataclass(frozen=True)
-class ServoOptions:
+class ServoOptions(Displayed):
     """How a servo moves."""
 
     speed: float = 0.05

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..block.own import OwnObjective
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
+from ..display import Displayed
 from ..errors import InputError, numbers, vector
 from ..files.marks import POSITIVE, OneOf, check_fields, unit
 from ..physics.torsion import cross_section
@@ -75,7 +76,7 @@ SLIGHT = 1e-7
 
 
 @dataclass(frozen=True)
-class Objective:
+class Objective(Displayed):
     """One aim of a design.
 
     kind:

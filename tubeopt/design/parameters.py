@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError, choice, finite, items, whole
 from ..robots.pieces import Slots
 from ..robots.tubes import STIFFNESSES, Tube, second_moment
@@ -59,7 +60,7 @@ GRADED = (*TUBE_FIELDS, *STIFFNESSES)
 
 
 @dataclass(frozen=True)
-class Free:
+class Free(Displayed):
     """A dimension of some tubes that the design may choose.
 
     Of the fields that begin with "piece_" every piece has its own value, or with "equal" all of them one; the lengths

@@ -15,6 +15,7 @@ from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
+from ..display import Displayed
 from ..errors import InputError, choice, finite, finite_array, instance, items, numbers, positive, triple, vector, whole
 from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
 from ..typing import Array
@@ -28,7 +29,7 @@ def _rows(name: str, values: Any) -> Rows:
 
 
 @dataclass(frozen=True)
-class SnapFree:
+class SnapFree(Displayed):
     """No snap at any rotation: certificate mu_cert >= margin.
 
     Over a box the worst case counts, found by exchange.

@@ -216,9 +216,9 @@ class JointSpace:
         n = self.robot.n_tubes
         words = []
         for k, name in enumerate(self.names):
-            close = CLOSE * self.scale[k]
-            if q[k] - self.lower[k] <= close or self.upper[k] - q[k] <= close:
-                unit = f"{np.degrees(q[k]):.4g} deg" if k < n else f"{q[k] * 1e3:.4g} mm"
+            end = self.lower[k] if q[k] - self.lower[k] <= self.upper[k] - q[k] else self.upper[k]
+            if abs(q[k] - end) <= CLOSE * self.scale[k] or not self.lower[k] < q[k] < self.upper[k]:
+                unit = f"{np.degrees(end):.4g} deg" if k < n else f"{end * 1e3:.4g} mm"
                 words.append(f"{name} at its end ({unit})")
         gap = self.rows @ q - self.least
         return words + [name for name, size in zip(self.row_names, gap, strict=True) if size <= CLOSE * self.length]

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError, finite, positive, vector
 from ..files.marks import Absent, unit
 from ..typing import Array
@@ -50,7 +51,7 @@ class SavedRegistration:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Displayed):
     """Joint values of the model from the readings of the drives, tube by tube:
 
         model = zero + gain * (reading - zero) + offset - compliance * force

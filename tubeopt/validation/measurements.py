@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..display import Displayed
 from ..errors import InputError, finite_array, items
 from ..typing import Array
 
@@ -51,7 +52,7 @@ class JointLog:
 
 @typed
 @dataclass(frozen=True, eq=False)
-class Measurements:
+class Measurements(Displayed):
     """N configurations with the positions that S sensors measured, and the direction in which the tip pointed.
 
     Sensors at the same distance behind the tip form a station, whose position is the mean over those that were seen.
