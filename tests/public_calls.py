@@ -252,7 +252,7 @@ CALLS: dict[str, Call] = {
     "save_robot": (tubeopt.save_robot, lambda: {"robot": PAIR, "path": DIRECTORY / "robot.yaml"}),
     "load_measurements": (
         tubeopt.load_measurements,
-        lambda: {"path": CONFIGS.parent / "experiments" / "example_poses.csv"},
+        lambda: {"path": CONFIGS.parent / "experiments" / "thesis_table_4_1.csv", "robot": THESIS},
     ),
     "load_study": (tubeopt.load_study, lambda: {"path": CONFIGS.parent / "studies" / "thesis_snap.yaml"}),
     "plot_shape": (tubeopt.plot_shape, lambda: {"equilibrium": home()}),

@@ -170,7 +170,7 @@ def test_wrong_names_are_told() -> None:
     near = forward_kinematics(EXAMPLE, TURNED, SHIFT)
     with pytest.raises(InputError, match="piece_curvature"):
         EquilibriumBlock(Problem(), near, tubes={"piece_curvatures": np.ones(6)})
-    with pytest.raises(InputError, match="piece_curvature.; for tubes made of pieces, give one of them"):
+    with pytest.raises(InputError, match=r"piece_curvature.; for tubes made of pieces, give one of them"):
         EquilibriumBlock(Problem(), near, tubes={"piece_curvature": np.ones(6), "curvature": np.ones(3)})
     with pytest.raises(InputError, match="6 finite numbers"):
         EquilibriumBlock(Problem(), near, tubes={"piece_plane": np.ones(4)})

@@ -267,7 +267,7 @@ def test_stroke_forces_are_of_given_poses() -> None:
     free, reach = (Free("curvature", (0,), 6.0, 12.0),), Reach((Target((0.0, 0.0, 0.1)),))
     with pytest.raises(InputError, match="objective stroke_force needs task poses with given joint values"):
         DesignTask(THESIS, free, (reach, HOME), Objective("stroke_force"))
-    with pytest.raises(InputError, match="requirement StrokeForce speaks of task poses with given joint values"):
+    with pytest.raises(InputError, match="requirement StrokeForce needs task poses with given joint values"):
         DesignTask(THESIS, free, (StrokeForce(0.1),), Objective("change"))
     with pytest.raises(InputError, match="it must be at most 10 N"):
         StrokeForce(11.0)

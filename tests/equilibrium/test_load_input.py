@@ -62,9 +62,7 @@ def test_what_lies_beyond_the_arm_is_refused_or_remarked() -> None:
         InputError, match=r"distributed\[0\] of the load begins at 0\.2 m \(200 mm\); .* 0\.2 m \(200 mm\)"
     ):
         forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.2, 0.3, PUSH),)))  # type: ignore[arg-type]
-    with pytest.warns(
-        ImplausibleWarning, match=r"ends at 0\.3 m \(300 mm\), beyond the end of the arm; it is cut at"
-    ):
+    with pytest.warns(ImplausibleWarning, match=r"ends at 0\.3 m \(300 mm\), beyond the end of the arm; it is cut at"):
         cut = forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.1, 0.3, PUSH),)))  # type: ignore[arg-type]
     same = forward_kinematics(THESIS, JOINTS, load=Load(distributed=((0.1, 0.2, PUSH),)))  # type: ignore[arg-type]
     assert np.allclose(cut.tip_position, same.tip_position, rtol=0, atol=1e-12)

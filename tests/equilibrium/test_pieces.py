@@ -358,7 +358,7 @@ def test_motion_along_the_arm_is_that_of_differences() -> None:
 
 
 def test_what_does_not_take_pieces_says_so() -> None:
-    with pytest.raises(InputError, match="tube 1 is made of pieces; .* one constant bending stiffness"):
+    with pytest.raises(InputError, match=r"tube 1 is made of pieces; .* one constant bending stiffness"):
         ROBOT.assembly(BETA).bending_stiffness * 2.0
 
 

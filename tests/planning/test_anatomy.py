@@ -257,7 +257,7 @@ def test_a_case_of_one_image_per_structure_is_that_of_all_its_labels(tmp_path: P
 WRONG = [
     ({"structures": [{"file": "no.nii"}]}, "no.nii: there is no such file"),
     ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}], "base": {"pose": "c.csv"}},
-     "c.csv: it must hold a matrix"),
+     "c.csv: it must contain only a matrix of four rows"),
     ({"points": [{"file": "c.csv", "radius_mm": 1}]}, "c.csv: the file does not state its axes, and none are given"),
     ({}, "anatomy has no image, structures, meshes or points; it must have one of them"),
     ({"points": [{"file": "c.csv", "radius_mm": 0}]}, r"anatomy.points\[0\].radius_mm is 0; it must be greater than 0"),

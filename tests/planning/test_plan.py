@@ -277,7 +277,9 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
     place: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tubeopt.planning.goals.inverse_kinematics", lambda *_, **__: pytest.fail("was asked"))
-    with pytest.raises(SolveError, match=r"no plan (exists: the goal is 3|was found: the searches did not reach the goal)"):
+    with pytest.raises(
+        SolveError, match=r"no plan (exists: the goal is 3|was found: the searches did not reach the goal)"
+    ):
         plan_trajectory(THESIS, HOME, place)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.planning import building
 from tubeopt.planning.effort import PlanEffort, Smoothing
+from tubeopt.planning.proof import proved
 from tubeopt.planning.question import asked
 from tubeopt.planning.reach import least_miss, step_constraints, way_around
 from tubeopt.robots.robot import Robot
@@ -188,13 +190,14 @@ def test_a_proof_that_is_out_of_time_says_so() -> None:
     assert verify_trajectory(THESIS, t, ways, clock=Clock(60.0)).holds
 
 
-def unproved(*arguments: object, **keywords: object) -> object:
+def unproved(*arguments: Any) -> object:
     """The proof as it is when time is over after its first steps."""
-    return verify_trajectory(*arguments, **{**keywords, "clock": Clock(0.0)})  # type: ignore[arg-type]
+    *given, _, effort = arguments
+    return proved(*given, Clock(0.0), effort)
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(building, "verify_trajectory", unproved)
+    monkeypatch.setattr(building, "proved", unproved)
     found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
     assert isinstance(found, Trajectory)
     assert not found.proved
@@ -206,7 +209,7 @@ def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.Mon
 def test_the_command_ends_with_4_where_the_proof_is_missing(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(building, "verify_trajectory", unproved)
+    monkeypatch.setattr(building, "proved", unproved)
     monkeypatch.setattr("tubeopt.show.plots.trajectory.animate_trajectory", lambda *_: None)
     study = tmp_path / "plan.yaml"
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")

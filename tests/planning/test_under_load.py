@@ -303,11 +303,11 @@ def test_plans_of_a_loaded_robot_end_where_its_loaded_tip_is_wanted() -> None:
 @pytest.mark.parametrize(
     ("load", "options", "words"),
     [
-        (Load(distributed=lambda s: (s, 0, 0)), PlanOptions(), "a function of the arc length, under which no motion"),
+        (Load(distributed=lambda s: (s, 0, 0)), PlanOptions(), "a function of the arc length; no trajectory"),
         (
             Load(force=(0, 0, 0.01), frame="tip"),
             PlanOptions(),
-            "a force or a moment that turns with the tip, under which",
+            "a force or a moment that turns with the tip; no trajectory",
         ),
     ],
 )

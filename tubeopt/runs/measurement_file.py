@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from ..arguments import typed
 from ..errors import InputError, nearest
 from ..files.csv_file import CsvTable, read_csv, refuse, to_csv
 from ..files.files import write_text
@@ -30,6 +31,7 @@ MIRROR = {"direction_deg": "direction", "separation_deg": "separation"}
 ASSIGNMENT, NOTE = "assignment", "note"
 
 
+@typed
 def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
     """The measurements of `robot` in a CSV file, or those that a YAML file describes (see `load_mapped`).
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import cast
 
+from ..arguments import typed
 from ..errors import InputError
 from ..files.checked import check_kind
 from ..files.shipped import found
@@ -48,6 +49,7 @@ STUDY_KINDS = Kinds(
 """What the key `kind` of a study file may say."""
 
 
+@typed
 def load_study(path: str | PathLike[str]) -> Study:
     """The study in a YAML file, or of this name, its robot loaded; call its `run` for the answer.
 

@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...arguments import typed
 from ...equilibrium.result import Equilibrium
+from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array, Mask
 from ..arm_surfaces import Bundle, Centreline, Detail, bundles, plate_part, plate_radius, robot_parts, visible
@@ -44,6 +46,7 @@ PRINTED, CLOSE_UP = Detail(24, 160, even=True), Detail(72, 24, even=True)
 
 
 @picture
+@typed
 def plot_shape(
     equilibrium: Equilibrium,
     *,
@@ -105,6 +108,7 @@ def plot_equilibria(equilibria: Sequence[Equilibrium], *, view: tuple[float, flo
 
 
 @picture
+@typed
 def plot_shapes(
     equilibria: Sequence[Equilibrium],
     *,
@@ -126,6 +130,10 @@ def plot_shapes(
         >>> len(figure.axes)
         3
     """
+    if not equilibria:
+        raise InputError("equilibria is empty; it must have at least one equilibrium")
+    if titles is not None and len(titles) != len(equilibria):
+        raise InputError(f"titles has {len(titles)} texts; it must have one for each of {len(equilibria)} equilibria")
     figure = new_figure(1.6 + 2.8 * len(equilibria), 4.8)
     scenes, _ = draw_scenes(figure, equilibria, [()] * len(equilibria), view)
     for scene, equilibrium, title in zip(scenes, equilibria, titles or [""] * len(equilibria), strict=True):

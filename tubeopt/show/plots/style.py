@@ -122,10 +122,11 @@ def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
 
     @wraps(draw)
     @styled
-    def wrapper(data: D, path: str | PathLike[str] | None = None, /, *args: P.args, **kwargs: P.kwargs) -> Figure:
-        return finish(draw(data, *args, **kwargs), path)
+    def wrapper(*given: Any, **keywords: Any) -> Figure:
+        path = given[1] if len(given) > 1 else None
+        return finish(draw(*given[:1], *given[2:], **keywords), path)
 
-    return wrapper
+    return cast(Picture[D, P], wrapper)
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
