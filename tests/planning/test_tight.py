@@ -215,7 +215,7 @@ def test_the_command_ends_with_4_where_the_proof_is_missing(
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")
     outcome = run(command, str(study), "--out", str(tmp_path / "out"))
     assert outcome.code == 4
-    assert "a motion was found, but it is not proved" in outcome.err
+    assert "a trajectory was found, but it is not proved" in outcome.err
     assert "not proved" in (tmp_path / "out" / "trajectory.csv").read_text().split("time_s")[0]
     assert '"proved": false' in (tmp_path / "out" / "plan.json").read_text()
 
