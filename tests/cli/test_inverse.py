@@ -127,14 +127,14 @@ def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -
     assert data["solutions"][1]["status"] == "CLOSEST"
     outcome = run(*asked, "--out", str(tmp_path / "out"))
     assert outcome.code == 0
-    assert "target 2: no answer was found" in outcome.out
+    assert "target 2: target not reached" in outcome.out
     rows = list(csv.DictReader((tmp_path / "out" / "solutions.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["REACHED", "FAILED"]
     assert "short" in rows[1]["problem"]
     table.write_text("x_mm,y_mm,z_mm\n0,0,200\n")
     outcome = run(*asked)
     assert outcome.code == 3
-    assert "none of 1 targets was reached; the first: no answer was found" in outcome.err
+    assert "none of 1 targets was reached; the first: target not reached" in outcome.err
     outcome = run(*asked, "--closest")
     assert outcome.code == 3
     assert "none of 1 targets was reached; the first: 106 mm short" in outcome.err
@@ -171,9 +171,7 @@ def test_a_target_out_of_reach_fails_with_3(run: Run) -> None:
     assert "mm short" in outcome.err
     outcome = run(*asked, "--closest", "--json")
     (message,) = answer(outcome, 3)["error"]["messages"]
-    assert message.startswith(
-        "the target was reached from no start; this is the closest pose that was found: 106 mm short"
-    )
+    assert message.startswith("target not reached; the closest pose is shown: 106 mm short")
     (found,) = json.loads(outcome.out)["solutions"]
     assert found["status"] == "CLOSEST"
     assert found["position_error_mm"] == pytest.approx(106, abs=0.5)

@@ -309,8 +309,8 @@ def test_a_snap_beyond_the_limits_is_not_said_to_be_inside(run: Run, tmp_path: P
 
 def test_the_help_and_a_study_say_how_certify_ends(run: Run, tmp_path: Path) -> None:
     text = one_line(run("certify", "--help").out)
-    assert f"All is said {ASSUMING}." in text
-    assert "Ends with 0 if it cannot snap, 3 if it can, 4 if neither is known" in text
+    assert f"{ASSUMING}." in text
+    assert "Exit code 0: proved that it cannot snap. 3: a snap was found. 4: undecided." in text
     study = tmp_path / "study.yaml"
     for certificate, code in ((0.1, 0), (-0.9, 3)):
         scaled(concentric(THESIS), certificate, tmp_path / "robot.yaml")

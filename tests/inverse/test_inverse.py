@@ -280,7 +280,7 @@ class TestObstacles:
 class TestOutOfReach:
     def test_the_message_says_by_how_far_and_why(self) -> None:
         with pytest.raises(
-            SolveError, match=r"^no answer was found in \d+ starts: [\d.]+ mm short: .*(at its end|touching)"
+            SolveError, match=r"^target not reached in \d+ starts: [\d.]+ mm short: .*(at its end|touching)"
         ):
             inverse_kinematics(THESIS, [0, 0, 0.6], options=InverseOptions(starts=2))
 
@@ -603,7 +603,7 @@ def test_an_answer_pickles() -> None:
 def test_a_time_limit_ends_the_search() -> None:
     far = [0.0, 0.0, 2.0]
     inverse_kinematics(THESIS, forward_kinematics(THESIS, [0.3, 0.2, 0.1]).tip_position)  # the table is built
-    with pytest.raises(SolveError, match=r"was found within 0\.001 s") as told:
+    with pytest.raises(SolveError, match=r"target not reached within 0\.001 s") as told:
         inverse_kinematics(THESIS, far, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
     assert told.value.solution.statistics.tries == 1
     assert told.value.solution.status is InverseStatus.TIMED_OUT

@@ -72,7 +72,7 @@ def test_a_plan_under_any_force() -> None:
     assert found.proof.least_clearance >= 1e-3
     assert found.proof.forced is not None
     assert found.proof.forced.max_force == 0.02
-    with pytest.raises(SolveError, match="no plan can be proved: with translations of 0, 0 mm the margin is only"):
+    with pytest.raises(SolveError, match="no plan can be proved: at translations 0, 0 mm the proved margin is"):
         plan_trajectory(FINE, *ends, options=replace(rest, max_force=2.0))
 
 
@@ -173,7 +173,7 @@ def test_a_plan_under_a_load_and_any_further_force() -> None:
             assert e.margin >= found.proof.least_margin
             room = body.signed_distance(e.position).min() - FINE.tubes[-1].outer_diameter / 2
             assert room >= found.proof.least_clearance
-    with pytest.raises(SolveError, match="no plan can be proved: with translations of 0, 0 mm the margin is only"):
+    with pytest.raises(SolveError, match="no plan can be proved: at translations 0, 0 mm the proved margin is"):
         plan_trajectory(FINE, *ends, options=replace(rest, max_force=2.0), load=load)
 
 
