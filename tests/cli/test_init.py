@@ -6,6 +6,7 @@ import os
 import pty
 import re
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -180,6 +181,7 @@ def talk(*arguments: str, answers: list[str]) -> tuple[int, str]:
     """Exit code and what a terminal shows of a command whose questions are answered."""
     child, terminal = pty.fork()
     if child == 0:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # a job in the background ignores it, and so would its child
         os.execv(sys.executable, [sys.executable, "-c", SCRIPT, *arguments])
     shown, left, end = b"", list(answers), time.monotonic() + 60
     while time.monotonic() < end:

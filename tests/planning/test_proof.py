@@ -183,7 +183,7 @@ def test_a_snap_is_put_where_it_is(samples: int) -> None:
     assert proof.snap is not None
     assert proof.snap * 270 == pytest.approx(snap.fraction * 270, abs=1e-6)
     assert proof.least_margin == 0.0
-    assert "79.34" in proof.faults[0]
+    assert "79.3 %" in proof.faults[0]
 
 
 def test_the_least_margin_is_that_of_all_times() -> None:

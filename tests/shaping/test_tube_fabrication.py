@@ -109,7 +109,7 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
     assert not made.heating.feasible
     assert not made.agreed
     assert "mm from clamp to bend, the mold has" in made.disagreement
-    assert "leaves the plate" in made.disagreement
+    assert "does not fit on the plate" in made.disagreement
     assert "an even gap of 50 um (gap_um); one with 50 um on either side of this tube comes to 8" in made.remarks[0]
 
 

@@ -303,7 +303,7 @@ def test_boxes_move_carriages() -> None:
     samples = [snap_free_certificate(robot, np.full(3, shift)) for shift in np.linspace(-0.01, 0.01, 9)]
     assert worst.certificate.margin <= min(samples) + 1e-9
     assert np.ptp(worst.certificate.translations) == 0
-    with pytest.raises(InputError, match="lower differs between tubes 1, 2, 3, which move together"):
+    with pytest.raises(InputError, match="lower differs between tubes 1, 2, 3; they move together"):
         worst_certificate(robot, [-0.01, 0.0, 0.0], np.zeros(3))
 
 

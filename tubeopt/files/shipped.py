@@ -10,7 +10,7 @@ import logging
 import os
 import re
 from collections.abc import Mapping
-from functools import cache
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 
@@ -37,7 +37,7 @@ ALIKE = 0.5
 """Part of a name that must be another one's, for that to be proposed."""
 
 
-@cache
+@lru_cache(maxsize=16)
 def shipped(folder: str = "*") -> Mapping[str, Path]:
     """Name -> path of every file that comes with tubeopt, or of those in a folder: "robots", "rigs", "studies", ..."""
     files = sorted(path for ending in ENDINGS for path in FOLDER.glob(f"{folder}/*{ending}"))
