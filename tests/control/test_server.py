@@ -229,7 +229,7 @@ def test_one_commands_and_many_watch_and_a_commander_that_is_killed_stops_the_ro
                 await told(refused, "welcome")
         watchers = [await client(server, "watcher") for _ in range(20)]
         await watchers[0].send(json.dumps({"op": "state_command", "command": "enable"}))
-        assert "observer; it cannot send commands" in (await told(watchers[0], "error"))["words"]
+        assert "watcher; it cannot send commands" in (await told(watchers[0], "error"))["words"]
         await commander.send(json.dumps({"op": "state_command", "command": "enable"}))
         await commander.send(json.dumps({"op": "servo_cv", "linear": [0.02, 0, 0]}))
         await asyncio.sleep(0.05)

@@ -20,7 +20,7 @@ def checked(name: str, margin: Any) -> Any:
     if symbolic(margin):
         return margin
     if not finite(name, margin) < 1:
-        raise InputError(f"{name} is {float(margin):g}; it must be below 1, the margin without coupling")
+        raise InputError(f"{name} is {float(margin):g}; it must be below 1")
     return ca.DM(float(margin))
 
 

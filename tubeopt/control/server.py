@@ -300,7 +300,7 @@ class RobotServer:
         client.left -= 1
         try:
             if not client.commander:
-                raise InputError("this client is an observer; it cannot send commands")
+                raise InputError("this client is a watcher; it cannot send commands")
             told = _read(message)
             with self._robot_in_hand:
                 self.robot.command(told, self._clock())
