@@ -148,6 +148,7 @@ def test_a_sweep(run: Run) -> None:
         (("robot", "--inner-diameter-mm", "2"), "inner_diameter_mm is 2; it must be less than outer_diameter_mm (1)"),
         (("robot", "--material", "steel"), "material is 'steel'; it must be nitinol or"),
         (("robot", "--tubes", "0"), "--tubes is 0; it must be at least 1"),
+        (("robot", "--tubes", "99"), "--tubes is 99; it must be at most 6"),
         (("rig", "--mold", "wood"), "mold.material is 'wood'; it must be "),
         (("rig", "--radius-mm", "80,90"), "several tubes are given"),
         (("robot", "--format", "pdf"), "there is no option --format"),

@@ -70,7 +70,7 @@ class NewTubes(Entry):
 
     usual_count: ClassVar = USUAL_COUNT
 
-    tubes: Count | None = Field(None, description="number of tubes")
+    tubes: Count | None = Field(None, le=6, description="number of tubes, at most 6")
     outer_diameter_mm: list[Number] | None = Field(None, description="outer diameter of every tube, inner to outer")
     inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter")
     straight_length_mm: list[Number] | None = Field(None, description="length of the straight part, from the held end")
