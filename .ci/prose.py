@@ -30,7 +30,6 @@ LONGEST = 30
 PENDING = (
     "label *",
     "docstring *",
-    "CHANGELOG.md",
     "CONTRIBUTING.md",
     *(
         f"docs/{page}.md"
