@@ -108,11 +108,17 @@ def quaternion_rates() -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=1)
-def tangent_forms() -> NDArray[np.float64]:
-    """(3, 4, 4) symmetric matrices T_i with t_i = Q' T_i Q, the tangent R e3 of a unit quaternion Q."""
+def frame_forms() -> NDArray[np.float64]:
+    """(3, 3, 4, 4) symmetric matrices T_ij with R_ij = Q' T_ij Q, the frame R of a unit quaternion Q."""
     q = ca.SX.sym("q", 4)
-    tangent = rotation_matrix(q)[:, 2]
-    return np.array([ca.evalf(ca.hessian(tangent[i], q)[0]).full() / 2 for i in range(3)])
+    frame = rotation_matrix(q)
+    return np.array([[ca.evalf(ca.hessian(frame[i, j], q)[0]).full() / 2 for j in range(3)] for i in range(3)])
+
+
+@lru_cache(maxsize=1)
+def tangent_forms() -> NDArray[np.float64]:
+    """(3, 4, 4) of them for the tangent R e3."""
+    return frame_forms()[:, 2].copy()
 
 
 @lru_cache(maxsize=1)

@@ -1,16 +1,14 @@
-"""Dead moments on a loaded arm: their virtual work, which no energy has, and its derivatives.
+"""What dead moments on a loaded arm twist: the part of them along the arm, which no energy has, and its derivatives.
 
-A moment m of fixed direction acts on tube j, where the arm has the quaternion Q and the tangent t. In a small motion
-the frame turns by dpsi = 2 (Z Q)' dQ about world axes, and the tube by dtheta about the tangent. The work is
+A moment m of fixed direction acts on tube j, where the arm has the tangent t. In a small motion the frame turns by dpsi
+about world axes, and the tube by dtheta about the tangent. The work is
 
-    m.dpsi + tau dtheta,        tau = m.t,
+    m.dpsi + tau dtheta,        tau = m.t.
 
-so that the moment bends all tubes, and its part along the arm twists the tube on which it acts: at the tip that which
-ends last, of several the innermost; elsewhere the outermost one. At a joint between pieces m is the moment itself; a
-moment per length acts at the collocation points, times their weights.
-
-The equations are linear in m: the adjoint sweep takes 2 (m.Z) Q from the quaternion, and the torsion takes tau. Since
-m.Z is antisymmetric, the Jacobian is not symmetric: the work depends on the path.
+The first part bends all tubes up to there: `loaded` has it beside that of forces, with the sum of all moments ahead. Here
+is the second: the tube on which m acts is at the tip the one that ends last, of several the innermost; elsewhere the
+outermost one. At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times
+their weights. The work depends on the path, so that the Jacobian is not symmetric.
 """
 
 from __future__ import annotations
@@ -19,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...physics.shape import world_turns
 from ...robots.load import Load
 from ...robots.order import last_tube, twisted_tube
 from ...typing import Array, Index
@@ -55,23 +52,12 @@ class Couples:
         """(C,) tau = m.t of moments (C, 3)."""
         return np.asarray((moment * tangents(self.quaternions(along))).sum(1))
 
-    @staticmethod
-    def turning(moment: Array) -> Array:
-        """(C, 4, 4) matrices 2 m.Z of moments (C, 3)."""
-        return np.asarray((2 * moment @ world_turns().reshape(3, 16)).reshape(-1, 4, 4))
-
-    def forms(self, moment: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """(P + 1, 4, 4) and (N, 4, 4) matrices 2 m.Z at the joints and at the points of (P + 1, N)."""
-        turning = self.turning(moment)
-        out = np.zeros((shape[0], 4, 4)), np.zeros((shape[1], 4, 4))
-        for each, place, part in zip(out, (self.joint, self.point), np.split(turning, [len(self.joint)]), strict=True):
-            np.add.at(each, place, part)
-        return out
-
-    def torque_slopes(self, along: Orientation, moment: Array, turned: Array) -> Array:
-        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature."""
+    def torque_slopes(self, along: Orientation, moment: Array, turned: Array, *, following: bool) -> Array:
+        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature; a moment at the
+        tip that is `following` turns with the tangent."""
         slope = np.concatenate([along.begin_slope[self.joint], along.stage_slope[self.point]])
         leaning = (moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
+        leaning[:1] *= not following
         return np.asarray((leaning[:, None] @ slope)[:, 0] @ turned)
 
 

@@ -13,8 +13,9 @@ t the tangent from the orientation that u gives. grad E = 0 are the collocated e
 bending moment m = dW/du / B, and the least eigenvalue of the Hessian is the margin. Without load the Hessian is that of
 `reduced` beside the identity.
 
-Moments (`couples`) and forces that turn with the tip have no such W: their equations are the same, with what the load
-does in a small motion in place of the derivatives of W, and a Jacobian that is not symmetric.
+Moments and forces that turn with the tip have no such W: their equations are the same, with what the load does in a
+small motion in place of the derivatives of W, and a Jacobian that is not symmetric. With the sum m of the moments ahead
+the arm feels B (R'm)_xy beside dW/du, R the frame from the orientation, and each moment twists its tube (`couples`).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import frame_forms, rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
 from ...typing import Array, Index
 from .buffered import section_function
@@ -41,15 +42,20 @@ class LoadedProblem:
     Attributes:
         torsion: the problem of the rotations, on a mesh all of whose pieces have collocation points.
         load: what pushes.
-        force: (N, 3) n at the points by the loads in world axes, N.   base_force: (3,) all of them.
+        ahead: (N, 6) force n, N, and moment m, N m, of what acts beyond the points in world axes.   base: (6,) all of it.
         couples: the moments, where the load has no energy.
     """
 
     torsion: ReducedProblem
     load: Load
-    force: Array
-    base_force: Array
+    ahead: Array
+    base: Array
     couples: Couples | None
+
+    @cached_property
+    def force(self) -> Array:
+        """(N, 3) n."""
+        return np.ascontiguousarray(self.ahead[:, FORCE])
 
     @property
     def spread(self) -> Array:
@@ -148,9 +154,8 @@ class Loading:
 def load_problem(torsion: ReducedProblem, load: Load, density: Array) -> LoadedProblem:
     """Set up a problem; `density` (n,) is the mass per length of the tubes, kg/m."""
     along = _per_length(torsion.mesh, load, torsion.assembly.present @ density)
-    force, base = _forces(torsion.mesh, load, along[..., FORCE])
     couples = None if load.has_energy else couples_of(torsion, load, along[..., MOMENT].reshape(-1, 3), torsion.spread)
-    return LoadedProblem(torsion, load, force, base, couples)
+    return LoadedProblem(torsion, load, *_ahead(torsion.mesh, load, along), couples)
 
 
 @lru_cache(maxsize=64)
@@ -170,25 +175,23 @@ def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:
     return along
 
 
-def _forces(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
-    """Force (N, 3) on the cross-sections at the points, and (3,) at the plate, of loads in world axes; `along`
-    (P, K, 3) is what there is per length."""
+def _ahead(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
+    """Force and moment (N, 6) of what acts beyond the points, and (6,) beyond the plate, of loads in world axes; `along`
+    (P, K, 6) is what there is per length."""
     s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
-    out, base = np.zeros((*s.shape, 3)), np.zeros(3)
+    out, base = np.zeros((*s.shape, 6)), np.zeros(6)
     if along.any():
         h, t = mesh.length[:, None, None], mesh.tableau
         whole = (h * along * t.weights[:, None]).sum(1)
         ahead = np.cumsum(whole[::-1], axis=0)[::-1]
         # From each point to the end of its piece, then the pieces ahead.
         out, base = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None], ahead[0].copy()
-    for part in load.points:
+    at_tip = np.array([*load.force, *load.moment]) * (load.frame == "world")
+    for at, part in (*((part.at, np.array([*part.force, *part.moment])) for part in load.points), (np.inf, at_tip)):
         # At the end of the arm, within round-off, a force acts on all of it.
-        out[s < part.at] += part.force
-        base += part.force
-    if load.frame == "world":
-        out += load.force
-        base += load.force
-    return out.reshape(-1, 3), base
+        out[s < at] += part
+        base += part
+    return out.reshape(-1, 6), base
 
 
 def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float = 1.0) -> LoadedState:
@@ -210,24 +213,21 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
     along = orient(mesh, curvature)
     push = _push(problem, along)
-    forms, kicks, couples = (
-        ((2 * weight[:, None] * push.force) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4),
-        None,
-        problem.couples,
-    )
+    forms = ((2 * weight[:, None] * push.ahead[:, FORCE]) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
+    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0])
+    felt, work, couples = swept.gradient, second_derivative(along, swept, forms), problem.couples
     if couples is not None:
-        at_joints, at_points = couples.forms(push.moment, (len(along.begin), count))
-        forms, kicks = forms + at_points, (at_joints @ along.begin[:, :, None])[:, :, 0]
-    swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0], kicks)
-    felt = swept.gradient
+        bending = (weight[:, None] * push.ahead[:, MOMENT]) @ frame_forms()[:, :2].reshape(3, 32)
+        leaning = (bending.reshape(count, 8, 4) @ along.stage[:, :, None]).reshape(count, 2, 4)
+        felt = felt + (leaning @ along.stage[:, :, None])[:, :, 0]
+        work += (2 * leaning @ along.stage_slope).reshape(2 * count, 2 * count)
     # Torque on the tubes per length: of the cross-section at its own curvature.
     torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
-    work = second_derivative(along, swept, forms)
     softened = stiff.copy()
     softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
     pull, joint_torques = -(felt.ravel() @ turned), np.zeros(1)
     if couples is not None:
-        joints, twisting = len(couples.joint), couples.torques(along, push.moment)
+        joints, twisting = len(couples.joint), couples.torques(along, push.twisting)
         pull[:split] -= twisting @ couples.row
         torque[couples.point, couples.tube[joints:]] -= factor * twisting[joints:] / weight[couples.point]
         joint_torques = factor * twisting[:joints]
@@ -235,20 +235,20 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
     hessian = _hessian(problem, factor, turned[:, :split], softened, work)
     if couples is not None:
-        hessian -= factor * _unsymmetric(problem, along, push, turned)
+        hessian -= factor * _turned_on(problem, along, push, turned)
     return LoadedState(
         x=x,
         factor=factor,
         theta=theta,
         curvature=curvature,
         energy=float(x @ x) / 2 + float(weight @ bend[:, 0]),
-        work=factor * float(weight @ (push.force * tangents(along.stage)).sum(1)) if couples is None else np.nan,
+        work=factor * float(weight @ (problem.force * tangents(along.stage)).sum(1)) if couples is None else np.nan,
         gradient=gradient,
         hessian=hessian,
         pull=pull,
         torque=torque,
         joint_torques=joint_torques,
-        base_moment=factor * (world_turns() @ along.begin[0] @ swept.base)[:2] / 2,
+        base_moment=factor * (world_turns() @ along.begin[0] @ swept.base / 2 + push.base[MOMENT])[:2],
         orientation=along,
         turned=turned,
     )
@@ -274,42 +274,42 @@ def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: A
 
 @dataclass(frozen=True, eq=False)
 class _Push:
-    """The whole load at an orientation of the tip, in world axes: force (N, 3) on the cross-sections; the force (3,) at
-    the tip that turns with it; moments (C, 3)."""
+    """The whole load at an orientation of the tip, in world axes: force and moment beyond the points, `ahead` (N, 6),
+    and beyond the plate, `base` (6,); `turning` (6,) at the tip, which turns with it; `twisting` moments (C, 3)."""
 
-    force: Array
+    ahead: Array
+    base: Array
     turning: Array
-    moment: Array
+    twisting: Array
 
 
 def _push(problem: LoadedProblem, along: Orientation) -> _Push:
-    if problem.couples is None:
-        return _Push(problem.force, np.zeros(3), np.zeros((0, 3)))
-    moment = problem.couples.moment
+    twisting = np.zeros((0, 3)) if problem.couples is None else problem.couples.moment
     if problem.load.frame == "world":
-        return _Push(problem.force, np.zeros(3), moment)
+        return _Push(problem.ahead, problem.base, np.zeros(6), twisting)
     frame = tip_frame(along)
-    force = frame @ problem.load.force
-    return _Push(problem.force + force, force, np.concatenate([(frame @ moment[0])[None], moment[1:]]))
+    turning = np.concatenate([frame @ problem.load.force, frame @ problem.load.moment])
+    twisting = np.concatenate([turning[None, MOMENT], twisting[1:]])
+    return _Push(problem.ahead + turning, problem.base + turning, turning, twisting)
 
 
-def _unsymmetric(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
-    """(U + 2 N, U + 2 N) what moments and following forces add to the derivative of what the load does, beside what
-    `second_derivative` has of the points."""
-    couples = problem.couples
-    assert couples is not None
-    joints = len(couples.joint)
-    slopes = along.begin_slope[couples.joint] @ turned
-    turning = couples.turning(push.moment[:joints])
-    out = slopes.reshape(4 * joints, -1).T @ (turning @ slopes).reshape(4 * joints, -1)
-    twisting = couples.torque_slopes(along, push.moment, turned)
+def _torque_slopes(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
+    """(C, U + 2 N) derivative of the torques by which moments twist their tubes."""
+    assert problem.couples is not None
+    following = problem.load.frame == "tip"
+    return problem.couples.torque_slopes(along, push.twisting, turned, following=following)
+
+
+def _turned_on(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
+    """(U + 2 N, U + 2 N) what a load that turns with the tip, and the torques of moments, add to the derivative of what
+    the load does."""
+    assert problem.couples is not None
+    out = np.zeros((problem.size, problem.size))
     if problem.load.frame == "tip":
         reach, turn = _tip(problem, along, turned)
-        out -= reach.T @ _cross(push.turning) @ turn + turn.T @ _cross(push.moment[0]) @ turn
-        # The tangent turns with the tip, and so does the moment there.
-        twisting[0] = 0.0
-    out[: len(problem.tip_row)] += couples.row.T @ twisting
-    return np.asarray(out)
+        out -= (reach.T @ _cross(push.turning[FORCE]) + turn.T @ _cross(push.turning[MOMENT])) @ turn
+    out[: problem.torsion.size] += problem.couples.row.T @ _torque_slopes(problem, along, push, turned)
+    return out
 
 
 def _cross(a: Array) -> Array:
@@ -353,9 +353,7 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
     if problem.couples is not None:
         push = _push(problem, state.orientation)
-        twisting = problem.couples.torque_slopes(state.orientation, push.moment, state.turned)
-        if problem.load.frame == "tip":
-            twisting[0] = 0.0
+        twisting = _torque_slopes(problem, state.orientation, push, state.turned)
         out[3:] += state.factor * np.outer(tangent, problem.couples.unseen @ twisting @ answer)
     return np.asarray(out)
 
@@ -371,7 +369,7 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     alike = np.where(tube[:, None] == tube, np.minimum(lever[:, None], lever), 0.0)
     size, vectors = np.linalg.eigh(alike - row @ row.T)
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
-    twisting = couples.torque_slopes(state.orientation, _push(problem, state.orientation).moment, state.turned)
+    twisting = _torque_slopes(problem, state.orientation, _push(problem, state.orientation), state.turned)
     across = -state.factor / 2 * root @ twisting[:joints]
     both = (state.hessian + state.hessian.T) / 2
     return np.block([[both, across.T], [across, np.eye(joints)]])
@@ -388,7 +386,7 @@ def base_wrench(problem: LoadedProblem, state: LoadedState) -> Array:
 
     The moment in bending is that which bends the arm at the plate, the moment in torsion that of all tubes there.
     """
-    force = state.factor * (problem.base_force + _push(problem, state.orientation).turning)
+    force = state.factor * _push(problem, state.orientation).base[FORCE]
     torque = float(state.joint_torques.sum() - problem.torsion.weight @ state.torque.sum(1))
     return np.concatenate([force, state.base_moment, [torque]])
 

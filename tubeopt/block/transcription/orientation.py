@@ -82,8 +82,7 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
 
 @dataclass(frozen=True, eq=False)
 class Adjoint:
-    """Derivatives of W, a sum of functions of Q at the points and between the pieces: by the curvature, and by Q at the
-    plate.
+    """Derivatives of W, a sum of functions of Q at the points: by the curvature, and by Q at the plate.
 
     gradient: (N, 2).  mixed: (N, 2, 4) second derivatives by the curvature and by Q, both at the same point.
     base: (4,) dW/dQ at the plate.
@@ -94,16 +93,15 @@ class Adjoint:
     base: Array
 
 
-def adjoint(mesh: Mesh, of: Orientation, stage: Array, begin: Array | None = None) -> Adjoint:
-    """One sweep from the tip to the plate; `stage` (N, 4) and `begin` (P + 1, 4), by default 0, are the derivatives of
-    W by Q at the points, and where pieces begin and at the tip."""
+def adjoint(mesh: Mesh, of: Orientation, stage: Array) -> Adjoint:
+    """One sweep from the tip to the plate; `stage` (N, 4) are the derivatives of W by Q at the points."""
     pieces, k = len(mesh.length), mesh.tableau.degree
     half, weights = mesh.length / 2, mesh.tableau.weights
     local = stage.reshape(pieces, 4 * k)
     driven = (local[:, None, :] @ of.spread)[:, 0]
-    carried = np.zeros((pieces + 1, 4)) if begin is None else begin.copy()
+    carried = np.zeros((pieces + 1, 4))
     for e in reversed(range(pieces)):
-        carried[e] += driven[e] + carried[e + 1] @ of.carried[e]
+        carried[e] = driven[e] + carried[e + 1] @ of.carried[e]
     pulled = carried[1:, None, None, :] @ of.rate.reshape(pieces, k, 4, 4)
     right = local + (half[:, None, None] * weights[:, None] * pulled[:, :, 0]).reshape(pieces, 4 * k)
     multiplier = (right[:, None, :] @ of.inverse).reshape(pieces, k, 4)

@@ -167,7 +167,7 @@ def _structure(rules: LoadedRules) -> Any:
     arrays = list(shared.values())
     for one in problems:
         own = one.torsion
-        arrays += [own.stiffness, own.moment, own.phase, own.here.rate, one.force, one.base_force]
+        arrays += [own.stiffness, own.moment, own.phase, own.here.rate, one.force, one.base[:3]]
     # In one piece of memory, since asking NumPy for an address takes a microsecond.
     memory = np.concatenate(arrays, axis=None, dtype=float)
     sizes = [8 * array.size for array in arrays]
