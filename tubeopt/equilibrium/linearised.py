@@ -24,7 +24,7 @@ import numpy as np
 from ..block.transcription.buffered import bent_function, mapped
 from ..block.transcription.responsive import Response, Responsive
 from ..block.transcription.sections import sections_of
-from ..block.transcription.standing import Burden, cross, hat
+from ..block.transcription.standing import cross, hat
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array
@@ -213,8 +213,8 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
     if equilibrium.load is None:
         problem, burden = reduced_problem(robot, shift, discretisation_of(equilibrium)), None
     else:
-        loaded = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
-        problem, burden = loaded.torsion, Burden(loaded.load, loaded.force, loaded.couples)
+        burden = loaded_problem(robot, shift, equilibrium.load, discretisation_of(equilibrium))
+        problem = burden.torsion
     solved = sample_rotation(equilibrium, problem.arc_length)
     arm = Responsive(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)
     unlike = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()

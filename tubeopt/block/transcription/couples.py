@@ -31,6 +31,8 @@ END = 1e-12
 class Couples:
     """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
 
+    along: Array
+    """(N, 3) moment per length at the collocation points, N."""
     moment: Array
     """(C, 3) world axes, N m; that at the tip in the axes of the load."""
     joint: Index
@@ -76,16 +78,11 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     # A torque turns its tube up to where it acts, and no farther.
     levers = [np.minimum(ahead[:, j], ends[e, j]) for e, j in zip(joint.tolist(), on_joint, strict=True)]
     rows = [row_of(torsion, j, lever) for j, lever in zip(on_joint, levers, strict=True)]
-    tube = np.array([*on_joint, *outermost.tolist()], dtype=np.intp)
-    row = np.concatenate([np.array(rows), spread[point, outermost]])
+    row, tube = np.concatenate([rows, spread[point, outermost]]), np.array([*on_joint, *outermost], dtype=np.intp)
     turns = np.concatenate([ends[joint, tip], ahead[point, tip]])
     return Couples(
-        moment=np.concatenate(
-            [
-                np.array([m for k, m in enumerate(load.moments) if not k or any(m)]),
-                per_length[point] * torsion.weight[point, None],
-            ]
-        ),
+        along=per_length,
+        moment=np.concatenate([[load.moment, *(part.moment for part in at)], (per_length.T * torsion.weight).T[point]]),
         joint=joint,
         point=point,
         tube=tube,

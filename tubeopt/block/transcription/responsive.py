@@ -214,6 +214,7 @@ class Responsive(Standing):
         next_row = inner + size + 1
         there.reshape(self.pieces, self.degree, -1)[..., inner::next_row] += 1.0
         end.reshape(self.pieces, -1)[:, inner::next_row] += 1.0
+        self._past(end, 1)
         matrix = -there[..., :inner]
         matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
         solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
@@ -232,17 +233,16 @@ class Responsive(Standing):
         none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
         there, end = self._ended(self._felt(*none, forced), 1.0)
         solved = np.asarray(np.linalg.solve(maps.matrix, there))
-        return solved, end + maps.gathered @ solved
+        return solved, self._past(end, 1) + maps.gathered @ solved
 
-    def _kicked(self) -> Array | None:
-        """(P + 1, 2 n + 6, 2 n + 6) the state on the tip's side of a place by that on the plate's side; None where no
-        moment acts between pieces."""
-        if not self.joints:
-            return None
-        out = np.tile(np.eye(self.size), (self.pieces + 1, 1, 1))
+    def _past(self, states: Array, first: int) -> Array:
+        """States (P + 1 - first, 2 own, C) at the places from the `first` on, past the moments that act there: changed
+        in place, from the plate's side to the tip's."""
         for k, tube, moment in self.joints:
-            out[k, self.n + 3 + tube, self.n : self.n + 3] -= cross(self.end_frame[k, :, 2], moment)
-        return out
+            if k >= first:
+                turn = states[k - first, self.n : self.n + 3]
+                states[k - first, self.own + tube] -= cross(self.end_frame[k, :, 2], moment) @ turn
+        return states
 
     def _system(self, softness: float, ends: Array, turns: Array | None = None) -> Array:
         """The matrix of torques and moment (own) at the plate, and of the states where pieces begin (P, 2 own);
@@ -250,16 +250,14 @@ class Responsive(Standing):
         n, size, own, pieces = self.n, 2 * self.own, self.own, self.pieces
         total = own + pieces * size
         matrix = np.zeros((total, total))
-        kicks = self._kicked()
-        maps = ends if kicks is None else kicks[1:] @ ends
         matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
-        matrix[:size, :own] = -maps[0, :, own:]
-        matrix[:size, :n] -= maps[0, :, :n] * (softness * self.transmission)
+        matrix[:size, :own] = -ends[0, :, own:]
+        matrix[:size, :n] -= ends[0, :, :n] * (softness * self.transmission)
         for k in range(1, pieces):
-            matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -maps[k]
+            matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -ends[k]
         if turns is not None:
             turn = slice(total - size + n, total - size + own)
-            matrix[: pieces * size, turn] -= (turns if kicks is None else kicks[1:] @ turns).reshape(-1, 3)
+            matrix[: pieces * size, turn] -= turns.reshape(-1, 3)
         last, rows = total - size, slice(pieces * size, total)
         matrix[rows].reshape(-1)[last + own :: total + 1] = 1.0
         if own == n:
@@ -299,17 +297,14 @@ class Responsive(Standing):
         maps, turned = self._standing_maps, self._turns
         inner, gained = (None, None) if forced is None else self._forced_maps(forced)
         matrix = self._system(1.0, maps.ends, None if gained is None or not turned else gained[..., :turned])
-        right, kicks = np.zeros((len(matrix), count)), self._kicked()
-        jumps = forcing.jumps[:, self.kept]
-        if kicks is not None and forcing.side < 0:
-            jumps = kicks @ jumps
+        right, jumps = np.zeros((len(matrix), count)), forcing.jumps[:, self.kept]
+        if forcing.side < 0:
+            self._past(jumps, 0)
         start = first + jumps[0]
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
         if gained is not None:
             table[..., columns] = gained[..., turned:]
         table[0] += maps.ends[0] @ start
-        if kicks is not None:
-            table[:] = kicks[1:] @ table
         table += jumps[1:]
         *_, found, singular = scipy.linalg.lapack.dgesv(matrix, right)
         if singular or not np.isfinite(found).all():
@@ -398,7 +393,7 @@ class Responsive(Standing):
     def pulled(self, pull: Array, softness: float) -> Response:
         """The mode in which torques fall by (P, K, n) towards the plate, and nothing bends: one column."""
         n = self.n
-        torque, tip_side, _ = self._inwards(-pull, None, np.zeros(n))
+        torque, tip_side, _ = self._inwards(-pull, np.zeros(n))
         rates, state = softness * self.rate * torque, np.zeros((self.pieces + 1, self.size, 1))
         whole = np.concatenate([softness * self.transmission * tip_side[:1], (self.weights[..., None] * rates).sum(1)])
         state[:, :n, 0], state[:, n + 3 : 2 * n + 3, 0] = np.cumsum(whole, axis=0), tip_side

@@ -12,16 +12,14 @@ tubes off the centreline phi' = g t / kt, with the stretch g, and no load acts o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ...robots.load import Load
 from ...typing import Array, Index
 from .arm import ArmShape
 from .collocated import STEPS
-from .couples import Couples
+from .loaded import LoadedProblem
 from .poses import frames_at_points
 from .reduced import ReducedProblem
 from .sections import Given, by_data_of, sections_of, values_of
@@ -40,15 +38,6 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray((hat(a) @ b[..., None])[..., 0])
 
 
-@dataclass(frozen=True, eq=False)
-class Burden:
-    """A load on an arm: the force (N, 3) on the cross-sections, N, but for what turns with the tip, and its moments."""
-
-    load: Load
-    force: Array
-    couples: Couples | None
-
-
 class Standing:
     """An arm in equilibrium: n tubes, P pieces with K points each.
 
@@ -57,7 +46,7 @@ class Standing:
         base: (n,) rotations, rad.
         solved: (N, n) elastic rotations at the collocation points of the problem.
         shape: of the arm.
-        burden: what acts on it, None for nothing.
+        burden: the problem of it under a load, None without one.
         straight: whether it matters where straight tubes would bend to.
     """
 
@@ -68,7 +57,7 @@ class Standing:
         solved: Array,
         shape: ArmShape,
         *,
-        burden: Burden | None = None,
+        burden: LoadedProblem | None = None,
         straight: bool = True,
     ) -> None:
         self.problem, self.base, self.shape = problem, base, shape
@@ -110,33 +99,33 @@ class Standing:
             self.at = sections_of(self.tables, self.offsets)
             self._torques(self.at.torque, self.at.stretch)
 
-    def _load(self, burden: Burden | None) -> None:
+    def _load(self, burden: LoadedProblem | None) -> None:
         """Forces, moments per length and on which tubes, moments at joints."""
         points = self.pieces, self.degree
         self.load = None if burden is None else burden.load
         self.following = self.load is not None and self.load.frame == "tip"
         self.tip_force = self.tip_moment = np.zeros(3)
         self.force = np.zeros((*points, 3)) if burden is None else burden.force.reshape(*points, 3)
-        if burden is not None:
-            given = np.array(burden.load.force), np.array(burden.load.moment)
-            tip = self.shape.frame[-1]
-            self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in given)
-            if self.following:
-                self.force = self.force + self.tip_force
-        self.along: Array | None = None
-        self.felt = np.zeros(self.phase.shape)
         self.joints: list[tuple[int, int, Array]] = []
         """Piece that begins at the moment, the tube it acts on, and the moment (3,)."""
-        couples = None if burden is None else burden.couples
-        if couples is not None:
-            count = len(couples.joint)
-            if len(couples.point):
-                along = np.zeros((self.pieces * self.degree, 3))
-                along[couples.point] = couples.moment[count:] / self.problem.weight[couples.point, None]
-                self.felt.reshape(-1, self.n)[couples.point, couples.tube[count:]] = 1.0
-                self.along = along.reshape(*points, 3)
-            each = couples.joint.tolist(), couples.tube[:count].tolist(), couples.moment[:count]
-            self.joints = [*zip(*each, strict=True)][1:]
+        self.along = self.kicks = None
+        if burden is None:
+            return
+        given = np.array(burden.load.force), np.array(burden.load.moment)
+        tip = self.shape.frame[-1]
+        self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in given)
+        if self.following:
+            self.force = self.force + self.tip_force
+        couples = burden.couples
+        if couples is not None and len(couples.point):
+            self.along, self.felt = couples.along.reshape(*points, 3), np.zeros(self.phase.shape)
+            self.felt.reshape(-1, self.n)[couples.point, couples.tube[len(couples.joint) :]] = 1.0
+        if couples is not None and len(couples.joint) > 1:
+            self.joints = [*zip(couples.joint.tolist(), couples.tube.tolist(), couples.moment, strict=False)][1:]
+            self.kicks = np.zeros((self.pieces + 1, self.own))
+            for k, tube, moment in self.joints:
+                self.kicks[k, self.n :] += moment
+                self.kicks[k, tube] += moment @ self.end_frame[k, :, 2]
 
     def _moments(self) -> None:
         """The moment m at the points, and on the sides of plate and tip of the places between the pieces."""
@@ -148,22 +137,19 @@ class Standing:
         fall = (self.about_axis @ self.force[..., None])[..., 0]
         if self.along is not None:
             fall += self.along
-        kicks = np.zeros((self.pieces + 1, 3)) if self.joints else None
-        for k, _, moment in self.joints:
-            assert kicks is not None
-            kicks[k] += moment
-        self.moment, self.moment_tip_side, self.moment_plate_side = self._inwards(fall, kicks, self.tip_moment)
+        self.moment, self.moment_tip_side, self.moment_plate_side = self._inwards(
+            fall, self.tip_moment, slice(self.n, None)
+        )
         self.bent = (self.across @ self.moment[..., None])[..., 0]
 
-    def _inwards(self, fall: Array, kicks: Array | None, tip: Array) -> tuple[Array, Array, Array]:
-        """Integral from the tip of what falls (P, K, r) towards it and, with `kicks`, at places (P + 1, r): at the
-        points, and on the sides of tip and plate of these places."""
+    def _inwards(self, fall: Array, tip: Array, kicked: slice | None = None) -> tuple[Array, Array, Array]:
+        """Integral from the tip of what falls (P, K, r) towards it and, with `kicked` columns, where moments act
+        between pieces: at the points, and on the sides of tip and plate of the places between pieces (P + 1, r)."""
         beyond = _beyond(self.pieces)
-        plate_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
-        tip_side = plate_side
-        if kicks is not None:
-            plate_side = plate_side + np.cumsum(kicks[::-1], axis=0)[::-1]
-            tip_side = plate_side - kicks
+        plate_side = tip_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
+        if self.kicks is not None and kicked is not None:
+            plate_side = plate_side + np.cumsum(self.kicks[::-1, kicked], axis=0)[::-1]
+            tip_side = plate_side - self.kicks[:, kicked]
         return tip_side[:-1, None] - self.back @ fall, tip_side, plate_side
 
     @cached_property
@@ -195,14 +181,10 @@ class Standing:
         fall = -gained.reshape(self.pieces, self.degree, self.n)
         if self.along is not None:
             fall += self.felt * (self.along * self.axis).sum(2)[..., None]
-        kicks = np.zeros((self.pieces + 1, self.n)) if self.joints else None
-        for k, tube, moment in self.joints:
-            assert kicks is not None
-            kicks[k, tube] += moment @ self.end_frame[k, :, 2]
         tip = np.zeros(self.n)
         if self.load is not None:
             tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
-        self.torque, self.torque_tip_side, self.torque_plate_side = self._inwards(fall, kicks, tip)
+        self.torque, self.torque_tip_side, self.torque_plate_side = self._inwards(fall, tip, slice(self.n))
         self.stretched = self.torque * stretch
         """(P, K, n) g t."""
         turning = self.rate * self.stretched
