@@ -5,10 +5,10 @@ about world axes, and the tube by dtheta about the tangent. The work is
 
     m.dpsi + tau dtheta,        tau = m.t.
 
-The first part bends all tubes up to there: `loaded` has it beside that of forces, with the sum of all moments ahead. Here
-is the second: the tube on which m acts is at the tip the one that ends last, of several the innermost; elsewhere the
-outermost one. At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times
-their weights. The work depends on the path, so that the Jacobian is not symmetric.
+The first part bends all tubes up to there: `loaded` has it beside that of forces, by the sum of all moments ahead.
+The second twists one tube: at the tip the one that ends last, of several the innermost; elsewhere the outermost one.
+At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times their
+weights. The work depends on the path, so that the Jacobian is not symmetric.
 """
 
 from __future__ import annotations

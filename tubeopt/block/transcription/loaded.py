@@ -42,7 +42,8 @@ class LoadedProblem:
     Attributes:
         torsion: the problem of the rotations, on a mesh all of whose pieces have collocation points.
         load: what pushes.
-        ahead: (N, 6) force n, N, and moment m, N m, of what acts beyond the points in world axes.   base: (6,) all of it.
+        ahead: (N, 6) force n, N, and moment m, N m, of what acts beyond the points, in world axes.
+        base: (6,) all of that.
         couples: the moments, where the load has no energy.
     """
 
@@ -176,8 +177,8 @@ def _per_length(mesh: Mesh, load: Load, mass: Array) -> Array:
 
 
 def _ahead(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
-    """Force and moment (N, 6) of what acts beyond the points, and (6,) beyond the plate, of loads in world axes; `along`
-    (P, K, 6) is what there is per length."""
+    """Force and moment (N, 6) of what acts beyond the points, and (6,) beyond the plate, of loads in world axes;
+    `along` (P, K, 6) is what there is per length."""
     s = mesh.start[:, None] + mesh.length[:, None] * mesh.tableau.nodes
     out, base = np.zeros((*s.shape, 6)), np.zeros(6)
     if along.any():
