@@ -25,7 +25,7 @@ GROUPS = {
     "thesis_": "From the thesis",
     "inverse_": "Inverse kinematics",
     "plan_": "Motion planning",
-    "control_": "In the loop",
+    "control_": "Real-time control",
     "design_": "Design",
     "own_": "Your own problem",
     "mold_": "Fabrication",

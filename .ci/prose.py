@@ -37,7 +37,6 @@ PENDING = (
             "benchmark",
             "files",
             "json",
-            "theory",
         )
     ),
 )

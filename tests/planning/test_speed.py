@@ -1,4 +1,4 @@
-"""The speed of the tip is bounded from above at all times, and sharply; see "Speed of the tip" in docs/theory.md."""
+"""Tip speed is bounded from above at all times, and sharply; see "Speed of the tip" in docs/theory-proofs.md."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Between two equilibria under a load: that one unbroken branch of stable ones joins them, and where the arm is.
 
-As in `branch`, joint values are linear in time t, 0 to 1, and so are the lengths h of the sections. In torques t_i and
-moment m, as the coordinates kt^-1/2 t_i and K^-1/2 m whose square is the elastic form T of docs/loads.md, the equations
-under a dead load are g = 0,
+As in `branch`, joint values are linear in time t, 0 to 1, and so are the lengths h of the sections. In torques t_i
+and moment m, as the coordinates kt^-1/2 t_i and K^-1/2 m whose square is the elastic form T of docs/theory-loads.md,
+the equations under a dead load are g = 0,
 
     g = (t_i - T_i, m - M),    M = (R' m_w)_xy,    m_w = m_c + int_s^L t x n,
     T_i = sum m_k.t(s_k) - int_s^(own end) V_i' - M.a_i' / K,
@@ -291,7 +291,7 @@ class _Bounds:
     def curving(self) -> Array:
         """(B,) bound of how far the second variation relative to T is, along the chord, below what is linear in time
         between both ends: `SIXTH` of a bound of its second derivative by time, at fixed torques and moments. Infinite
-        where tubes vary, whose T is not linear in time. See "Between loaded equilibria" in docs/theory.md."""
+        where tubes vary, whose T is not linear in time. See "Between loaded equilibria" in docs/theory-proofs.md."""
         if not self.drift.still:
             return np.full(len(self.lever), np.inf)
         h, none = self.long, np.zeros_like(self.long.v)

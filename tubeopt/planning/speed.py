@@ -1,9 +1,8 @@
 """How fast the tip is, from above: what its second and third derivatives by time leave it between equilibria.
 
-See "Speed of the tip" in `docs/theory.md`. In the middle of a link the velocity is the mean one but for a 24th of the
-third derivative; between two places where it is known it is linear but for an eighth of that. Where it is known at
-both ends of a link, the cubic through both tips with these velocities leaves a 31st.
-"""
+See "Speed of the tip" in `docs/theory-proofs.md`. In the middle of a link the velocity is the mean one but for a 24th
+of the third derivative; between two places where it is known it is linear but for an eighth of that. Where it is
+known at both ends of a link, the cubic through both tips with these velocities leaves a 31st."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Whether a robot can snap or buckle whatever pushes at its tip: a bound of the margin for all rotations and forces.
 
 In rotations theta and bending w = u - u0(theta) every configuration is a point of one vector space, and the second
-variation of the potential energy at any of them, in the directions y and r of the two, is (see docs/loads.md)
+variation of the potential energy at any of them, in the directions y and r of the two, is (see docs/theory-loads.md)
 
     Q = T + int y'V''y + sum_i (m.a_i / K) y_i^2 - m_w.(psi x psi') - (n.psi)(t.psi) + (n.t) |psi|^2,
     T = int sum kt y'^2 + K |r|^2 + springs,        psi' = R (u0' y + r),  psi(0) = 0.
