@@ -1,4 +1,9 @@
-"""The build of a wheel: `configs/` goes into it, and the compiled kernels where there is a C compiler."""
+"""The build of a wheel: `configs/` goes into it, and the compiled kernels if TUBEOPT_WHEEL asks for them.
+
+Without that variable the kernels are compiled at first use, a few seconds each, so that an installation takes seconds
+and not minutes. TUBEOPT_WHEEL=here compiles all of them for the processor of this machine, TUBEOPT_WHEEL=everywhere for
+every generation of its kind, as a wheel to publish needs.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +17,38 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
+GENERATORS = ["casadi>=3.7", "lazy-loader>=0.4", "numpy>=2", "platformdirs>=4", "scipy>=1.15"]
+"""What the package generates the C of its kernels with."""
+
+
+def wanted() -> str:
+    """For which processors kernels go into the wheel: "", "here" or "everywhere"."""
+    value = os.environ.get("TUBEOPT_WHEEL", "")
+    if value not in ("", "here", "everywhere"):
+        raise ValueError(f"TUBEOPT_WHEEL is {value!r}; it must be 'here' or 'everywhere'")
+    return value
+
 
 class KernelHook(BuildHookInterface):
-    """Compiles the kernels from the C that the package itself generates.
+    """Compiles the kernels from the C that the package itself generates."""
 
-    For this machine's processor; for every generation of its kind, as a wheel to publish needs, with
-    TUBEOPT_WHEEL=everywhere.
-    """
+    def dependencies(self) -> list[str]:
+        """Packages that this build needs."""
+        return GENERATORS if wanted() else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add them to the wheel, which then is for this platform; an editable install compiles at first use."""
+        """Add `configs/` to the wheel, and the kernels, with which it is for this platform alone."""
         if version == "editable":
             return
         # Robots, rigs and studies that are typed by their name: one source, in `configs/`.
         build_data["force_include"]["configs"] = "tubeopt/configs"
+        if not wanted():
+            return
         sys.path.insert(0, self.root)
         from tubeopt.solvers.compiled.wheel import package_kernels
 
         self._folder = tempfile.TemporaryDirectory()
-        everywhere = os.environ.get("TUBEOPT_WHEEL") == "everywhere"
+        everywhere = wanted() == "everywhere"
         lacks = "no C compiler"
         try:
             kernels = package_kernels(Path(self._folder.name), everywhere=everywhere)
@@ -47,6 +65,6 @@ class KernelHook(BuildHookInterface):
         build_data["force_include"] |= {str(path): f"tubeopt/solvers/compiled/kernels/{path.name}" for path in kernels}
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """The kernels are in the wheel."""
-        if version != "editable":
+        """Remove what is in the wheel now."""
+        if version != "editable" and wanted():
             self._folder.cleanup()

@@ -94,7 +94,7 @@ def _by_night(script: Path) -> bool:
 
 def _drawn(code: str) -> list[Path]:
     """Pictures in the docs under the names that a script gives to its own."""
-    names = re.findall(r"[\w{}.\-]+\.png", code)
+    names = re.findall(r"[\w{}.\-]+\.(?:png|gif)", code)
     found = [path for name in names for path in sorted(IMAGES.glob(re.sub(r"\{[^}]*\}", "*", name)))]
     return list(dict.fromkeys(found))
 

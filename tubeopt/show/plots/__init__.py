@@ -9,12 +9,14 @@ from .hysteresis import plot_hysteresis
 from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
 from .path import plot_path
+from .path_film import animate_path
 from .shape import plot_equilibria, plot_shape, plot_shapes
 from .snap import plot_snap
 from .style import save_figure
 from .torsion import plot_torsion, plot_torsions
 
 __all__ = [
+    "animate_path",
     "plot_bearing",
     "plot_branch",
     "plot_energy_maps",

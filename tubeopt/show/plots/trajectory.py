@@ -167,15 +167,29 @@ def film_ending(path: str | PathLike[str]) -> str:
     return ending
 
 
-def save_film(path: str | PathLike[str], title: str, count: int, draw: Callable[[Axes, Axes, int], None]) -> Path:
-    """Write as many pictures of a scene with a panel below it, each drawn anew by its number, as a film."""
+def save_film(
+    path: str | PathLike[str],
+    title: str,
+    count: int,
+    draw: Callable[[Axes, Axes, int], None],
+    *,
+    beside: bool = False,
+) -> Path:
+    """Write `count` pictures of a scene with a panel below or `beside` it, each drawn anew by its number, as a film."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
     gif = film_ending(path) == ".gif"
-    figure = new_figure(5.0, 5.6, layout=None)
+    figure = new_figure(7.2, 3.6, layout=None) if beside else new_figure(5.0, 5.6, layout=None)
     figure.suptitle(title, fontsize=9, x=0.04, ha="left")
-    scene, below = figure.add_axes((0.04, 0.24, 0.92, 0.68)), figure.add_axes((0.13, 0.09, 0.83, 0.12))
+    places = (
+        ((0.04, 0.09, 0.46, 0.84), (0.60, 0.15, 0.37, 0.72))
+        if beside
+        else ((0.04, 0.24, 0.92, 0.68), (0.13, 0.09, 0.83, 0.12))
+    )
+    scene, below = (figure.add_axes(place) for place in places)
     writer, dpi = (PillowWriter(fps=12), 100) if gif else (FFMpegWriter(fps=24), 150)
+    draw(scene, below, 0)
+    figure.draw_without_rendering()  # a scene of equal aspect takes its place, which its scales depend on
     # An Animation of matplotlib would draw every picture twice.
     with atomic_write(path) as temporary, writer.saving(figure, temporary, dpi):
         for k in range(count):
