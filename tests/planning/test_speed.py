@@ -27,7 +27,7 @@ from tubeopt.planning import PlanOptions
 from tubeopt.planning.clearing import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
 from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
-from tubeopt.planning.passage import Follower
+from tubeopt.planning.passage import Follower, Link, Step
 from tubeopt.planning.speed import HERMITE, _Row, fastest_on_cubic
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -334,23 +334,57 @@ def test_joints_go_on_alike_along_one_line_of_one_order_of_sections(joints: list
     assert going(joints).alike.tolist() == [alike]
 
 
+def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None = None) -> Any:
+    """One link from joint values at given rates, of equilibria so close that their difference has no second order."""
+    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
+    joints = [np.array(here) + np.array(rate) * t for t in (0.0, 1e-3)]
+    steps = [
+        Step(t, forward_kinematics(robot, *np.split(q, 2), load=load), q) for t, q in zip((0, 1), joints, strict=True)
+    ]
+    return _Row(follower, [Link(*steps)], 1e-3, {})
+
+
+@pytest.mark.parametrize("end", [0, 1])
 @pytest.mark.parametrize(
-    ("here", "rate", "known"),
+    ("robot", "here", "rate", "load"),
     [
-        ([0.0, 0.0, 0.25, 0.5], [1.0, 0.0, 0.25, 0.5], False),  # breakpoints that meet move apart
-        ([0.0, 0.0, 0.25, 0.5], [1.0, 0.0, 0.25, 0.25], True),
-        ([0.0, 0.0, 0.25, 0.625], [1.0, 0.0, 0.25, 0.5], True),
-        ([0.0, 0.0, 0.0, 0.625], [1.0, 0.0, 0.25, 0.25], False),  # one leaves the plate
+        (TWO_TUBE, [1.0, 0.3, -0.02, -0.02], [0.5, 0.2, 0.03, 0.03], None),
+        (TWO_TUBE, [1.0, 0.3, -0.02, -0.02], [0.5, 0.2, -0.03, 0.02], None),
+        (THESIS, [0.0, 1.0, 2.0, 0.0, 0.0, 0.0], [0.1, 0.2, 0.3, -0.01, -0.02, -0.03], None),
+        (PIECES, [0.5, -0.4, 1.2, -0.03, -0.04, -0.02], [0.5, 0.3, 0.1, 0.01, -0.02, 0.03], None),
+        (PIECES, [0.5, -0.4, 1.2, -0.0135412, -0.03, -0.0135412], [0.1, 0.2, 0.3, 0.02, 0.01, -0.03], None),
+        (TWO_TUBE, [1.0, 0.3, -0.02, -0.02], [0.5, 0.2, 0.03, 0.03], Load(force=(0.02, 0.01, 0.0))),
+        (THESIS, [0.0, 1.0, 2.0, 0.0, 0.0, 0.0], [0.1, 0.2, 0.3, -0.01, -0.02, -0.03], Load(force=(0.02, 0.01, 0.0))),
     ],
+    ids=["together", "apart", "off the plate", "no meeting", "pieces", "together, force", "off the plate, force"],
 )
-def test_no_velocity_is_known_where_sections_of_an_arm_begin(
-    here: list[float], rate: list[float], known: bool, monkeypatch: pytest.MonkeyPatch
+def test_velocities_where_breakpoints_meet_are_those_on_the_side_of_the_link(
+    robot: Robot, here: list[float], rate: list[float], load: Load | None, end: int
 ) -> None:
-    links = going([here, (np.array(here) + rate).tolist()])
-    slope = np.arange(12.0).reshape(3, 4)
-    vars(links)["slopes"] = {}
-    monkeypatch.setattr("tubeopt.planning.speed.position_slopes", lambda equilibrium: slope)
-    found = links.velocity(0, 0)
-    assert (found is not None) == known
-    if known:
-        assert found == pytest.approx(slope @ rate)
+    """By differences of three equilibria on that side, in which no two sections change their order."""
+    links = moving(robot, here, rate, load)
+    if end:  # the link leads to where breakpoints meet
+        links = moving(robot, [q - v * 1e-3 for q, v in zip(here, rate, strict=True)], rate, load)
+    at, inwards = links.steps[end].joints, (1, -1)[end]
+    step = 2e-4 * inwards
+    tips = [_tip(robot, at + np.array(rate) * step * k, load) for k in range(3)]
+    slope = (4 * tips[1] - 3 * tips[0] - tips[2]) / (2 * step)
+    assert links.velocity(end, 0) == pytest.approx(slope, abs=2e-5 * np.linalg.norm(slope))
+
+
+def test_tubes_that_end_together_are_as_fast_as_their_tip() -> None:
+    """Both carriages forward at 30 mm/s, no turn: the arm leaves the plate along its own line as fast as that."""
+    proof = verify_trajectory(TWO_TUBE, [0, 0.2], [[0.0, 0.0]] * 2, [[-0.03, -0.03], [-0.024, -0.024]])
+    true = 0.0
+    for shift in np.linspace(-0.03, -0.0241, 60):
+        before, after = (_tip(TWO_TUBE, np.array([0, 0, x, x])) for x in (shift, shift + 1e-4))
+        true = max(true, float(np.linalg.norm(after - before)) / 1e-4 * 0.03)
+    assert true * (1 - 1e-6) <= proof.largest_tip_rate <= 1.03 * true
+    limited = verify_trajectory(
+        TWO_TUBE,
+        [0, 0.2],
+        [[0.0, 0.0]] * 2,
+        [[-0.03, -0.03], [-0.024, -0.024]],
+        rate_limits=RateLimits(translation=0.1, tip=1.03 * true),
+    )
+    assert limited.holds

@@ -53,13 +53,15 @@ def compiled_slopes(
     return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **asked)
 
 
-def _by_kernel(equilibrium: Equilibrium, wrt: Sequence[str], side: int) -> Jacobian | None:
+def _by_kernel(
+    equilibrium: Equilibrium, wrt: Sequence[str], side: int, carriages: Carriages | None = None
+) -> Jacobian | None:
     """The Jacobian of a stable equilibrium of concentric tubes, from the compiled kernel; None where that has none, as
     under a load, or what it finds from here is not this equilibrium to the last digits."""
     if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
-    found = compiled_slopes(equilibrium, (side,) * n, either=False)
+    found = compiled_slopes(equilibrium, (side,) * n, carriages, either=False)
     if found is None or found.off > SAME_ARM:
         return None
     tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
@@ -99,11 +101,18 @@ def _kept(equilibrium: Equilibrium, wrt: tuple[str, ...], side: int) -> Linearis
 
 
 @small
-def position_slopes(equilibrium: Equilibrium) -> Array:
+def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None, *, side: int = 1) -> Array:
     """(3, 2n) derivatives of the tip position of an equilibrium by its joint values, m per rad and per m.
+
+    Args:
+        carriages: partition of the tubes, numbered from 0. The translations of each group move together, and each
+            column has an equal part of that. By default the carriages of the robot.
+        side: as in `jacobian`.
 
     Raises:
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    found = _by_kernel(equilibrium, JOINTS, 1)
-    return derivatives_of(equilibrium).tip_position if found is None else found.position
+    found = _by_kernel(equilibrium, JOINTS, side, carriages)
+    if found is not None:
+        return found.position
+    return derivatives_of(equilibrium, side=side, carriages=carriages).tip_position

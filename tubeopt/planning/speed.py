@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.method import TOLERANCE
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..solvers.compiled.binding import Carriages
 from ..typing import Array, Mask
 from .passage import SHORTEST, Follower, Link, Step, halves, joined
 from .sections import SWAPPED
@@ -41,6 +43,10 @@ FINEST = 12
 """Times that links are halved for that at most."""
 
 
+Slopes = dict[tuple[Equilibrium, Carriages, int], Array]
+"""(3, 2n) J of equilibria, by the carriages on which tubes move together, and the side."""
+
+
 @dataclass(frozen=True)
 class Pace:
     """Speed of the tip, m/s: an upper bound `most`, infinite where nothing is proved, and what was `measured`."""
@@ -53,7 +59,7 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
     """The pace of a motion that takes `span`, s, along links that follow each other, halved where its bound is not
     sharp, or does not show that a `limit`, m/s, is kept."""
     links, most, measured = list(links), 0.0, 0.0
-    slopes: dict[Equilibrium, Array | None] = {}
+    slopes: Slopes = {}
     for _ in range(FINEST):
         row = _Row(follower, links, span, slopes)
         measured = float(row.speed.max(initial=0.0))
@@ -92,8 +98,8 @@ class _Row:
     follower: Follower
     links: list[Link]
     span: float
-    slopes: dict[Equilibrium, Array | None]
-    """(3, 2n) J of the equilibria where it was asked for; None where there is none."""
+    slopes: Slopes
+    """What was computed of J."""
 
     @cached_property
     def passed(self) -> Array:
@@ -144,22 +150,49 @@ class _Row:
         return np.asarray(points[:, :, None] - points[:, None, :])
 
     def velocity(self, step: int, link: int) -> Array | None:
-        """(3,) m/s of the tip at a step, J q' with the joint rates of a link; None where breakpoints that meet there
-        move apart."""
-        here, rate, n = self.steps[step], self.rate[link], self.follower.robot.n_tubes
-        if rate[n:].any():
-            meet = np.abs(self._gaps(here.joints[None, n:])[0]) <= 2 * SWAPPED
-            moving = np.zeros(len(meet))
-            moving[1 : 1 + n * self.follower.constants.ended] = np.tile(rate[n:], self.follower.constants.ended)
-            if (meet & (moving[:, None] != moving)).any():
-                return None
-        if here.equilibrium not in self.slopes:
-            try:
-                self.slopes[here.equilibrium] = position_slopes(here.equilibrium)
-            except SolveError:
-                self.slopes[here.equilibrium] = None
-        slope = self.slopes[here.equilibrium]
-        return None if slope is None else np.asarray(slope @ rate)
+        """(3,) velocity of the tip at the first or last step of a link, m/s, in the limit from inside the link; None at
+        a fold.
+
+        It is J q'. But where breakpoints meet, each column of J has another order of the sections, and columns do not
+        add up. There q' is a sum of parts that keep the order which the sections have in the link: all moving tubes
+        together at the rate of the slowest, then all others by what the next is faster, and so on.
+        """
+        e, inwards, n = self.steps[step].equilibrium, 1 if step == link else -1, self.follower.robot.n_tubes
+        turn, shift = np.split(inwards * self.rate[link], 2)
+        parts: list[tuple[int, float, Mask]] = []
+        if shift.any() and self._meeting(step, shift):
+            for side in (1, -1):
+                paces = np.unique(np.append(0.0, side * shift).clip(0))
+                parts += [(side, side * (b - a), side * shift >= b) for a, b in pairwise(paces.tolist())]
+        try:
+            if not parts:
+                return np.asarray(self._slopes(e) @ self.rate[link])
+            velocity = self._slopes(e)[:, :n] @ turn
+            for side, pace, tubes in parts:
+                velocity += pace * self._slopes(e, tubes, side)[:, n:][:, tubes].sum(1)
+        except SolveError:
+            return None
+        return np.asarray(inwards * velocity)
+
+    def _meeting(self, step: int, shift: Array) -> bool:
+        """Whether moving breakpoints of tubes at rates (n,) meet others, the plate or a place of the load at a step."""
+        n, ended = self.follower.robot.n_tubes, self.follower.constants.ended
+        meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= 2 * SWAPPED
+        owner = np.full(len(meet), -1)
+        owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)
+        moves = np.append(shift, 0.0)[owner] != 0
+        return bool((meet & (owner[:, None] != owner) & (moves[:, None] | moves)).any())
+
+    def _slopes(self, e: Equilibrium, together: Mask | None = None, side: int = 1) -> Array:
+        """(3, 2n) J to one side, in which some tubes (n,) share a carriage, and so do the others."""
+        carriages = self.follower.robot.moving_together
+        if together is not None:
+            groups = (np.flatnonzero(mask).tolist() for mask in (together, ~together))
+            carriages = tuple(tuple(tubes) for tubes in groups if tubes)
+        key = e, carriages, side
+        if key not in self.slopes:
+            self.slopes[key] = position_slopes(e, carriages, side=side)
+        return self.slopes[key]
 
     def fastest(self, rates: Array, line: float) -> tuple[Array, float]:
         """(B,) bounds of the speed in links where the second and third derivatives of the tip are at most `rates`
