@@ -179,7 +179,7 @@ def _documented(node: Any, module: str) -> Iterator[Text]:
             words = str(after.value.value)
         if words:
             prose = words.partition(">>>")[0]
-            flat = re.sub(r"(?<!\n)\n(?!\n| *[-\w*`, ]+: )", " ", prose)
+            flat = re.sub(r"(?<!\n)\n(?!\n| *- | *[-\w*`, ]+: )", " ", prose)
             yield Text(f"docstring {module}", f"{module}:{line}", flat, description=True)
 
 

@@ -38,32 +38,32 @@ class EquilibriumBlock(ComposedBlock[N]):
     """One equilibrium of a robot in a nonlinear program.
 
     Args:
-        opti: a `casadi.Opti` or a `tubeopt.Problem`, to which unknowns and equations are added.
-        near: a solved equilibrium: the start, and the order of the breakpoints. Its robot is the block's.
+        opti: a `casadi.Opti` or a `tubeopt.Problem`; receives the unknowns and equations.
+        near: a solved equilibrium of the robot; the start, and the order of the breakpoints.
         rotations, translations: (n,) rad and m, numbers or expressions of the program; None keeps those of `near`.
-            Tubes of one segment, which move together, share one entry of an expression for their translation.
-        tubes: dimensions of the tubes that are expressions or other numbers, (n,) each, by name: any of `curvature`,
-            `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`; what is not named stays.
-            With tubes made of pieces these are in proportion for all of a tube, and PIECES
-            (`block.transcription.chain`) may be named, one entry per piece: `piece_length`, `piece_curvature`,
-            `piece_plane`, `piece_twist`, `piece_bending_factor`, `piece_torsion_factor`.
-        load: what pushes on concentric tubes: force and moment at the tip, weight, a constant force per length; None is
-            that of `near`. Under moments and what turns with the tip there is no energy, so no margin.
-        side: where a transition lies at the plate and may move: -1 lets it move behind, 1 to the front.
-        refinement: how often the pieces of the mesh are halved; None halves them once where lengths, curvatures or
-            stiffnesses are free.
-        name: what to call it in messages.
+            Tubes of one segment move together and share one entry of an expression for their translation.
+        tubes: dimensions of the tubes by name, (n,) each, numbers or expressions: any of `curvature`,
+            `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`. Omitted dimensions stay. For
+            tubes made of pieces they scale the whole tube; PIECES (`block.transcription.chain`) may be named too, one
+            entry per piece: `piece_length`, `piece_curvature`, `piece_plane`, `piece_twist`, `piece_bending_factor`,
+            `piece_torsion_factor`.
+        load: external load on concentric tubes: force and moment at the tip, weight, a constant force per length; None
+            takes that of `near`. Moments and follower loads have no energy, so no margin.
+        side: direction in which a transition at the plate may move: -1 behind the plate, 1 in front.
+        refinement: number of times that the mesh is halved; None halves it once if lengths, curvatures or stiffnesses
+            are free.
+        name: name of the block in messages.
 
     Attributes:
-        chain: the pieces of tubes made of such, else None.
+        chain: the pieces of tubes made of pieces, else None.
         tip_position (3,) m, tip_rotation (3, 3): pose of the tip in the plate frame.
-        tip_rotations: (n,) rad, theta of the tubes where the arm ends.
-        energy: elastic energy, J.  length: of the arm in front of the plate, m.
-        rotations, translations, dimensions: as given or taken over.
+        tip_rotations: (n,) rad, theta of the tubes at the end of the arm.
+        energy: elastic energy, J.  length: arc length of the arm in front of the plate, m.
+        rotations, translations, dimensions: as passed, or taken from `near`.
 
     Raises:
-        InputError: an unknown name, a vector of the wrong length, or breakpoints whose order differs from that of the
-            numbers given.
+        InputError: an unknown name, a vector of the wrong length, or breakpoints in another order than those of the
+            numbers in use.
 
     Example:
         >>> import casadi, tubeopt
@@ -84,12 +84,12 @@ class EquilibriumBlock(ComposedBlock[N]):
     # --- demands ------------------------------------------------------------------------------------------------------
 
     def margin_at_least(self, margin: Any) -> None:
-        """Demand that the stability margin is at least `margin`, a number or an expression, for instance a variable
-        that is maximised; below 1.
+        """Constrain the stability margin to at least `margin`.
 
-        By Jacobi's condition on softened tubes, whose determinants are smooth where an eigenvalue is not; for eccentric
-        robots on their own equations, under a dead load with the bending that it makes. Collocated as the torsion is;
-        `equilibrium` gives the margin itself, and says so where the condition holds on another branch of it.
+        A number or an expression below 1; a variable that is maximised is typical. The constraint is Jacobi's condition
+        on softened tubes: its determinants are smooth where an eigenvalue is not. Eccentric robots use their own
+        equations; a dead load includes the bending that it causes. `equilibrium` computes the margin itself, and
+        reports a solution on another branch of the condition.
 
         Raises:
             InputError: a number that is not below 1, or a load without an energy.
@@ -97,50 +97,52 @@ class EquilibriumBlock(ComposedBlock[N]):
         add_margin(self, margin)
 
     def certificate_at_least(self, margin: Any, *, max_force: float = 0.0) -> None:
-        """Demand that the snap-free certificate at these translations and dimensions is at least `margin`, a number or
-        an expression, below 1: with 0 the robot cannot snap at any rotations. Concentric robots.
+        """Constrain the snap-free certificate at these translations and dimensions to at least `margin`.
 
-        With `max_force`, N, the certificate under all forces on the tip up to that size which keep their direction:
-        with 0 none of them can make the robot snap or buckle at any rotations. Its eigenvalue and eigenfunction become
+        A number or an expression below 1. With 0 the robot cannot snap at any rotations. Concentric robots only.
+
+        `max_force` (N) selects the certificate under all dead forces on the tip up to that size: with 0 none of them
+        can make the robot snap or buckle at any rotations. The eigenvalue and eigenfunction of that certificate become
         unknowns of the program; `equilibrium` computes the bound again.
 
         Raises:
-            InputError: a number that is not below 1, a negative force, an eccentric robot, a load that is none of the
-                forces meant, pieces of tubes beside a force, or ones that vary along their length otherwise than by a
-                natural twist.
+            InputError: a number that is not below 1, a negative force, an eccentric robot, or a load other than a tip
+                force within `max_force`. With a force also: tubes made of pieces. Without one: tubes that vary along
+                their length other than by a natural twist.
         """
         add_certificate(self, margin, max_force)
 
     def jacobian(self, wrt: Sequence[str] = ("rotations", "translations")) -> Any:
-        """(3, ...) derivative of the tip's position with respect to joint values and dimensions, SI: expressions, n
-        columns for "rotations" and for each dimension of the tubes that is named (of equal tubes of a segment, and of
-        their "translations", one for the segment; one for every piece of PIECES).
+        """(3, ...) derivative of the tip position with respect to joint values and dimensions, SI, as expressions.
 
-        By the implicit function theorem: how the arm answers to each is lifted into further unknowns of linear
-        equations. Where breakpoints meet it is the derivative in their present order.
+        Columns: n for "rotations" and for each named dimension. Equal tubes of a segment and their "translations" have
+        one column per segment; PIECES have one per piece.
+
+        By the implicit function theorem: the sensitivities of the arm become unknowns of further linear equations.
+        Where breakpoints meet it is the derivative in their present order.
 
         Raises:
-            InputError: a name that is none of them.
+            InputError: an unknown name.
         """
         return add_jacobian(self, wrt)
 
     # --- solutions ----------------------------------------------------------------------------------------------------
 
     def equilibrium(self, solution: Any) -> N:
-        """The equilibrium of a solution, solved again on a mesh of its own and verified by adaptive re-integration.
+        """The equilibrium of a solution, solved again on its own mesh and verified by adaptive re-integration.
 
         Args:
-            solution: what `casadi.Opti.solve` or `tubeopt.Problem.solve` returned (`casadi.Opti.debug` serves where
-                that failed).
+            solution: result of `casadi.Opti.solve` or `tubeopt.Problem.solve` (`casadi.Opti.debug` after a failed
+                solve).
 
         Raises:
-            SolveError: Newton's method does not stay at the solution, the tip differs by more than 1e-6 of the length
-                (the pieces of the block are too long: `refinement`), or a margin that was demanded does not hold.
-            InputError: dimensions of which no tube can be made.
+            SolveError: Newton's method leaves the solution, or a required margin is not reached. Or the tip differs by
+                more than 1e-6 of the length: the mesh is too coarse, raise `refinement`.
+            InputError: dimensions that are not those of a tube.
 
         Warns:
-            OrderWarning: breakpoints meet at the solution, so that another order of them may be better; `reorder`
-                changes places. Of a `Problem`, which tries that by itself, only where they still press on each other.
+            OrderWarning: breakpoints meet at the solution, so another order may be better; `reorder` swaps them. A
+                `Problem` swaps them by itself, and warns only if they still press on each other.
         """
         if not hasattr(solution, "value"):
             raise InputError(
@@ -153,8 +155,10 @@ class EquilibriumBlock(ComposedBlock[N]):
         return confirmed(self, solution.value)
 
     def violations(self, solution: Any, *, tolerance: float = 1e-8, count: int = 5) -> tuple[Violation, ...]:
-        """What this block demands and a solution does not hold, in words, the worst first: up to `count`, by more than
-        `tolerance` of their scale. Of `casadi.Opti`, whose solve failed, ask with `opti.debug`."""
+        """Constraints of this block that a solution violates by more than `tolerance` of their scale, worst first.
+
+        At most `count` of them. After a failed solve of `casadi.Opti` pass `opti.debug`.
+        """
         found: list[Violation] = []
         for name, expression, upper, scale in self._checked:
             words = self._words[name]
@@ -163,11 +167,11 @@ class EquilibriumBlock(ComposedBlock[N]):
         return worst(found, count)
 
     def meetings(self, solution: Any) -> list[str]:
-        """Which breakpoints, free to move, meet at a solution, in words."""
+        """Names of the free breakpoints that meet at a solution."""
         return [f"{gap_names(self.layout.order)[row]}, and they meet" for row in self.closed(solution)]
 
     def closed(self, solution: Any) -> list[int]:
-        """Rows of the gaps between breakpoints that are closed at a solution and may be opened the other way."""
+        """Rows of the gaps between breakpoints that are closed at a solution and may be opened in the other order."""
         if not self._moving:
             return []
         gaps = np.array(solution.value(self.model.gaps)).ravel()
@@ -216,11 +220,12 @@ class EquilibriumBlock(ComposedBlock[N]):
         self._begin_with(begin, shape, floors)
 
     def start(self, equilibrium: Near) -> None:
-        """Start the next solve at another equilibrium of the robot, whose dimensions may differ; your own variables are
-        yours to start.
+        """Start the next solve at another equilibrium of the robot; its dimensions may differ.
+
+        Set the start of your own variables yourself.
 
         Raises:
-            InputError: its breakpoints have an order that the block cannot take.
+            InputError: an order of breakpoints that the block cannot take.
         """
         numbers = numbers_at(equilibrium, self._given.chain)
         if self._moving:
@@ -245,7 +250,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         self.start(self.near.at(robot, numbers["rotations"], numbers["translations"], load=self.load))
 
     def owns(self, name: str) -> bool:
-        """Whether a variable of the program, by its name, is the block's own."""
+        """True if the variable with this name belongs to the block."""
         return bool(self.label) and name.startswith(self.label)
 
     def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:

@@ -123,11 +123,11 @@ class MeshObstacle(Displayed):
     """
 
     vertices: tuple[Point3, ...] = field(repr=False)
-    """(k, 3) m."""
+    """(k, 3) corners of the triangles, m."""
     faces: tuple[tuple[int, int, int], ...] = field(repr=False)
     """(f, 3) corners of every triangle, from 0."""
     name: str = "the mesh"
-    """What messages call it."""
+    """Name in messages."""
 
     def __post_init__(self) -> None:
         try:
@@ -176,12 +176,12 @@ class MeshObstacle(Displayed):
 
     @property
     def closed(self) -> bool:
-        """Whether it bounds a body: each edge is that of two triangles, and the surface has two sides."""
+        """True if the mesh bounds a body: two triangles share each edge, and the surface has two sides."""
         return self._outwards is not None
 
     @property
     def stands_for(self) -> str:
-        """What its distance is from, in words, where it bounds no body; empty where it does."""
+        """Reference of the distances of an open mesh, for messages; empty for a closed one."""
         return "" if self.closed else open_surface(self.name, len(self.faces))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:

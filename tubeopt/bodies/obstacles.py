@@ -218,12 +218,12 @@ class Sphere(Axial):
     """Whether the ball that covers the body is the body."""
 
     def ends(self) -> tuple[Point3, Point3, float, float]:
-        """Itself, twice."""
+        """The centre twice and the radius twice: the sphere as a cone."""
         return self.centre, self.centre, self.radius, self.radius
 
     @staticmethod
     def distances(points: Array, numbers: Array) -> Array:
-        """The same of spheres, for which neither axis nor slope count."""
+        """(...) signed distances of points (..., 3) from spheres of `numbers` (..., 10), m."""
         return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 7])
 
 
@@ -291,7 +291,7 @@ class HalfSpace(Displayed):
         object.__setattr__(self, "normal", tuple((normal / length).tolist()))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Signed distance, m."""
+        """Signed distance of a point from the plane, m; negative inside the obstacle."""
         (a, b, c), (u, v, w) = self.point, self.normal
         return (x - a) * u + (y - b) * v + (z - c) * w
 
@@ -341,7 +341,7 @@ class Box(Measured):
         return ((low + high) / 2)[None], np.array([np.linalg.norm(high - low) / 2])
 
     def numbers(self) -> tuple[float, ...]:
-        """Both corners."""
+        """Coordinates of both corners, m."""
         return (*self.low, *self.high)
 
     @staticmethod

@@ -45,16 +45,16 @@ def at_most(value: Any, name: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Command(Displayed):
-    """What the tip shall do; what is None is free."""
+    """Target of the tip for one servo step; None leaves a part free."""
 
     position: Vector | None = None
     """(3,) of the tip, m."""
     velocity: Vector | None = None
     """(3,) of the tip, m/s, in place of a position."""
     direction: Vector | None = None
-    """(3,) along which it shall point, of any length but 0; kept with length 1."""
+    """(3,) direction of the tip, of any length but 0; stored with length 1."""
     pivot: Vector | None = None
-    """(3,) m: a point that the arm shall pass through, as at an incision."""
+    """(3,) point that the arm must pass through, m, for example an incision."""
     joints: Configuration | None = None
     """Rotations and translations to go to, as a configuration."""
 
@@ -85,7 +85,7 @@ def check_places(command: Command, robot: Robot) -> None:
 
 @dataclass(frozen=True)
 class ServoOptions(Displayed):
-    """How a servo moves."""
+    """Speeds, margins and objective of a servo."""
 
     speed: float = 0.05
     """Most that the tip is asked to move, m/s."""
@@ -96,12 +96,13 @@ class ServoOptions(Displayed):
     min_margin: float = 0.1
     """Floor of the margin."""
     clearance: float = 0.0
-    """Of bodies, m."""
+    """Smallest allowed distance between arm and obstacles, m."""
     priorities: tuple[str, ...] = ("pivot", "position+velocity+direction+joints")
     """Tasks of TASKS, the most important first; those of one word, as "position+direction", count alike."""
     objective: str | None = None
-    """One of OBJECTIVES, to which goes what the tasks leave free: margin, the middle of the ranges, or the compliance
-    of the tip, which is made small."""
+    """Null-space objective, one of OBJECTIVES: margin, middle of the joint ranges, or compliance of the tip
+    (minimised).
+    """
     push: float = 0.2
     """Share of the rates that goes there."""
 

@@ -53,14 +53,14 @@ FREE = 1e-6
 
 @typed
 class Servo:
-    """The servo of one robot.
+    """Servo of one robot: joint rates that move the tip to a commanded pose.
 
     Args:
-        seed: where the robot is: a configuration or an equilibrium, whose branch is kept.
+        seed: current configuration or equilibrium of the robot; the servo stays on its branch.
         limits, obstacles: as for `inverse_kinematics`.   options: see `ServoOptions`.
 
     Raises:
-        InputError: the seed is outside the limits, or closer to a snap than the floor of the margin.
+        InputError: the seed is outside the limits, or its margin is below the smallest allowed one.
         SolveError: no stable equilibrium is found at the seed.
     """
 
@@ -90,7 +90,7 @@ class Servo:
 
     @property
     def equilibrium(self) -> Equilibrium:
-        """Where the robot is."""
+        """Current equilibrium of the robot."""
         return self.guard.here.equilibrium
 
     @small

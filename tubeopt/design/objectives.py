@@ -77,33 +77,31 @@ SLIGHT = 1e-7
 
 @dataclass(frozen=True)
 class Objective(Displayed):
-    """One aim of a design.
+    """One objective of a design.
 
     kind:
-        "tip_curvature": curvature of the arm at its tip, all tubes bending to one side, at `translations` (more is
-            better); "turning_radius": one over it.
-        "reach_radius": distance of the tip from the axis of the plate that it can reach at height `depth`, m.
+        "tip_curvature": curvature of the arm at its tip at `translations`, all tubes bending to one side; maximised.
+        "turning_radius": its inverse; minimised.
+        "reach_radius": largest distance of the tip from the plate axis at height `depth`, m.
         "strain": largest strain of any tube held straight.
         "length": overall length of the longest tube.
-        "margin": the least certificate where a certificate is required, else the least margin of the task poses.
-        "tip_deflection": how far `tip_force` and `tip_moment` move the tip, the farthest of all task poses;
-        "tip_stiffness": the size of `tip_force` over how far it moves the tip along itself, the least of all task
-            poses.
-        "stroke_force": the largest force with which the tip can push along itself before the arm buckles or snaps, the
-            least of all task poses, whose joint values are given; 10 N where all bear that.
-        "dexterity": by how much joints move the tip, for 1 rad or 50 mm, in the direction in which they move it least:
-            the least singular value s_3 of its Jacobian, smooth where two are equal, as the sum of s_k^-8 to the power
-            -1/8, which is s_3 or up to 13 % less; the mean of all task poses.
-        "orientability": by how much joints turn the direction of the tip, for 1 rad or 50 mm, while its place stays,
-            in the direction in which they turn it least: the lesser of two singular values, smooth where they are
-            equal, as (s_1^-8 + s_2^-8)^(-1/8), which is s_2 or up to 8 % less; the mean of all task poses. Place and
-            direction are five numbers: it takes three tubes.
-        "workspace_volume": of what the polygon of the tips of the task poses, in their order, sweeps when it is turned
-            about the axis of the plate, as all tubes turned together do.
-        "deployment": root of the mean square distance between arms on their way out, their tubes drawn back straight,
-            and where the whole arm will be, over all task poses.
-        "change": sum of squares of the changes from the start, each relative to its size.
-    weight: where there are several objectives, what they are multiplied by before they are added, in SI.
+        "margin": smallest certificate where a certificate is required, else the smallest margin of the task poses.
+        "tip_deflection": largest displacement of the tip by `tip_force` and `tip_moment` over all task poses.
+        "tip_stiffness": size of `tip_force` over the displacement along it, the smallest over all task poses.
+        "stroke_force": largest force of the tip along its own direction before the arm buckles or snaps. The smallest
+        over all task poses with given joint values; 10 N if all withstand that.
+        "dexterity": smallest singular value s_3 of the tip Jacobian, per 1 rad or 50 mm, averaged over all task poses.
+            It is smoothed as (sum of s_k^-8)^(-1/8), which is up to 13 % less.
+        "orientability": rotation of the tip direction at a fixed tip position, per 1 rad or 50 mm, in the least
+            responsive direction, averaged over all task poses. It is the smaller of two singular values, smoothed as
+            (s_1^-8 + s_2^-8)^(-1/8), which is up to 8 % less. Position and direction are five numbers, so it needs
+            three tubes.
+        "workspace_volume": volume that the polygon of the tips of the task poses, in their order, sweeps around the
+            plate axis when all tubes are rotated together.
+        "deployment": RMS distance between the partly deployed arms (tubes retracted, not rotated) and the fully
+            deployed arm, over all task poses.
+        "change": sum of squares of the relative changes from the start.
+    weight: factor of this objective in the sum of several, in SI.
     """
 
     kind: Annotated[str, OneOf(tuple(KINDS))]
@@ -146,7 +144,7 @@ class Objective(Displayed):
 
     @property
     def told(self) -> Kind:
-        """What is told of its kind."""
+        """Description of its kind: label, unit and direction."""
         return KINDS[self.kind]
 
 

@@ -61,13 +61,13 @@ class DesignSolution(Displayed):
     _brief = ("robot", "certificate", "objectives", "status")
 
     task: DesignTask
-    """What was asked."""
+    """The task."""
     robot: ConcentricRobot
-    """The design."""
+    """The designed robot."""
     certificate: float
     """Least mu_cert over the translations, and over the box, for which the task demands one, else at home."""
     equilibria: tuple[Equilibrium, ...]
-    """Of the task poses, solved again by forward kinematics, in the order of the requirements."""
+    """Equilibria of the task poses, solved again by forward kinematics, in the order of the requirements."""
     objective: float
     """Value in its own sign, SI; with several objectives their weighted sum as minimised."""
     objectives: dict[str, float]
@@ -79,25 +79,26 @@ class DesignSolution(Displayed):
     ranking: Ranking
     """Designs of all starts."""
     rounds: int
-    """How often worst cases were added."""
+    """Number of times that worst cases were added."""
     added: Added
     """The worst cases that were added."""
     verification: Verification
     """All promises, checked again."""
     seconds: float
-    """Of the whole computation."""
+    """Duration of the whole computation, s."""
     out_of_time: bool = False
-    """Whether the time limit ended the search: a better design may be near."""
+    """True if the time limit ended the search: a better design may be near."""
 
     @property
     def value(self) -> ConcentricRobot:
-        """The robot."""
+        """The designed robot."""
         return self.robot
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is worth knowing of it: dimensions on a bound, tubes that hardly bend the arm, obstacles that are no
-        solids, and how it was found where that is not as usual."""
+        """Remarks on the design: dimensions at a bound, tubes that hardly bend the arm, open obstacles, an unusual
+        search.
+        """
         kept = of_kind(self.task.requirements, Avoid)
         said = (words for one in kept for words in scene_of(one.obstacles).stands_for)
         late = ("the time limit ended the search: a better design may be near",) if self.out_of_time else ()
@@ -106,14 +107,14 @@ class DesignSolution(Displayed):
 
     @property
     def status(self) -> DesignStatus:
-        """Whether it keeps what was demanded when it is looked at again, and whether its search came to an end."""
+        """Result of the final check of all requirements, and whether the search finished."""
         if not self.verification.kept:
             return DesignStatus.BROKEN
         return DesignStatus.STOPPED if self.out_of_time else DesignStatus.KEPT
 
     @property
     def statistics(self) -> DesignStatistics:
-        """What it took."""
+        """Starts, rounds and seconds of the search."""
         return DesignStatistics(self.ranking.starts, self.rounds, self.seconds)
 
     @property
@@ -141,37 +142,37 @@ def optimize_design(  # noqa: PLR0913
     begin: Attempt | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> DesignSolution:
-    """The best robot that keeps all requirements of a task.
+    """The best robot that satisfies all requirements of a task, with its verification.
 
-    Unknown are the free dimensions and the joint values of the task poses; equilibria are solved inside. From every
-    start, least squares lead to a feasible design and IPOPT to the best one near it (a local optimum; more starts
-    look farther). Cases of which there are endlessly many (a box of translations, joint paths, a workspace box) are
-    added one by one where they are violated. At the end everything is checked again by independent code.
+    Unknowns are the free dimensions and the joint values of the task poses; equilibria are solved inside. From every
+    start, least squares find a feasible design, and IPOPT the best one near it. That is a local optimum; more starts
+    search more widely. Requirements with infinitely many cases (a box of translations, joint paths, a workspace box)
+    are added case by case where they are violated. At the end independent code checks everything again.
 
     Args:
-        method: "reduced", as above, or "collocation": from the feasible design on, one program in which the equilibria
-            of all poses are unknowns too, blocks with exact second derivatives. It takes requirements on tubes,
-            certificates, margins at poses, targets, and own ones; it keeps the order of breakpoints of its start, and
-            is there to confirm and to compose: the reduced program is faster.
-        starts: from the task's own dimensions, and from so many less one random others; where none leads to a feasible
-            design, up to 4 are tried.
-        seed: of random starts.
+        method: "reduced", as above, or "collocation". The latter continues from the feasible design with one program:
+            the equilibria of all poses are unknowns too, as blocks with exact second derivatives. It supports
+            requirements on tubes, certificates, margins at poses, targets, and custom ones, and keeps the order of
+            breakpoints of its start. Use it to confirm and to compose; the reduced program is faster.
+        starts: number of starts: the dimensions of the task, then random ones. If none gives a feasible design, up to 4
+            are tried.
+        seed: seed of the random starts.
         workers: processes for the starts.
-        turns: random full turns forth and back, per translations checked, on which no certified robot may snap.
-        progress: called with the number of starts done, and of all; where it has a method `iteration`, that is called
-            with stage and measure after each iteration, with one worker.
-        begin: an earlier answer for a task with the same unknowns, from which to start instead.
-        time_limit: s, on the clock. The best design that was found by then is the answer, with the status
-            `DesignStatus.STOPPED`; a fifth of the time is for its checks.
+        turns: random full turns back and forth per checked set of translations; no certified robot may snap on them.
+        progress: called with the number of starts done and of all. If it has a method `iteration` and there is one
+            worker, that is called with stage and measure after each iteration.
+        begin: an earlier result for a task with the same unknowns, used as the start.
+        time_limit: maximum run time, s. The best design found by then is returned with the status
+            `DesignStatus.STOPPED`; a fifth of the time is reserved for its checks.
 
     Raises:
-        InputError: no task, fewer than one start or worker, a seed or turns below 0; a requirement that the method does
-            not take; an own requirement or objective whose expression makes no sense.
-        DesignNotFoundError: (a SolveError) no start leads to a feasible design; the message names the limits that were
-            violated most, and other ones with which a design was found.
-        InfeasibleDesignError: (a DesignNotFoundError) it is shown that there is none.
-        TimeLimitError: (a SolveError) what was found could not be checked in time.
-        SolveError: worst cases did not end, or the design breaks a promise when it is checked again.
+        InputError: no task, fewer than one start or worker, a seed or turns below 0. A requirement that the method does
+            not support, or a custom requirement or objective with an invalid expression.
+        DesignNotFoundError: (a SolveError) no start gives a feasible design. The message names the limits that were
+            violated most, and limits that can be met.
+        InfeasibleDesignError: (a DesignNotFoundError) no feasible design exists, which is proved.
+        TimeLimitError: (a SolveError) the design found could not be checked in time.
+        SolveError: worst cases did not end, or the design violates a requirement when it is checked again.
 
     Examples:
         >>> import tubeopt

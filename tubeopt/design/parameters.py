@@ -63,36 +63,39 @@ GRADED = (*TUBE_FIELDS, *STIFFNESSES)
 class Free(Displayed):
     """A dimension of some tubes that the design may choose.
 
-    Of the fields that begin with "piece_" every piece has its own value, or with "equal" all of them one; the lengths
-    of the pieces stay, and a tube of one curvature is one piece. The curvature bends what a piece has in proportion; a
-    shape is a polynomial, the sum of c_k T_k(x) with Chebyshev's T_k and x = -1 .. 1 along the piece, of curvature
-    about its x axis; the turn of the bend plane is counted from the direction that the piece has, and the factors of
-    its stiffnesses from those that it has.
+    Fields that begin with "piece_" have one value per piece, or one for all with "equal". The lengths of the pieces
+    stay, and a tube of one curvature is one piece. Their meaning:
+
+    - Curvature scales the bend of a piece.
+    - A shape is a polynomial for the curvature about the x axis: the sum of c_k T_k(x) with Chebyshev's T_k and x = -1
+      .. 1 along the piece.
+    - The rotation of the bend plane counts from the present direction of the piece.
+    - Stiffness factors count from the present stiffnesses of the piece.
 
     Raises:
         InputError: unknown field or tie, no tube, bounds that are not finite or crossed.
     """
 
     field: str
-    """One of `FIELDS`."""
+    """Name of the dimension, one of `FIELDS`."""
     tubes: tuple[int, ...]
-    """From 0, inner to outer."""
+    """Tubes, from 0, inner to outer."""
     lower: float
     """SI; for "scaled", a factor."""
     upper: float
     """SI; for "scaled", a factor."""
     tie: str = "each"
-    """By "each" every tube gets its own value, by "equal" all get one, "scaled" multiplies all by one factor."""
+    """"each": one value per tube; "equal": one value for all; "scaled": one factor that multiplies all."""
     pieces: tuple[int, ...] = ()
-    """From 0, from the straight part to the tip; () are all."""
+    """Pieces, from 0, from the straight part to the tip; () means all."""
     coefficients: int = 1
-    """Of a shape."""
+    """Number of coefficients of a shape."""
     torsion_share: float | None = None
-    """With a bending factor b the torsion factor is 1 - torsion_share (1 - b): what the workshop measured on its slots.
-    None leaves the torsional stiffness as it is."""
+    """Measured ratio for slotted tubes: bending factor b gives the torsion factor 1 - torsion_share (1 - b). None
+    leaves the torsional stiffness as it is.
+    """
     slots: Slots | None = None
-    """Where they are cut that leave a bending factor, for the strain of what they leave; None are those that the pieces
-    have."""
+    """Geometry of the slots that produce a bending factor, for the strain; None takes the slots of the pieces."""
 
     def __post_init__(self) -> None:
         choice("field of a free dimension", self.field, FIELDS)

@@ -85,18 +85,18 @@ class SnapFree(Displayed):
 
     @property
     def growth(self) -> float:
-        """By what 1 - mu_cert grows at most with tubes that are off by the errors, each for itself.
+        """Largest growth factor of 1 - mu_cert if every tube deviates by the errors, each on its own.
 
-        With errors c and s, the coupling c_ij = kb_i kappa_i kb_j kappa_j / sum kb grows by at most
-        ((1 + c)(1 + s))^2 / (1 - s), the torsional part of the second variation falls by 1 - s at most, and 1 - mu_cert
-        is the largest quotient of a sum of |c_ij| with that.
+        Let c and s be the errors of curvature and stiffness. The coupling c_ij = kb_i kappa_i kb_j kappa_j / sum kb
+        grows by at most ((1 + c)(1 + s))^2 / (1 - s). The torsional part of the second variation falls by at most 1 -
+        s. 1 - mu_cert is the largest quotient of a sum of |c_ij| with that part.
         """
         c, s = self.curvature_error, self.stiffness_error
         return ((1 + c) * (1 + s) / (1 - s)) ** 2
 
     @property
     def floor(self) -> float:
-        """The certificate of the tubes as they should be with which all that are off by the errors keep the margin."""
+        """Certificate that the nominal tubes need so that all tubes within the errors keep the margin."""
         return 1 - (1 - self.margin) / self.growth
 
     def eased(self, amount: float) -> SnapFree:
@@ -347,8 +347,12 @@ class Avoid:
 
 @typed
 def Corridor(centreline: tuple[tuple[float, float, float], ...], radius: float | tuple[float, ...]) -> Avoid:
-    """`Avoid` of all that is outside of a corridor: at every task pose the whole arm lies in a tube around a polyline
-    (N, 3), m, with one radius (m) or one for every point."""
+    """`Avoid` for everything outside a corridor: at every task pose the whole arm lies within it.
+
+    Args:
+        centreline: (N, 3) points of a polyline, m.
+        radius: radius of the corridor, m: one number or one per point.
+    """
     return Avoid((Vessel(centreline, radius),))
 
 

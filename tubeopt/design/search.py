@@ -93,7 +93,7 @@ class SearchedDesign(Searched):
 
     @property
     def value(self) -> ConcentricRobot:
-        """The robot."""
+        """The designed robot."""
         return self.solution.robot
 
 
@@ -106,12 +106,12 @@ class SearchedPair(Searched):
 
     @property
     def value(self) -> tuple[ConcentricRobot, ConcentricRobot]:
-        """The robots."""
+        """The two designed robots."""
         return self.solutions[0].robot, self.solutions[1].robot
 
     @property
     def status(self) -> DesignStatus:
-        """Whether both keep what was demanded when they are looked at again; else that of the one that does not."""
+        """Result of the final check of both robots; the status of the one that fails, if any."""
         one, other = (solution.status for solution in self.solutions)
         return one if other is DesignStatus.KEPT else other
 
@@ -206,22 +206,22 @@ def search_design(
     turns: int = 6,
     progress: Progress | None = None,
 ) -> SearchedDesign:
-    """The best robot for what has no derivative, within the requirements of a task, as far as time goes.
+    """The best robot found for a goal without derivatives, within the requirements of a task and a time limit.
 
-    Every start is led to a design that keeps the requirements; from there a simplex goes on, for which designs that do
-    not keep them are worse than all others. What is found is the best that was looked at: no optimum is claimed.
+    Every start is moved to a design that satisfies the requirements. A simplex search continues from there; designs
+    that violate a requirement rank below all others. The result is the best design evaluated; it is not proved optimal.
 
     Args:
-        task: free dimensions, and requirements on tubes and certificates; its objective does not count.
-        wanted: as `tubeopt.planning.RegionReach`.
-        seconds: on the clock, from when the first start keeps the requirements, shared by all starts.
-        starts: from the task's own dimensions, and from random ones.
-        turns: as of `optimize_design`.   progress: called with the number of designs looked at, and 0.
+        task: free dimensions, and requirements on tubes and certificates; its objective is ignored.
+        wanted: the goal, for example `tubeopt.planning.RegionReach`.
+        seconds: search time, s, from the first start that satisfies the requirements, shared by all starts.
+        starts: number of starts: the dimensions of the task, then random ones.
+        turns: as for `optimize_design`.   progress: called with the number of evaluated designs, and 0.
 
     Raises:
-        InputError: a task with poses, a certificate over a box or under a force; numbers that make no sense.
-        DesignNotFoundError: no start leads to a design that keeps the requirements.
-        SolveError: the design breaks a promise when it is checked again.
+        InputError: a task with poses, a certificate over a box or under a force, or numbers out of range.
+        DesignNotFoundError: no start leads to a design that satisfies the requirements.
+        SolveError: the design violates a requirement when it is checked again.
 
     Examples:
         >>> import tubeopt

@@ -105,35 +105,36 @@ class Pricing(Settings):
 
 @dataclass(frozen=True)
 class DesignSolver(Settings):
-    """How hard a design is searched for, and its promises are checked; a field of a `DesignTask`."""
+    """Settings of the search for a design and of its checks; a field of a `DesignTask`."""
 
     starts: StartSearch = StartSearch()
-    """Where designs begin."""
+    """Settings of the starts."""
     optimum: OptimumSearch = OptimumSearch()
-    """How the best one near a start is found."""
+    """Settings of the local optimisation from a start."""
     orders: OrderSearch = OrderSearch()
-    """Which order of breakpoints holds it."""
+    """Settings of the search over orders of breakpoints."""
     collocation: Ipopt = COLLOCATION
-    """How IPOPT solves the program of method "collocation". Its start is feasible: a larger barrier would drive it far
-    away first, through designs that no branch connects."""
+    """IPOPT settings of method "collocation". Its start is feasible: a larger barrier would first move far away,
+    through designs that no branch connects.
+    """
     exchange: ExchangeSearch = ExchangeSearch()
-    """How worst cases are found and added."""
+    """Settings for finding and adding worst cases."""
     relaxation: RelaxationSearch = RelaxationSearch()
-    """How the smallest relaxation is found."""
+    """Settings for finding the smallest relaxation of an infeasible task."""
     pricing: Pricing = Pricing()
-    """Which limits bind, and what they cost."""
+    """Settings for active limits and their prices."""
     simplex_step: float = 0.2
     """Size of the first simplex of a search without derivatives, as a share of every range."""
     simplex_size: float = 1e-3
     """Share of the ranges below which a simplex has converged."""
     force_rounds: int = 16
-    """Designs that are made in search of the one that bears a force."""
+    """Designs tried in the search for one that withstands a force."""
     force_accuracy: float = 2e-3
-    """Of the floor of the certificate without force that this one needs."""
+    """Accuracy of the required certificate without force."""
     searched_translations: int = 3
-    """Of certified ones, where the least margin is also looked for by search."""
+    """Number of certified translations at which the smallest margin is also searched."""
     perturbed_robots: int = 12
-    """With tubes that are off by all that is allowed, whose certificates are looked at."""
+    """Number of robots with deviating tubes, within the allowed errors, for which the certificate is checked."""
 
 
 DEFAULT_SOLVER = DesignSolver()

@@ -36,30 +36,30 @@ from .settings import DEFAULT_SOLVER, DesignSolver
 
 @dataclass(frozen=True)
 class DesignTask(Displayed):
-    """What to design.
+    """A robot, its free dimensions, requirements and objectives.
 
     Raises:
-        InputError: parts that do not fit together: tubes that are not there, translations of another number of tubes,
-            a requirement or objective that speaks of task poses where there are none, nothing free or wanted, an order
-            that no lengths keep.
+        InputError: no free dimension, no objective, or an order that no lengths satisfy. Missing tubes or task poses,
+            or translations for another number of tubes.
     """
 
     robot: ConcentricRobot
-    """Where to start."""
+    """Robot with the starting dimensions."""
     free: tuple[Free, ...]
     """Dimensions that may change."""
     requirements: tuple[Requirement, ...] = ()
-    """All of which must hold."""
+    """Requirements; the design satisfies all of them."""
     objective: AnyObjective | tuple[AnyObjective, ...] = field(default_factory=lambda: Objective("change"))
     """One, or several that are added with their weights."""
     name: str = ""
-    """What to call it."""
+    """Name in tables and messages."""
     ordered: bool = True
-    """Whether the tubes must be in order (no carriage before that of the next outer tube, no end inside of it, none
-    withdrawn past the plate) at translations 0, over certified boxes, and at all translations that requirements and
-    objectives name; in poses whose joint values are found they always are."""
+    """Whether the tubes must be in order: carriages in order, ends in order, no tube withdrawn past the plate. It
+    applies at translations 0, over certified boxes, and at all translations that requirements and objectives name.
+    Poses with free joint values always keep the order.
+    """
     solver: DesignSolver = DEFAULT_SOLVER
-    """How hard it is searched for."""
+    """Settings of the search."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, ConcentricRobot):
@@ -87,27 +87,27 @@ class DesignTask(Displayed):
 
     @property
     def objectives(self) -> tuple[AnyObjective, ...]:
-        """All objectives."""
+        """All objectives of the task."""
         return (self.objective,) if isinstance(self.objective, AnyObjective) else tuple(self.objective)
 
     @property
     def built_in(self) -> tuple[Objective, ...]:
-        """Those that are no own ones."""
+        """Objectives that are not custom."""
         return tuple(one for one in self.objectives if isinstance(one, Objective))
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """Where the tubes must be in order."""
+        """Translations at which the tubes must be in order."""
         return ordered_places(self.robot.n_tubes, self.requirements, self.objectives) if self.ordered else ()
 
     @property
     def space(self) -> DesignSpace:
-        """The unknown dimensions."""
+        """The unknown dimensions and their bounds."""
         return design_space(self.robot.tubes, self.free)
 
     @property
     def has_poses(self) -> bool:
-        """Whether there are task poses."""
+        """True if the task has poses."""
         kinds = (Reach, Poses, Coverage)
         posed = any(isinstance(one, kinds) for one in self.requirements)
         return posed or any(one.kind == "reach_radius" for one in self.built_in)

@@ -55,11 +55,11 @@ class EquilibriumBatch(Displayed):
     """Equilibria of N configurations of a robot with n tubes; rows of what did not converge are NaN."""
 
     robot: Robot
-    """As given."""
+    """The robot."""
     rotations: Array
-    """(N, n) rad."""
+    """(N, n) rotations, rad."""
     translations: Array
-    """(N, n) m."""
+    """(N, n) translations, m."""
     tip_position: Array
     """(N, 3) end of the tube that reaches farthest, in the plate frame, m."""
     tip_rotation: Array
@@ -67,15 +67,15 @@ class EquilibriumBatch(Displayed):
     tip_rotations: Array
     """(N, n) theta_i at each tube's own end, rad."""
     margin: Array
-    """(N,) of stability."""
+    """(N,) stability margins."""
     energy: Array
-    """(N,) J."""
+    """(N,) elastic energies, J."""
     residual: Array
     """(N,) of theta, rad."""
     mesh_error: Array
     """(N,) of theta, rad."""
     tip_error: Array
-    """(N,) estimated, m."""
+    """(N,) estimated errors of the tip position, m."""
     converged: Mask
     """(N,) whether a stable equilibrium was found to the tolerance; one without a margin under loads that have none."""
     failures: tuple[tuple[int, str], ...] = ()
@@ -93,12 +93,12 @@ class EquilibriumBatch(Displayed):
 
     @property
     def status(self) -> BatchStatus:
-        """Whether an equilibrium was found everywhere."""
+        """Whether an equilibrium was found for every configuration."""
         return BatchStatus.SOLVED if self.converged.all() else BatchStatus.GAPS
 
     @property
     def statistics(self) -> BatchStatistics:
-        """What it took."""
+        """Numbers of configurations and failures."""
         return BatchStatistics(len(self), int((~self.converged).sum()))
 
     @property
@@ -123,23 +123,22 @@ def forward_kinematics_batch(  # noqa: PLR0913
 ) -> EquilibriumBatch:
     """Equilibria of N configurations, each the one that `forward_kinematics` finds without a guess.
 
-    Robots are solved by the compiled kernel where there is a C compiler; what it leaves over is solved by
-    `forward_kinematics` one by one.
+    The compiled kernel solves them where there is a C compiler; `forward_kinematics` solves the remaining ones.
 
     Args:
         rotations: (N, n) rad.
         translations: (N, n) m, or (n,) for all; None is home.
-        load: on every configuration; those of the same translations share what is built for them.
-        tolerance: wanted accuracy of theta(s), rad, and of the tip, as a fraction of the length of the arm, with tubes
-            made of pieces of 10 mm.
+        load: external load on every configuration.
+        tolerance: required accuracy of theta(s), rad, and of the tip, relative to the length of the arm. For tubes made
+            of pieces it applies to pieces of 10 mm.
         workers: threads of the kernel; 0 is one per core.
-        on_failure: "return" marks what has no stable equilibrium; "raise" raises SolveError for the first.
+        on_failure: "return" marks configurations without a stable equilibrium; "raise" raises SolveError for the first.
         progress: called with the number of configurations done, now and then.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: arrays of wrong shape, a value that is not finite, a tube out of its actuator (the row is named).
-        SolveError: with on_failure="raise", a configuration without a stable equilibrium that could be found.
+        InputError: arrays of wrong shape, a value that is not finite, or a tube out of its actuator; names the row.
+        SolveError: with on_failure="raise", no stable equilibrium was found for a configuration.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:

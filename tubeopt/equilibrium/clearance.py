@@ -74,25 +74,25 @@ class ClearanceCorrection(Displayed):
     """An arm with the tilts that the room between its tubes allows, to first order in them."""
 
     equilibrium: Equilibrium
-    """Of tubes on one centreline."""
+    """Equilibrium of tubes on one centreline."""
     leavings: tuple[Leaving, ...]
-    """Where tubes are left, base to tip."""
+    """Points at which tubes end inside others, from base to tip."""
     position: Array
     """(M, 3) of the points of the arm, m."""
     turn: Array
-    """(3, 3) by which the frame of the tip is turned."""
+    """(3, 3) rotation of the tip frame by the clearance."""
     radius: Array
     """(M,) estimate of how far points can be from where they are without clearance, at worst, m: a bound to first order
     where the tubes are bent in one plane."""
 
     @property
     def tip_position(self) -> Array:
-        """(3,) m."""
+        """(3,) corrected position of the tip, m."""
         return np.asarray(self.position[-1])
 
     @property
     def tip_rotation(self) -> Array:
-        """(3, 3)."""
+        """(3, 3) corrected orientation of the tip."""
         return np.asarray(self.turn @ self.equilibrium.tip_rotation)
 
     @property
@@ -105,13 +105,13 @@ class ClearanceCorrection(Displayed):
 def clearance_correction(
     equilibrium: Equilibrium, clearance: Sequence[float] | float | None = None
 ) -> ClearanceCorrection:
-    """How far the room between its tubes lets a concentric robot be from where its equilibrium says.
+    """Correction of a concentric robot's tip for the radial clearance between its tubes.
 
-    Where a tube ends inside others that go on alone, these are taken to stay where they are.
+    Where a tube ends inside others that continue, these are assumed to stay in place.
 
     Args:
-        clearance: (n - 1,) m, radial, of every tube in the next one, or one number for all; by default those of the
-            robot's file, else those of its diameters.
+        clearance: (n - 1,) m, radial clearance of every tube in the next one, or one number for all. By default that of
+            the robot's file, else that of its diameters.
 
     Raises:
         InputError: an eccentric robot, or clearances that are negative, not finite, or for another number of tubes.

@@ -63,32 +63,32 @@ def forward_kinematics(  # noqa: PLR0913
 ) -> Equilibrium:
     """Equilibrium of a robot at given joint values.
 
-    Without a guess the answer is a stable equilibrium: the one that energy descent (method "newton") reaches from
-    tubes without torsion, or, where that is unstable, the one that is reached by turning all tubes together from home.
-    With a guess, an equilibrium at other joint values, the branch of the guess is followed, stable or not.
+    Without a guess the result is a stable equilibrium. Energy descent (method "newton") finds it from tubes without
+    torsion. If that one is unstable, all tubes are moved together from home instead. With a guess, an equilibrium at
+    other joint values, the branch of the guess is followed, stable or not.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
-        load: forces on the robot. Without a guess the answer is then the stable equilibrium into which the unloaded one
-            grows with the load; with one, the branch of the guess is followed to these joint values and this load.
-        method: "newton" (the collocation equations, condensed), "ipopt" (the same equations as the constraints of a
-            nonlinear program), "energy" (least elastic energy by IPOPT; concentric tubes only); or the settings of a
-            solver, `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are one: least
-            potential energy, with the orientation of the arm as constraints, from what "newton" finds.
-        tolerance: wanted accuracy of theta(s), rad, and of the tip as a fraction of the length of the arm, with tubes
-            made of pieces of 10 mm; the mesh is refined until the estimate is below.
+        load: external load. Without a guess, the unloaded equilibrium is followed while the load grows. With one, the
+            branch of the guess is followed to these joint values and this load.
+        method: "newton" (condensed collocation equations), "ipopt" (the same equations as constraints of a nonlinear
+            program), "energy" (minimum elastic energy by IPOPT; concentric tubes only), or solver settings:
+            `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are the same: minimum
+            potential energy from the result of "newton", with the orientation of the arm as constraints.
+        tolerance: required accuracy of theta(s), rad, and of the tip, relative to the length of the arm. For tubes made
+            of pieces it applies to pieces of 10 mm. The mesh is refined until the error estimate is below it.
         verify: also re-integrate adaptively and report the difference in `.verification`.
         discretisation: collocation family and degree.
-        time_limit: s, on the clock: moments that wind an arm up to a coil take many steps.
+        time_limit: maximum run time, s. Moments that wind an arm into a coil need many steps.
 
     Raises:
-        InputError: no robot, wrong number of joint values, one that is not finite, a rotation beyond MOST_TURN, a tube
-            out of its actuator, translations that are not in m, unknown method; a load on an eccentric robot, with
-            a discretisation, or with IPOPT where it has no energy.
-        SolveError: no stable equilibrium was found, the branch of the guess ends on the way (a snap), the branch ends
-            or loses stability before the whole load is on (the message says at which part of it), or the tolerance is
-            out of reach; `.solution` holds the best equilibrium found, where there is one.
-        TimeLimitError: the time limit is reached, a `SolveError`.
+        InputError: no robot, an unknown method, or wrong joint values: their number, a value that is not finite, a
+            rotation beyond MOST_TURN, a tube out of its actuator. With a load also: an eccentric
+            robot, a discretisation, or IPOPT for a load without an energy.
+        SolveError: no stable equilibrium was found, the tolerance cannot be reached, or the branch of the guess ends on
+            the path (a snap). Or the branch ends or loses stability before the full load; the message names the load
+            fraction. `.solution` is the best equilibrium found, if any.
+        TimeLimitError: (a SolveError) the time limit was reached.
 
     Examples:
         >>> import tubeopt

@@ -25,14 +25,14 @@ from ..typing import Array
 
 @dataclass(frozen=True)
 class Discretisation(Displayed):
-    """How the torsion problem is transcribed."""
+    """Collocation family, degree and mesh of the torsion problem."""
 
     family: str = "gauss"
-    """Of collocation."""
+    """Family of collocation points."""
     degree: int = 6
-    """Of its polynomials."""
+    """Degree of the collocation polynomials."""
     refinement: int = 0
-    """How often the default pieces of the mesh are halved."""
+    """Number of times that the default mesh is halved."""
 
     def __post_init__(self) -> None:
         choice("family", self.family, FAMILIES)

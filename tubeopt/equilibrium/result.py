@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Status(Sentence):
-    """What became of a solve; every value reads as a sentence."""
+    """Result of a solve; every value reads as a sentence."""
 
     STABLE = "a stable equilibrium was found"
     UNSTABLE = "an unstable equilibrium was found: any disturbance makes the robot leave it"
@@ -38,24 +38,24 @@ class Status(Sentence):
 
 @dataclass(frozen=True)
 class Statistics(Displayed):
-    """How a solve went."""
+    """Method, mesh, iterations and time of a solve."""
 
     method: str
-    """By name: "newton", "ipopt", "energy", or "increment" with friction."""
+    """Solver: "newton", "ipopt", "energy", or "increment" with friction."""
     iterations: int
-    """That the solver took."""
+    """Number of solver iterations."""
     elements: int
-    """Of the mesh."""
+    """Number of elements of the mesh."""
     degree: int
-    """Of collocation."""
+    """Degree of the collocation polynomials."""
     start: str
-    """How the answer was reached."""
+    """Start that led to convergence."""
     seconds: float
-    """That the solve took, `loading` apart."""
+    """Solve time without `loading`, s."""
     family: str = "gauss"
-    """Of collocation."""
+    """Family of collocation points."""
     refinement: int = 0
-    """How often the pieces of the default mesh were halved."""
+    """Number of times that the default mesh was halved."""
     loading: float = 0.0
     """Seconds in which the robot's kernel was got ready first: in a process loaded once, on a machine compiled once."""
 
@@ -65,7 +65,7 @@ class Verification(Displayed):
     """Difference between the solution and an adaptive re-integration of its initial values (DOP853, 1e-12)."""
 
     tip_position: float
-    """m"""
+    """Difference of the tip position, m."""
     tip_rotation: float
     """Angle between both, rad."""
     rotation: float
@@ -110,14 +110,15 @@ class FrictionState:
 class Jacobian(Displayed):
     """Derivatives with respect to `wrt`, n columns for each name in turn: per rad, per m, or per SI unit.
 
-    Tubes that one carriage moves (the three of an eccentric segment) share the derivative with respect to its
-    translation in equal parts, so that the chain rule holds for every motion that is possible.
+    Tubes on one carriage (the three of an eccentric segment) share the derivative with respect to its translation in
+    equal parts. So the chain rule is right for every possible motion.
 
-    Where no compiled kernel has them all at once, what is not of the tip's pose is computed when it is first read.
+    Without a compiled kernel for all derivatives at once, those other than of the tip pose are computed when first
+    read.
     """
 
     wrt: tuple[str, ...]
-    """Of what the columns are: "rotations", "translations", or a dimension of the tubes."""
+    """Meaning of the columns: "rotations", "translations", or a dimension of the tubes."""
     position: Array
     """(3, Q) of tip_position."""
     rotation: Array
@@ -128,7 +129,7 @@ class Jacobian(Displayed):
     """(Q,); NaN where the margin is a double eigenvalue, and under a load without an energy: see
     `Equilibrium.margin_slopes`."""
     energy: Array
-    """(Q,) J."""
+    """(Q,) derivatives of the elastic energy, J per unit."""
 
     @property
     def matrix(self) -> Array:
@@ -204,7 +205,7 @@ class Equilibrium(Displayed):
     _brief = ("robot", "rotations", "translations", "tip_position", "margin", "status")
 
     robot: Robot
-    """As given."""
+    """The robot."""
     rotations: Array
     """(n,) rad, as given."""
     translations: Array
@@ -218,29 +219,30 @@ class Equilibrium(Displayed):
     tube_end: Array
     """(n,) arc length of each tube's end, m."""
     points: CollocationPoints
-    """Where it was solved for."""
+    """Collocation points of the solution."""
     margin: float
-    """Smallest eigenvalue of the second variation relative to its torsional part; 1: coupling softens nothing here, 0:
-    a snap, to which it falls late and steeply, below 0 unstable. No distance from a snap."""
+    """Smallest eigenvalue of the second variation relative to its torsional part. 1: the coupling has no softening
+    effect. 0: snap. Negative: unstable. It decreases late and steeply, so it is no distance to a snap.
+    """
     index: int
     """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""
     energy: float
     """Bending and torsion in front of the plate and torsion of the transmissions, J."""
     accuracy: Accuracy
-    """How well it is solved."""
+    """Residual and error estimates."""
     status: Status
-    """How the solve ended."""
+    """Result of the solve."""
     statistics: Statistics
-    """What it cost."""
+    """Method, mesh, iterations and time."""
     verification: Verification | None = None
     """Comparison with an adaptive re-integration, where asked for."""
     load: Load | None = None
-    """That the robot bears."""
+    """External load, or None."""
     work: float = 0.0
     """int n.t ds of the force n on the cross-sections, what dead loads do on the arm, J; 0 without load, NaN for loads
     that have no energy."""
     friction: FrictionState | None = None
-    """What friction does, and where a motion with friction goes on from; None without friction."""
+    """State of the friction, needed to continue a motion with friction; None without friction."""
 
     arc_length, position, frame = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
     curvature, rotation, torsion = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
@@ -270,12 +272,12 @@ class Equilibrium(Displayed):
 
     @property
     def value(self) -> Array:
-        """(3,) m, where the tip is: what forward kinematics is asked for."""
+        """(3,) position of the tip, m."""
         return self.tip_position
 
     @property
     def stable(self) -> bool:
-        """Whether the robot stays in this equilibrium: margin > 0."""
+        """True if the margin is positive: the robot stays in this equilibrium."""
         return self.margin > 0
 
     @property
@@ -292,15 +294,17 @@ class Equilibrium(Displayed):
         return found
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
-        """(6, 6) translation (m) and rotation (rad) of the arm at an arc length (m) by a small dead force (N) and
-        moment (N m) there, in world axes; concentric tubes, without load or under forces that keep their direction.
+        """(6, 6) compliance at an arc length (m): translation (m) and rotation (rad) per small dead force (N) and
+        moment (N m).
+
+        In world axes. Concentric tubes only, without load or under dead forces.
 
         Args:
-            tube: from 0, on which the moment acts and whose rotation is given; by default the outermost there, at the
+            tube: the tube, from 0, that carries the moment and is measured. By default the outermost tube there; at the
                 tip the one that ends last.
 
         Raises:
-            InputError: a place that is not on the arm, a tube that is not there, a load without an energy.
+            InputError: an arc length outside the arm, a tube that is not there, a load without an energy.
         """
         found: Array = late("tubeopt.equilibrium.compliance.compliance_at")(self, arc_length, tube)
         return found
@@ -323,10 +327,10 @@ class Equilibrium(Displayed):
         return found
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
-        """The collocated problem that it solves, and the torsion along its arm; with a load or friction there is none.
+        """The collocated problem of this equilibrium, and its torsion along the arm; not with a load or friction.
 
         Raises:
-            SolveError: Newton's method does not stay at the equilibrium: it is a fold.
+            SolveError: Newton's method leaves the equilibrium: it is a fold.
         """
         found: tuple[ReducedProblem, Profile] = late("tubeopt.equilibrium.answer.collocated")(self)
         return found
@@ -341,12 +345,15 @@ class Equilibrium(Displayed):
         load: Load | None = None,
         curvature_at: Callable[[Array], Array] | None = None,
     ) -> Equilibrium:
-        """An equilibrium of a robot at joint values: `forward_kinematics` cold, or, stable or not, from where rotations
-        (n, P) of its tubes at arc lengths (P,) begin; of tubes made of pieces these are the elastic rotations. Under
-        `load` curvatures (2, P) belong to them.
+        """An equilibrium of a robot at joint values, from given rotations along the arm or cold.
+
+        Args:
+            rotation_at: rotations (n, P) of the tubes at arc lengths (P,) that start the solve, stable or not; the
+                elastic rotations for tubes made of pieces. None solves cold by `forward_kinematics`.
+            load, curvature_at: external load, and the curvatures (2, P) that start the solve under it.
 
         Raises:
-            SolveError: there is none.
+            SolveError: no equilibrium was found.
         """
         found: Equilibrium = late("tubeopt.equilibrium.kinematics.equilibrium_at")(
             robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
@@ -354,7 +361,7 @@ class Equilibrium(Displayed):
         return found
 
     def verified(self) -> Equilibrium:
-        """The same, with its `verification` by adaptive re-integration."""
+        """This equilibrium with its `verification` by adaptive re-integration."""
         found: Equilibrium = late("tubeopt.equilibrium.verification.verify_equilibrium")(self)
         return found
 

@@ -14,7 +14,7 @@ from .outline import Outline
 
 
 class InverseStatus(Sentence):
-    """What became of a target; every value reads as a sentence."""
+    """Result for one target; every value reads as a sentence."""
 
     REACHED = "the target is reached in a stable equilibrium"
     CLOSEST = "target not reached; the closest pose is shown"
@@ -70,27 +70,31 @@ class InverseSolution(Displayed):
     scene: Scene
     """The obstacles."""
     cold_start_agrees: bool | None
-    """Whether `forward_kinematics` without a guess finds this same equilibrium; None where nobody asked, as in a servo
-    step."""
+    """True if `forward_kinematics` without a guess finds this equilibrium; None if it was not checked, as in a servo
+    step.
+    """
     straight_from_seed: bool | None
-    """Whether the straight way of joint values from the seed is known to lead there without a snap; False where it
-    snaps, or comes too close to that for a quick look; None without a seed."""
+    """True if the straight joint path from the seed is known to arrive without a snap. False if it snaps, or comes too
+    close to a snap for a quick check. None without a seed.
+    """
     active: tuple[str, ...]
-    """In words, what holds the joint values: ends of ranges, tubes that touch, margin, obstacles."""
+    """Active constraints of the joint values, as text: ends of ranges, tubes in contact, margin, obstacles."""
     status: InverseStatus
-    """How the search ended."""
+    """Result of the search."""
     statistics: InverseStatistics
-    """Its cost."""
+    """Solves, iterations and time of the search."""
     reachable: bool | None = None
-    """Whether a way is known from the seed, or else from home, on which the robot does not snap: True with `way`; None
-    where only a quick look was taken at the straight one; False where `reachable=True` was given and none was found,
-    which does not prove that there is none."""
+    """True if a snap-free path from the seed, or else from home, is known: `way`. None if only the straight path was
+    checked quickly. False if `reachable=True` was given and no path was found; one may still exist.
+    """
     way: JointWay | None = None
-    """That way; None without. It keeps the ranges of the joints; obstacles are left to `plan_trajectory`. Home is the
-    joint values nearest to it that ranges and order of the tubes allow."""
+    """Snap-free joint path to this solution, or None. It keeps the joint ranges; obstacles are left to
+    `plan_trajectory`. Home means the nearest joint values within ranges and order of the tubes.
+    """
     leaps: str = ""
-    """For an answer of `IkSession`, what makes the straight way of joint values from the last answer a leap, in words;
-    empty where the tip stays near the line between the two targets."""
+    """Reason why the straight joint path from the last solution of an `IkSession` jumps; empty if the tip stays near
+    the line between the two targets.
+    """
 
     robot = Of[Robot]("equilibrium")
     rotations, translations = Of[Array]("equilibrium"), Of[Array]("equilibrium")
@@ -109,5 +113,5 @@ class InverseSolution(Displayed):
 
     @property
     def reached(self) -> bool:
-        """Whether the tip is on target."""
+        """True if the tip is on target."""
         return self.status is InverseStatus.REACHED

@@ -43,16 +43,16 @@ class _Slopes:
 
 
 class IkSession:
-    """Inverse kinematics of one robot for one target after another.
+    """Inverse kinematics of one robot for a sequence of targets.
 
-    Keeps the last equilibrium and its derivatives: a small step is a few Newton solves. Each step follows the branch of
-    the last one, keeps joint limits, order, margin and clearance, and moves within what the target leaves free towards
-    larger margin. Where it stalls, the nonlinear program takes over, from there. What the robot does on the straight
-    way of joint values between two answers is checked; where it would leap, targets are put in between.
+    Keeps the last equilibrium and its derivatives: a small step takes a few Newton solves. Each step follows the branch
+    of the last one, keeps joint limits, order, margin and clearance, and uses the null space to raise the margin. Where
+    it stalls, the nonlinear program continues from there. The straight joint path between two solutions is checked;
+    targets are inserted where it would jump.
 
     Args:
         robot, min_margin, limits, weights, obstacles, options: as for `inverse_kinematics`.
-        seed: where the robot is; without it, the first target is solved from the table of starts.
+        seed: current configuration of the robot; without it, the first target starts from the table of configurations.
 
     Raises:
         InputError, SolveError: as `inverse_kinematics` does.
@@ -93,15 +93,15 @@ class IkSession:
 
     @small
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
-        """The answer for the next target, near the last one.
+        """The solution for the next target, near the last one.
 
-        Its `.way` leads from the last answer to it without a leap, through joint values between where the straight way
-        would leap; where that cannot be had, `.leaps` says why.
+        `.way` leads from the last solution to it without a jump, with joint values inserted where the straight path
+        would jump. If there is no such path, `.leaps` gives the reason.
 
         Raises:
-            InputError: a target that is not three finite numbers, a direction without length.
-            SolveError: the branch does not lead there; the message says by how far the target is missed and what holds
-                the robot. The session stays where it was.
+            InputError: a target that is not three finite numbers, a direction of length zero.
+            SolveError: the branch does not reach the target; the message states the miss and the active constraints.
+                The session keeps its last state.
         """
         answers = self.lead(position, direction=direction)
         if len(answers) == 1:
@@ -122,10 +122,10 @@ class IkSession:
 
     @small
     def lead(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
-        """The answer for the next target, and before it answers for targets on the straight line from the last one,
-        as many as it takes that no straight way of joint values between two of them leaps.
+        """Solutions for intermediate targets on the straight line from the last target, then for the next target.
 
-        An answer to which it leaps even so has the reason in `.leaps`. Raises as `solve` does.
+        As many as are needed so that no straight joint path between two of them jumps. Where a jump remains, `.leaps`
+        has the reason. Raises as `solve` does.
         """
         target = vector("position", position, 3, "x, y, z in m")
         check_target(self._goal.space.robot.tubes, "position", target)

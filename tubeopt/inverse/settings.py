@@ -199,10 +199,10 @@ class Leaps(Settings):
 
 @dataclass(frozen=True)
 class InverseSolver(Settings):
-    """How inverse kinematics searches; a field of `InverseOptions`.
+    """Settings of the search of inverse kinematics; a field of `InverseOptions`.
 
     Raises:
-        InputError: a count that is no whole number of at least 1 (0 for starts of the program and clear ones, and for
+        InputError: a count that is no whole number of at least 1 (0 for starts of the program, clear starts and
             orders), another number that is not positive.
     """
 
@@ -211,29 +211,29 @@ class InverseSolver(Settings):
     direction_tolerance: float = 1e-7
     """Angle, rad, at which it counts as pointing there."""
     margin_room: float = 1e-6
-    """Margin kept beyond what is asked, so that solving on a finer mesh still finds it kept."""
+    """Extra margin beyond the required one, so that a finer mesh still satisfies it."""
     clearance_room: float = 1e-5
-    """The same of clearance, m: more than the arm comes closer between the points at which it is measured."""
+    """Extra clearance beyond the required one, m: covers the arm between its sample points."""
     way_seconds: float = 10.0
-    """For which a way without a snap to one answer is looked for at most."""
+    """Longest search for a snap-free path to one solution, s."""
     way_margin: float = 2e-3
-    """That it keeps, or half of what its ends have where that is less."""
+    """Margin kept on that path; half of the margin at its ends if that is less."""
     descent: Descent = Descent()
     """Towards the target from each start."""
     order: OrderChanges = OrderChanges()
-    """Where breakpoints change their order on the way."""
+    """Settings for changes in the order of breakpoints."""
     starts: Starts = Starts()
-    """Where it begins."""
+    """Settings of the starts."""
     program: Programs = Programs()
-    """By IPOPT, from answers of the descent."""
+    """Settings of the nonlinear programs that start from results of the descent."""
     closest: Closest = Closest()
-    """Where the target is out of reach."""
+    """Settings for the closest pose to a target out of reach."""
     aim: Aiming = Aiming()
-    """Under a load."""
+    """Settings for targets under a load."""
     session: SessionSteps = SessionSteps()
-    """From target to target."""
+    """Settings of the steps of an `IkSession`."""
     leap: Leaps = Leaps()
-    """Between targets."""
+    """Settings of the check for jumps between targets."""
 
 
 DEFAULT_SOLVER = InverseSolver()
@@ -256,30 +256,31 @@ class InverseOptions(Displayed):
     direction_weight: Annotated[
         float | None, POSITIVE, "weight of the direction as a cost; by default it is a constraint"
     ] = None
-    """None holds the tip to the direction; a number makes (half the square of) the difference of the unit vectors a
-    cost of that weight beside the objective."""
+    """None makes the direction a constraint. A number adds half the squared difference of the unit vectors to the
+    objective, with that weight.
+    """
     clearance: Annotated[
         float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
-    """Of its surface."""
+    """Smallest allowed distance between the surface of the arm and obstacles, m."""
     carriage_gap: float = 0.0
     """Least distance of neighbouring carriages, m."""
     section_length: float = 0.0
-    """Least length by which a tube ends beyond the one around it, m."""
+    """Smallest length that a tube protrudes from the next outer one, m."""
     method: Annotated[str, OneOf(METHODS), "solver: auto, gauss_newton or nlp"] = "auto"
     """"auto" (the fast path, and the nonlinear program where that stalls), "gauss_newton" or "nlp" alone."""
     starts: Annotated[int, Range(least=1), "largest number of starting configurations"] = 48
     distinct: float = 0.05
     """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
     time_limit: float = TIME_LIMIT
-    """s, of the whole call, whatever the method: what is under way then ends where it is. `math.inf` sets none."""
+    """Time limit of the whole call for any method, s; computations in progress end early. `math.inf` sets none."""
     extra_cost: OwnObjective | None = None
     """An own objective, added to `objective`: its expression of the quantities of the one pose, `q.poses[0]`, times its
     weight. The fast path then searches alone."""
     extra_constraints: tuple[OwnRequirement, ...] = ()
     """Own requirements that every answer keeps. The fast path then searches alone."""
     solver: InverseSolver = DEFAULT_SOLVER
-    """How hard it is searched."""
+    """Settings of the search."""
 
     def __post_init__(self) -> None:
         check_fields(self)

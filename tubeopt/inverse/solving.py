@@ -85,34 +85,34 @@ def inverse_kinematics(  # noqa: PLR0913
 ) -> InverseSolution | list[InverseSolution]:
     """Joint values that bring the tip to a target, in a stable equilibrium with at least `min_margin`.
 
-    Every step of the search is a solved, stable equilibrium. How the robot gets there from where it is, is another
-    question: `.reachable` tells whether a way without a snap is known from the seed, or else from home; `.way` is it.
+    Every step of the search is a solved, stable equilibrium. `.reachable` states whether a snap-free path from the
+    seed, or else from home, is known; `.way` is that path.
 
     Args:
-        position: (3,) of the tip, m.
-        direction: (3,) along which the tip shall point, of any length; None leaves it free.
-        seed: where the robot is: a pair (rotations, translations), an Equilibrium or an InverseSolution. The search
-            starts there and follows its branch; where that leads nowhere, it starts elsewhere.
+        position: (3,) target position of the tip, m.
+        direction: (3,) target direction of the tip, of any length; None leaves it free.
+        seed: current configuration: a pair (rotations, translations), an Equilibrium or an InverseSolution. The search
+            starts there and follows its branch; if that fails, it starts elsewhere.
         reference: configuration to stay close to; by default the seed.
-        min_margin: least stability margin, in [0, 1).
+        min_margin: smallest allowed stability margin, in [0, 1).
         limits: range of every joint; by default `robot.limits`. The order of the tubes is kept as well.
-        weights: of the joints' distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad and 2
-            per length of the longest tube.
-        obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
-        load: forces that push on the robot and keep their direction: tip, margin and clearance are those under it,
-            grown from none. One answer; whether a way leads there is not told.
-        on_failure: "raise", or "closest" to get the closest pose where the target is out of reach.
-        all_solutions: return all distinct answers that are found, best first: nearest to the reference where there is
-            one, else the largest margin.
-        reachable: find a way without a snap to every answer that is returned, or say that none was found: straight, by
-            translations that exclude any snap, or by sampling, for up to 10 s.
-        options: objective, direction as a cost, clearance, method, and the like.
+        weights: weights of the joint distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad
+            and 2 per length of the longest tube.
+        obstacles: bodies that the whole arm avoids by `options.clearance`.
+        load: dead forces on the robot: tip, margin and clearance are those under load. Gives one solution, without a
+            path.
+        on_failure: "raise", or "closest" to get the closest pose to a target out of reach.
+        all_solutions: return all distinct solutions found, best first: nearest to the reference if there is one, else
+            the largest margin.
+        reachable: search a snap-free path to every returned solution for up to 10 s: straight, through translations
+            that exclude any snap, or by sampling.
+        options: objective, weight of the direction, clearance, method, and so on.
 
     Raises:
-        InputError: numbers that are missing, not finite or not allowed; limits that leave nothing; a load without an
-            energy, and so without a margin.
-        SolveError: no answer was found; the message says by how far the target is missed and what holds the robot,
-            `.solution` is the closest pose.
+        InputError: numbers that are missing, not finite or not allowed, limits that leave nothing, or a load without an
+            energy (and so without a margin).
+        SolveError: no solution was found. The message states the miss and the active constraints; `.solution` is the
+            closest pose.
 
     Examples:
         >>> import tubeopt

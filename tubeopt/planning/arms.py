@@ -49,11 +49,11 @@ class PlacedRobot(Displayed):
     """
 
     robot: Robot
-    """Concentric or eccentric."""
+    """A concentric or eccentric robot."""
     base: Frame = field(default_factory=Frame)
     """The frame of its plate in the shared one."""
     name: str = ""
-    """What texts call it."""
+    """Name in tables and messages."""
 
     def __post_init__(self) -> None:
         check_robot(self.robot)
@@ -66,7 +66,7 @@ class PlacedRobot(Displayed):
 
     @property
     def called(self) -> str:
-        """What messages call it."""
+        """Name in messages: `name`, else that of the robot."""
         return self.name or self.robot.name or "robot"
 
 
@@ -85,7 +85,7 @@ class TimedMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ArmsProof(Displayed):
-    """What was found on motions of several arms: of each by itself, of each pair, and what is wrong, in words."""
+    """Proofs of the motions of several arms: of each arm, of each pair, and the faults as text."""
 
     proofs: tuple[Proof, ...]
     """One for each arm."""
@@ -96,7 +96,7 @@ class ArmsProof(Displayed):
 
     @property
     def holds(self) -> bool:
-        """Whether all is proved."""
+        """True if everything is proved."""
         return not self.faults
 
     @property
@@ -106,12 +106,12 @@ class ArmsProof(Displayed):
 
     @property
     def value(self) -> float:
-        """The same."""
+        """Smallest clearance, m."""
         return self.least_clearance
 
     @property
     def status(self) -> ProofStatus:
-        """Whether all is proved."""
+        """Whether everything is proved, as a sentence."""
         if self.holds:
             return ProofStatus.PROVED
         refuted = any(proof.faults and not proof.open for proof in self.proofs)

@@ -66,41 +66,40 @@ class ArmsPlan(Displayed):
     order: tuple[int, ...]
     """Numbers of arms, from 0, in which they were planned for."""
     obstacles: tuple[Obstacle, ...]
-    """In the frame that all share."""
+    """Obstacles in the shared frame."""
     min_margin: float
-    """That is kept."""
+    """Smallest allowed margin."""
     min_clearance: float
     """That is kept, m."""
     proof: ArmsProof
-    """Of all of this."""
+    """Proof of all motions together."""
     seconds: float
-    """That it took."""
+    """Run time, s."""
     made_way: tuple[int, ...] = ()
-    """Those that first withdrew: their trajectories are of two parts, with rest in between, and their proof is that of
-    all of it."""
+    """Arms that first withdraw. Their trajectories have two parts with rest in between; the proof covers both."""
 
     @property
     def duration(self) -> float:
-        """Until the last arm rests, s."""
+        """Time until the last arm rests, s."""
         return max(float(each.time[-1]) for each in self.trajectories)
 
     @property
     def value(self) -> tuple[Trajectory, ...]:
-        """The motions."""
+        """The trajectories."""
         return self.trajectories
 
     @property
     def proved(self) -> bool:
-        """Whether all of it is proved."""
+        """True if everything is proved."""
         return self.proof.holds
 
     @property
     def status(self) -> str:
-        """Whether it is proved, in words."""
+        """Whether everything is proved, as a sentence."""
         return "proved" if self.proved else "; ".join(self.proof.faults)
 
     def rows_at(self, t: float) -> tuple[int, ...]:
-        """Of every trajectory the number of the sample next to a time, s."""
+        """Index of the sample nearest to a time (s), for every trajectory."""
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:

@@ -204,7 +204,7 @@ class Timing(Settings):
 
 @dataclass(frozen=True)
 class ProofSearch(Settings):
-    """How closely equilibria of a proof are set, and what is looked at between them.
+    """Spacing of the equilibria of a proof, and effort of the bounds between them.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `halvings`), another number that is not
@@ -214,19 +214,19 @@ class ProofSearch(Settings):
     turn: float = 0.04
     """Largest of a joint between two equilibria, to begin with, rad."""
     shift: float = 0.004
-    """The same of a translation, as a share of the longest tube."""
+    """Largest change of a translation between two equilibria, as a fraction of the longest tube."""
     equilibria: int = 20_000
-    """At most."""
+    """Maximum number of equilibria."""
     halvings: int = 4
-    """Of an interval in which nothing bounds how tubes turn between samples along the arm, before it is given up."""
+    """Maximum number of bisections of an interval without a bound on the rotation between arm samples."""
     accuracy: float = 1.2e-5
-    """How far the bound of the clearance may lie below the least distance that was measured, m."""
+    """Largest distance of the clearance bound below the smallest measured distance, m."""
     cells: int = 3_000_000
-    """Of the arm over time that are looked at; where they do not suffice the bound is less sharp, and holds."""
+    """Maximum number of space-time cells of the arm. With too few the bound is less sharp, but still valid."""
     arms_accuracy: float = 5e-5
-    """As `accuracy`, of the distance of two arms, m."""
+    """The `accuracy` for the distance of two arms, m."""
     arms_cells: int = 4_000_000
-    """As `cells`, of two arms."""
+    """The `cells` for two arms."""
     arms_rounds: int = 12
     """Times that intervals in which nothing sharp is shown of two arms are halved."""
     verified: int = 5
@@ -234,9 +234,9 @@ class ProofSearch(Settings):
     agreement: float = 1e-6
     """Largest difference of a tip from its re-integration, over the length of the robot."""
     seconds: float = 0.1
-    """That a proof takes at most on most machines, beside `sample_seconds`, s."""
+    """Usual upper limit of the time of a proof without `sample_seconds`, s."""
     sample_seconds: float = 1e-3
-    """The same per sample of the motion, s."""
+    """Usual upper limit of the time of a proof per sample of the motion, s."""
 
     _none: ClassVar[tuple[str, ...]] = ("halvings",)
 
@@ -274,32 +274,34 @@ class ArmsSearch(Settings):
 
 @dataclass(frozen=True)
 class PlanEffort(WaySearch):
-    """How hard a plan is made; a field of `PlanOptions`."""
+    """Settings of the search, smoothing, timing and proof of a plan; a field of `PlanOptions`."""
 
     shares: Shares = Shares()
-    """How the time limit is divided."""
+    """Division of the time limit."""
     goals: GoalSearch = GoalSearch()
-    """Which joint values are tried for a goal that several meet."""
+    """Choice of joint values where several meet the goal."""
     reach: ReachSearch = ReachSearch()
-    """How one looks whether places are out of reach, and what share of them is reached."""
+    """Settings for unreachable goals and for the reached fraction of places."""
     roadmap: RoadmapSearch = RoadmapSearch()
-    """How a roadmap is drawn and joined."""
+    """Settings of the roadmap."""
     smoothing: Smoothing = Smoothing()
-    """When a way is smoothed, for how long, from which knots."""
+    """Start, duration and knots of the smoothing."""
     program: PathSolver = PathSolver()
-    """By which program it is."""
+    """Settings of the program that smooths a path."""
     rounding: Rounding = Rounding()
-    """How the way as it is becomes a curve."""
+    """Settings for rounding the corners of a path."""
     timing: Timing = Timing()
-    """How a curve is timed, and the motion sampled."""
+    """Settings for timing a curve and sampling the motion."""
     proof: ProofSearch = ProofSearch()
-    """How closely equilibria of the proof are set."""
+    """Settings of the proof."""
     entry: EntrySearch = EntrySearch()
-    """By which arms places of the plate are compared."""
+    """Settings for comparing positions of the base plate."""
     arms: ArmsSearch = ArmsSearch()
-    """How several robots leave each other room."""
+    """Settings for the coordination of several robots."""
     attempts: int = 3
-    """Times that a plan whose proof finds a fault is made again with more room and other random numbers."""
+    """Maximum number of attempts: after a failed proof, a plan is made again with more clearance and other random
+    numbers.
+    """
     force_room: float = 1.05
     """What is kept for how far a force moves the arm, over what is known of the ends of a motion."""
 

@@ -39,16 +39,16 @@ MOST = 16384
 @typed
 @dataclass(frozen=True, eq=False)
 class EntryRegion(Displayed):
-    """Where the plate may stand, and how it may point, in the frame of the plate as it is given.
+    """Allowed positions and orientations of the base plate, in the frame of the given plate.
 
     Raises:
-        InputError: several of radius, box and places, none of them and no cone, numbers that make no sense.
+        InputError: more than one of radius, box and places, none of them and no cone, or numbers out of range.
     """
 
     radius: float = 0.0
-    """Of the disc square to the plate's z, m."""
+    """Radius of the disc normal to the plate's z axis, m."""
     box: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """How far along x, y and z, to both sides, m."""
+    """Half extents along x, y and z, m."""
     places: Array | None = field(default=None, repr=False)
     """(N, 3) points in place of a disc or box, m."""
     cone: float = 0.0
@@ -113,22 +113,22 @@ def plan_from_region(
     progress: Callable[[int, int], object] | None = None,
     **given: Unpack[PlanGiven],
 ) -> Trajectory:
-    """A motion as of `plan_trajectory`, from a plate that is placed within a region so that it can be made.
+    """A motion as of `plan_trajectory`, from a base plate that is placed within a region.
 
     Args:
-        start, goal, obstacles, options: as of `plan_trajectory`; bodies, and places for the tip, in the frame of the
-            plate as it is given. The time limit holds for all of it.
-        region: where the plate may stand.   count: places that are looked at.
-        progress: called with how many places plans were tried from, and how many there are.
-        given: min_margin, rate_limits and limits, as of `plan_trajectory`.
+        start, goal, obstacles, options: as for `plan_trajectory`; obstacles and tip positions in the frame of the given
+            plate. The time limit covers the whole call.
+        region: allowed poses of the plate.   count: number of poses considered.
+        progress: called with the number of poses tried, and of all.
+        given: min_margin, rate_limits and limits, as for `plan_trajectory`.
 
     Returns:
-        The trajectory in the frame of the plate that was chosen, which its `entry` tells. Nothing is said of it but
-        that a plan was made from there: other places may be better.
+        The trajectory in the frame of the chosen plate; `entry` is its pose. It is the first pose that gave a plan, not
+        the best one.
 
     Raises:
         InputError: as `plan_trajectory`.
-        SolveError: from none of the places a plan was found in time.
+        SolveError: no pose gave a plan in time.
 
     Examples:
         >>> import tubeopt

@@ -65,7 +65,7 @@ class TipGoal(Displayed):
     """
 
     position: Array
-    """(3,) m; of a region a table (N, 3), any of which meets the goal, those first that are tried first."""
+    """(3,) position of the tip, m. A table (N, 3) is a region: any row meets the goal, and they are tried in order."""
     direction: Array | None = None
     """(3,) along which it points; None is free."""
 

@@ -36,14 +36,14 @@ from .trajectory import Trajectory
 
 @dataclass(frozen=True)
 class LeaderSolver(Settings):
-    """How a deployment behind the tip is looked for.
+    """Settings of the search for a deployment along the path of the tip.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     lengths: int = 60
-    """At which the arm is fitted to the one at the goal."""
+    """Number of arm lengths at which the arm is fitted to the one at the goal."""
     iterations: int = 6
     """Most Gauss-Newton steps per length."""
     difference: float = 1e-5
@@ -77,16 +77,16 @@ def follow_the_leader(  # noqa: PLR0913
 
     Args:
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
-        begin: share of the arm's length at the goal with which the deployment begins, in (0, 1).
+        begin: initial length of the arm as a fraction of its length at the goal, in (0, 1).
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
-        solver: how the deployment is looked for.
+        solver: settings of the search.
 
     Returns:
-        The trajectory, `.deviation` (T,): the largest distance of a point of the arm from the path of the tip (the arm
-        as it is at the beginning, then the tip's positions), m.
+        The trajectory. `.deviation` (T,) is the largest distance of a point of the arm from the path of the tip, m.
+        That path consists of the arm at the start and the later tip positions.
 
     Raises:
-        InputError: numbers that make no sense, a goal out of range.
+        InputError: numbers out of range, a goal out of range.
         SolveError: no equilibrium meets the goal, or the deployment found cannot be proved.
 
     Examples:

@@ -36,20 +36,20 @@ EACH = "for all tubes, or one per tube"
 
 @dataclass(frozen=True)
 class RateLimits(Displayed):
-    """How fast the actuators are; but for the tip, one number for all tubes, or one per tube.
+    """Limits on the speeds and accelerations of the actuators and the tip; one number for all tubes, or one per tube.
 
     Raises:
         InputError: a limit that is not a finite number greater than 0.
     """
 
     rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, Usual(0.03, 4 * np.pi), EACH] = np.pi / 2
-    """rad/s."""
+    """Rotation rate, rad/s."""
     translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, Usual(1e-4, 0.2), EACH] = 0.02
-    """m/s."""
+    """Translation rate, m/s."""
     rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, Usual(0.03, 20 * np.pi), EACH] = np.pi
-    """rad/s^2."""
+    """Acceleration of the rotations, rad/s^2."""
     translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), EACH] = 0.04
-    """m/s^2."""
+    """Acceleration of the translations, m/s^2."""
     tip: Annotated[
         float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "largest tip speed; default no limit"
     ] = None

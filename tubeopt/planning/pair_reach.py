@@ -55,38 +55,38 @@ class PairShare(Displayed):
 @typed
 @dataclass(frozen=True, eq=False)
 class PairReach(Displayed):
-    """What `search_pair` asks of two robots: to hold any two places of a region at the same time, the one tip here and
-    the other there, without touching, from plates that may be moved.
+    """Goal of `search_pair`: two robots hold any two places of a region at the same time without touching.
 
-    Each place is reached by a way that keeps margin and clearance from bodies, by itself (`RegionReach`). Where both
-    rest there, the distance of the arms is bounded from below; that a motion of both leads there is for `plan_arms`.
+    The base plates may be moved. Each robot reaches its place by a path with margin and clearance from obstacles, on
+    its own (`RegionReach`). The distance of the two arms is bounded from below at rest; use `plan_arms` to prove a
+    motion of both.
 
     Raises:
-        InputError: a table of wrong shape, numbers that make no sense.
+        InputError: a table of wrong shape, numbers out of range.
     """
 
     starts: tuple[Any, Any]
-    """Joint values (rotations, translations), with which either begins."""
+    """Initial joint values (rotations, translations) of the two robots."""
     bases: tuple[Frame, Frame]
-    """Where the plates stand."""
+    """Poses of the base plates."""
     targets: Array
     """(N, 3) places for the tips, m, at least two, in the frame of the bases."""
     obstacles: Sequence[Obstacle] = ()
-    """In the frame of the bases."""
+    """Obstacles in the frame of the bases."""
     tolerance: float = 5e-4
-    """As of `evaluate_reach`, m."""
+    """Largest distance of the tip from a reached place, m."""
     min_margin: float = 0.05
-    """As of `evaluate_reach`."""
+    """Smallest allowed margin."""
     options: PlanOptions = DEFAULT_PLAN
-    """As of `evaluate_reach`; the arms keep their clearance from each other too."""
+    """Options as for `evaluate_reach`; the arms keep their clearance from each other too."""
     count: int = 200
-    """As of `evaluate_reach`."""
+    """Number of points of the roadmap."""
     shift: float = 0.0
-    """As of `RegionReach`, of either plate along its own axes, m."""
+    """Largest shift of either plate along its own axes, to both sides, m."""
     tilt: float = 0.0
-    """As of `RegionReach`, of either plate about its own axes, rad."""
+    """Largest rotation of either plate about its own x and y, to both sides, rad."""
     words: str = field(default="share of the pairs of places that both tips hold without touching", init=False)
-    """What its value is called."""
+    """Label of the value."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "targets", checked_places(self.targets))
@@ -102,7 +102,7 @@ class PairReach(Displayed):
 
     @cached_property
     def sides(self) -> tuple[RegionReach, RegionReach]:
-        """What either reaches by itself, in the frame of its plate."""
+        """Goals of the two robots alone, in the frames of their plates."""
         numbers = self.tolerance, self.min_margin, self.options, self.count, self.shift, self.tilt
         one, other = (
             RegionReach(start, base.seen(self.targets), seen_from(base, self.obstacles), *numbers)
@@ -116,7 +116,7 @@ class PairReach(Displayed):
         return np.concatenate([side.ranges for side in self.sides])
 
     def plates(self, own: Array) -> tuple[Frame, Frame]:
-        """Where the plates stand when they are moved by numbers (k,)."""
+        """Poses of the plates after a move by numbers (k,)."""
         first, second = (
             base.inverse.of(side.base(numbers))
             for base, side, numbers in zip(self.bases, self.sides, np.split(np.asarray(own), 2), strict=True)
@@ -124,10 +124,10 @@ class PairReach(Displayed):
         return first, second
 
     def evaluate(self, one: Robot, other: Robot, own: Array) -> PairShare:
-        """What two robots hold from plates that are moved.
+        """Fraction of the pairs of places that two robots hold from moved plates.
 
         Raises:
-            InputError, SolveError: as of `evaluate_reach`.
+            InputError, SolveError: as for `evaluate_reach`.
         """
         numbers = np.split(np.asarray(own, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
@@ -147,7 +147,7 @@ class PairReach(Displayed):
         return score(found.reached, found.share, self.options.effort.reach.close)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
-        """How many motions of both arms to pairs that are held, evenly picked, are proved, and how many were asked."""
+        """Numbers of proved and of tried motions to pairs that are held; at most `most`, evenly picked."""
         pairs = np.argwhere(found.held)
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]

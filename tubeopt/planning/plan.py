@@ -43,28 +43,27 @@ def plan_trajectory(  # noqa: PLR0913
     options: PlanOptions = DEFAULT_PLAN,
     load: Load | None = None,
 ) -> Trajectory:
-    """A motion from one equilibrium to another that stays on one stable branch all the way, and the proof of it.
+    """A motion from one equilibrium to another that stays on one stable branch, with its proof.
 
     Args:
-        start: an Equilibrium, an InverseSolution, or a pair (rotations, translations), of which the equilibrium is that
-            of `forward_kinematics`.
-        goal: an Equilibrium or InverseSolution (joint values with their branch); a pair (rotations, translations), on
-            any branch; a tip position (3,), m; or a `TipGoal`.
-        obstacles: bodies that the whole arm keeps away from, by `options.clearance`.
-        min_margin: least margin all the way, in [0, 1).
-        rate_limits: of the actuators.   limits: range of every joint; by default `robot.limits`.
-        options: search, objective of smoothing, time limit, and the like.
-        load: that the robot bears all the way; a start without it is first loaded. Margin, clearance and rates are
-            those of the loaded robot, whose way is shortened and rounded, but not smoothed by a program.
+        start: an Equilibrium, an InverseSolution, or a pair (rotations, translations) for its `forward_kinematics`.
+        goal: an Equilibrium or InverseSolution (joint values with their branch), a pair (rotations, translations) on
+            any branch, a tip position (3,), m, or a `TipGoal`.
+        obstacles: bodies that the whole arm avoids by `options.clearance`.
+        min_margin: smallest margin along the whole path, in [0, 1).
+        rate_limits: limits of the actuators.   limits: range of every joint; by default `robot.limits`.
+        options: search, objective of smoothing, time limit, and so on.
+        load: constant external load; a start without it is first loaded. Margin, clearance and rates are those of the
+            loaded robot. Its path is shortened and rounded, but not smoothed by a program.
 
     Raises:
-        InputError: start or goal out of range, or numbers that make no sense; a load for which nothing is proved (see
-            `verify_trajectory`), or beside a roadmap, or a cost of smoothing.
-        SolveError: no plan exists (told before searching), or none was found in time: `.solution` is then the
-            trajectory that comes closest to the goal, or None, and the message says why it ends there.
+        InputError: start, goal or numbers out of range, or a load for which nothing is proved (see
+            `verify_trajectory`). A load together with a roadmap or a cost of smoothing.
+        SolveError: no plan exists (reported before the search), or none was found in time. The trajectory that comes
+            closest to the goal is then `.solution`, or None; the message says why it ends there.
 
-    The time limit bounds all of it. A motion whose proof was not finished in time is returned as such: its `.proved`
-    is False, and its `.status` says how much of it was followed.
+    The time limit covers the whole call. A motion with an unfinished proof is returned with `.proved` False; `.status`
+    states how much of it was followed.
 
     Examples:
         >>> import numpy as np

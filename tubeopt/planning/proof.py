@@ -86,41 +86,43 @@ class Paces:
 
 @dataclass(frozen=True, eq=False)
 class Proof(Displayed):
-    """What was found on a trajectory that was followed once more.
+    """Margins, clearance, speeds and faults of a trajectory that was followed again.
 
-    What `paces` and `statistics` hold is read at the proof too: `proof.largest_tip_rate` is
+    The fields of `paces` and `statistics` are attributes of the proof too: `proof.largest_tip_rate` is
     `proof.paces.largest_tip_rate`.
     """
 
     snap: float | None
     """Fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end."""
     least_margin: float
-    """Of all times, numerically; 0 at a snap."""
+    """Smallest margin at the equilibria of the proof; 0 at a snap."""
     least_clearance: float
-    """Lower bound of the distance of the arm from obstacles at all times up to `end`, m: of all points within the
-    radius of the outermost tube from the centreline, so with half a ball at every end. Infinite without obstacles, -inf
-    where none is shown."""
+    """Lower bound on the distance between arm and obstacles at all times up to `end`, m. The arm is every point within
+    the radius of the outermost tube from the centreline, so it has round ends. Infinite without obstacles, -inf without
+    a bound.
+    """
     measured_clearance: float
     """The least that was measured, m."""
     paces: Paces
-    """How fast it is."""
+    """Speeds and accelerations."""
     reintegration: float
     """Largest difference of a tip from DOP853, m; under a load the largest estimate of its error."""
     statistics: ProofStatistics
-    """What it took."""
+    """Effort of the proof."""
     end: Equilibrium
     """The last that was solved."""
     faults: tuple[str, ...]
-    """In words, what is not as it must be, or is not shown to be; empty for a trajectory that is proved."""
+    """Violated or unproved requirements, as text; empty for a proved trajectory."""
     open: bool = False
-    """Whether a time limit ended the proof before anything was refuted."""
+    """True if a time limit ended the proof before anything was refuted."""
     forced: ForceBound | None = None
-    """What holds for all rotations and the translations of the trajectory, whatever pushes on the tip with up to
-    `max_force`; None without that. Margin, faults and clearance are then those under any such force."""
+    """Bounds for all rotations and the translations of the trajectory under any tip force up to `max_force`; None
+    without one. Margin, faults and clearance then include any such force.
+    """
     samples: tuple[Equilibrium, ...] = field(default=(), repr=False)
     """Equilibria at the samples up to `end`."""
     clearance_from: tuple[str, ...] = ()
-    """What the clearance is from, in words, of obstacles that are no solids but points or open surfaces."""
+    """Reference of the clearance for obstacles that are points or open surfaces, as text."""
 
     largest_rotation_rate, largest_translation_rate = Of[float]("paces"), Of[float]("paces")
     largest_rotation_acceleration, largest_translation_acceleration = Of[float]("paces"), Of[float]("paces")
@@ -135,14 +137,14 @@ class Proof(Displayed):
 
     @property
     def status(self) -> ProofStatus:
-        """Whether the trajectory is proved."""
+        """Whether the trajectory is proved, as a sentence."""
         if self.holds:
             return ProofStatus.PROVED
         return ProofStatus.OPEN if self.open else ProofStatus.FAULTY
 
     @property
     def holds(self) -> bool:
-        """Whether the trajectory is proved."""
+        """True if the trajectory is proved."""
         return not self.faults
 
     @property
@@ -188,27 +190,25 @@ def verify_trajectory(  # noqa: PLR0913
     load: Load | None = None,
     effort: ProofSearch = DEFAULT_PROOF,
 ) -> Proof:
-    """Follow a trajectory, of whatever origin, and say what is wrong with it. Between samples joint values are linear.
+    """Proof or faults of any trajectory, which is followed from its start. Joint values are linear between samples.
 
     Args:
         time: (T,) s, increasing.   rotations, translations: (T, n) rad and m; translations default to home.
         start: stable equilibrium at the first sample; by default that of `forward_kinematics`.
-        obstacles, min_margin, clearance (m), rate_limits, limits: what must be kept. Rates are not limited by default;
-            joint limits are those that the robot was given, else those of its lengths: rotations are then free.
-        clock: one hour by default. When it is over, what is not shown yet is left so, which is a fault: `.open`,
-            `.followed`.
-        max_force: N; margin and clearance hold under any force on the tip of up to that size which keeps its direction,
-            as far as one bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`), beside the
-            load where there is one.
-        load: that the robot bears all the way; a start without it is first loaded. What is proved is then proved of
-            the loaded robot: for forces and moments on the tip, at points and on stretches, and weight, in fixed axes.
-            Of other loads the equilibria are found, and what lies between them is named as not proved.
-        effort: how closely equilibria are set at first, and how many at most.
+        obstacles, min_margin, clearance (m), rate_limits, limits: requirements. By default rates are not limited.
+            Default joint limits are those of the robot, else those of its lengths with free rotations.
+        clock: time limit, s; one hour by default. Parts that are unproved at its end are a fault: `.open`, `.followed`.
+        max_force: N; margin and clearance then include any dead force on the tip up to that size, in addition to the
+            load. One bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
+        load: constant external load; a start without it is first loaded. The proof is that of the loaded robot, for
+            weight and for forces and moments at the tip, at points and on stretches, in fixed axes. For other loads the
+            equilibria are computed, and the parts between them are reported as not proved.
+        effort: spacing and maximum number of equilibria.
 
     Raises:
-        InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, an unstable
-            start or one at other joint values, a force on a robot for which nothing is proved; a load on an eccentric
-            robot, one without an energy, or beside `max_force` one per length that is a function.
+        InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, or an
+            unstable start or one at other joint values. A force on a robot without a proof for it; a load on an
+            eccentric robot, or without an energy. A `max_force` together with a load per length that is a function.
         SolveError: there is no stable equilibrium at the first sample.
 
     Examples:

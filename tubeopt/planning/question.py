@@ -52,21 +52,22 @@ class PlanOptions(Displayed):
     """
 
     search: Annotated[str, OneOf(SEARCHES), "search algorithm: auto, rrt_connect or optimal"] = "auto"
-    """"auto" (straight, by translations where nothing can snap, else RRT-Connect), "rrt_connect" alone, or "optimal":
-    what "auto" finds, after which BIT* (OMPL) has `search_seconds` to find a shorter way."""
+    """"auto": straight, then through translations that exclude snaps, then RRT-Connect. "rrt_connect": that alone.
+    "optimal": as "auto", then BIT* (OMPL) searches a shorter path for `search_seconds`.
+    """
     objective: Annotated[
         str, OneOf((*WEIGHTS, "none")), "objective of the smoothing: length, time, effort, margin or none"
     ] = "length"
     """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
     "margin" (largest least margin), or "none"."""
     time_limit: Annotated[float, unit("s"), POSITIVE, "time limit for search and smoothing"] = 60.0
-    """For the proof too."""
+    """Time limit of search, smoothing and proof, s."""
     search_seconds: float = 5.0
-    """Of "optimal", s."""
+    """Duration of the search for a shorter path by "optimal", s."""
     clearance: Annotated[
         float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
-    """Of its surface."""
+    """Smallest allowed distance between the surface of the arm and obstacles, m."""
     max_force: Annotated[
         float,
         key("max_tip_force_mN"),
@@ -75,20 +76,20 @@ class PlanOptions(Displayed):
     ] = 0.0
     """Forces that keep their direction."""
     carriage_gap: float = 0.0
-    """As in `InverseOptions`, m."""
+    """Smallest distance between carriages, as in `InverseOptions`, m."""
     section_length: float = 0.0
-    """As in `InverseOptions`, m."""
+    """Smallest length that a tube protrudes from the next outer one, as in `InverseOptions`, m."""
     modulo_turns: Annotated[bool, "accept goal rotations plus any number of full turns"] = False
-    """The plan tells how many."""
+    """The trajectory states the number of full turns."""
     seed: Annotated[int, NOT_NEGATIVE, "random seed of the search"] = 0
     extra_cost: OwnObjective | None = None
-    """Of smoothing, an own objective of the joint values and the tip of one pose, `q.poses[0]`: its mean along the
-    path, times its weight, is added to the objective, in which the length counts relative to that of the way that was
-    found, as 1."""
+    """Custom objective of smoothing: an expression of the joint values and the tip of one pose, `q.poses[0]`. Its mean
+    along the path, times its weight, is added to the objective. There the length of the path found counts 1.
+    """
     effort: PlanEffort = DEFAULT_EFFORT
-    """How hard a way is searched for, smoothed, timed and proved."""
+    """Settings of the search, smoothing, timing and proof."""
     roadmap: Ways | None = field(default=None, repr=False)
-    """What is asked for a way before any is searched for, see `build_roadmap`."""
+    """Roadmap that is searched first, see `build_roadmap`."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -46,21 +46,20 @@ SHORTER = 0.5 ** np.arange(5)
 
 @dataclass(frozen=True, eq=False)
 class ReachShare(Displayed):
-    """What became of N places for the tip."""
+    """Fraction of N places that the tip reaches, with the arms that reach them."""
 
     targets: Array
-    """(N, 3) m."""
+    """(N, 3) target positions, m."""
     miss: Array
-    """(N,) least distance from them at which an arm ends to which a way was found, m; that of the start where there is
-    none better."""
+    """(N,) smallest distance of each place from the tips that are reachable by a path, start included, m."""
     tolerance: float
-    """Distance up to which a place counts as reached, m."""
+    """Largest distance at which a place counts as reached, m."""
     rotations: Array = field(repr=False)
-    """(N, n) rad, of these arms; NaN where there is none."""
+    """(N, n) rotations of these arms, rad; NaN for places without one."""
     translations: Array = field(repr=False)
-    """(N, n) m."""
+    """(N, n) translations of these arms, m."""
     tip_rotations: Array = field(repr=False)
-    """(N, n) of their tubes at the ends, rad: of several equilibria they tell which one it is."""
+    """(N, n) rotations of their tubes at the ends, rad; they identify one of several equilibria."""
     examined: int = 0
     """Points at which the robot may be that the roadmap has."""
 
@@ -71,7 +70,7 @@ class ReachShare(Displayed):
 
     @property
     def share(self) -> float:
-        """Of the places, those that are reached."""
+        """Fraction of the places that are reached."""
         return float(self.reached.mean())
 
     def arm(self, robot: Robot, k: int) -> Equilibrium | None:
@@ -100,19 +99,19 @@ def evaluate_reach(
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 300,
 ) -> ReachShare:
-    """The places that the tip reaches from where the robot stands, by ways that keep margin and clearance.
+    """The places that the tip reaches from a start, by paths with margin and clearance.
 
-    What is not found may yet be there: the share is an estimate from below, on average the better the larger `count`.
+    The reached fraction is a lower estimate, on average the better the larger `count`.
 
     Args:
-        start: as of `plan_trajectory`.   targets: (N, 3) positions for the tip, m, as `Anatomy.target`.
-        tolerance: distance (m) of the tip from a place that counts as reached.
-        obstacles, min_margin, options: as of `build_roadmap`; the time limit holds for all of it.
-        count: points of the roadmap.
+        start: as for `plan_trajectory`.   targets: (N, 3) target positions of the tip, m, as `Anatomy.target`.
+        tolerance: largest distance of the tip from a reached place, m.
+        obstacles, min_margin, options: as for `build_roadmap`; the time limit covers the whole call.
+        count: number of points of the roadmap.
 
     Raises:
-        InputError: a table of wrong shape, numbers that make no sense, a start out of range.
-        SolveError: the robot cannot be where it starts.
+        InputError: a table of wrong shape, numbers out of range, a start out of range.
+        SolveError: the start is not possible.
 
     Examples:
         >>> import numpy as np
@@ -206,37 +205,36 @@ def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count
 
 @dataclass(frozen=True, eq=False)
 class RegionReach(Displayed):
-    """What `search_design` asks of a robot: to reach places of a region from where it starts, by ways that keep margin
-    and clearance, maybe from a plate that may be moved.
+    """Goal of `search_design`: a robot reaches places of a region from its start by paths with margin and clearance.
 
-    The share is a lower bound: a larger roadmap (`count`) may lead to more places, and one of too few points to none.
-    That of few places does not tell neighbours apart; the score takes in how far those are missed that are not
-    reached. Robots are compared by the same random numbers.
+    The base plate may be movable. The fraction is a lower bound: a larger roadmap (`count`) may reach more places, and
+    a very small one none. With few places many designs have the same fraction; the score then includes how far the
+    others are missed. Robots are compared with the same random numbers.
 
     Raises:
-        InputError: a table of wrong shape, numbers that make no sense.
+        InputError: a table of wrong shape, numbers out of range.
     """
 
     start: tuple[Any, Any]
-    """Joint values (rotations, translations), with which every robot begins."""
+    """Initial joint values (rotations, translations) of every robot."""
     targets: Array
     """(N, 3) places for the tip, m, in the frame of the plate as it stands."""
     obstacles: Sequence[Obstacle] = ()
-    """In the frame of the plate as it stands."""
+    """Obstacles in the frame of the given plate."""
     tolerance: float = 5e-4
-    """As of `evaluate_reach`, m."""
+    """Largest distance of the tip from a reached place, m."""
     min_margin: float = 0.05
-    """As of `evaluate_reach`."""
+    """Smallest allowed margin."""
     options: PlanOptions = DEFAULT_PLAN
-    """As of `evaluate_reach`."""
+    """Options as for `evaluate_reach`."""
     count: int = 200
-    """As of `evaluate_reach`."""
+    """Number of points of the roadmap."""
     shift: float = 0.0
-    """How far the plate may be moved along each of its axes, to both sides, m."""
+    """Largest shift of the plate along each of its axes, to both sides, m."""
     tilt: float = 0.0
-    """By how much it may be turned about its x and about its y, to both sides, rad."""
+    """Largest rotation of the plate about its x and its y axis, to both sides, rad."""
     words: str = field(default="share of the region that is reached", init=False)
-    """What its value is called."""
+    """Label of the value."""
 
     def __post_init__(self) -> None:
         items("start", self.start, object, "rotations and translations")
@@ -253,7 +251,7 @@ class RegionReach(Displayed):
         return np.column_stack([-most, most])
 
     def base(self, own: Array) -> Frame:
-        """Where the plate stands, in the frame of the plate as it stood, when it is moved by numbers (k,)."""
+        """Pose of the plate in the frame of the given plate after a move by numbers (k,)."""
         shift, tilt = np.split(np.asarray(own, dtype=float), [3 * bool(self.shift)])
         turn = np.append(tilt, 0.0) if len(tilt) else np.zeros(3)
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
@@ -283,7 +281,7 @@ class RegionReach(Displayed):
         return score([found], found.share, self.options.effort.reach.close)
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
-        """How many plans to places that are reached, the first ones, are proved, and how many were asked for."""
+        """Numbers of proved and of tried plans to the first reached places, at most `most`."""
         some, proved = np.flatnonzero(found.reached)[:most], 0
         bodies, options = seen_from(self.base(own), self.obstacles), replace(self.options, objective="none")
         asked: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}

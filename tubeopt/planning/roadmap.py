@@ -36,15 +36,15 @@ class Roadmap(Displayed):
     """Points of the chart of a robot at which it may be, and which of them may be joined."""
 
     points: Array
-    """(N, m)."""
+    """(N, m) points in the coordinates of the robot."""
     parameters: Array = field(repr=False)
-    """The robot as numbers, by which a map that was saved is known to be its own."""
+    """Parameters of the robot; a saved map is only used for the same robot."""
     edges: Index = field(repr=False)
     """(E, 2) numbers of points."""
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
-    """What was found of edges, for the last question."""
+    """Result of the check of each edge, for the last query."""
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
-    """What `known` was found with: the last question."""
+    """Requirements of the last query, for which `known` is valid."""
     tips: Array | None = field(default=None, repr=False)
     """(N, 3) m, of the points, once they were asked for."""
 
@@ -52,8 +52,10 @@ class Roadmap(Displayed):
         return len(self.points)
 
     def way(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
-        """The shortest way over the map from a point (m,) to the nearest of goals that holds all along; `points` is
-        None where the map has none, or time is over."""
+        """The shortest valid path over the map from a point (m,) to the nearest goal.
+
+        The result has no `points` if the map has no such path, or after the time limit.
+        """
         self._remember(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
@@ -92,7 +94,7 @@ class Roadmap(Displayed):
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
-        """(k, m) points of the map, at most `count`, whose tips are nearest to a place (3,), those first."""
+        """(k, m) points of the map, at most `count`, with tips nearest to a place (3,); the nearest first."""
         self._remember(task)
         if self.tips is None:
             self.tips = task.chart.arms(self.points, 0.0).tip

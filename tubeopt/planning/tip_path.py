@@ -35,7 +35,7 @@ LONGEST = 1000
 
 @dataclass(frozen=True)
 class TipPathSolver(Settings):
-    """How a motion of the tip along a curve is looked for.
+    """Settings of the search for a motion of the tip along a curve.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `refinements`), another number that is not
@@ -43,15 +43,15 @@ class TipPathSolver(Settings):
     """
 
     spacing: float = 0.008
-    """Of the points at which the tip is solved for, at first, as a share of the robot's length."""
+    """Initial spacing of the solved points, as a fraction of the robot's length."""
     refinements: int = 3
     """Times that the spacing is halved where the tip leaves the curve in between."""
     dense: int = 40
     """Points per piece of a spline at which it is sampled."""
     starts: int = 8
-    """Most configurations from which the curve is tried."""
+    """Maximum number of starting configurations."""
     starts_share: float = 0.3
-    """Of the time limit in which these are looked for."""
+    """Fraction of the time limit for finding starting configurations."""
 
     _none: ClassVar[tuple[str, ...]] = ("refinements",)
 
@@ -75,23 +75,23 @@ def follow_tip_path(  # noqa: PLR0913
     options: PlanOptions = DEFAULT_PLAN,
     solver: TipPathSolver = DEFAULT_SOLVER,
 ) -> Trajectory:
-    """A motion in which the tip runs along a curve; what the curve leaves free goes towards larger margin.
+    """A motion in which the tip moves along a curve; the null space raises the margin.
 
     Args:
-        path: (k, 3) points, m: a polyline, or, with `spline`, points of a smooth curve.
-        start: equilibrium or joint values whose tip is at the first point; by default configurations found by inverse
-            kinematics, until one is found from which the whole curve can be followed.
+        path: (k, 3) points, m: a polyline, or points of a smooth curve with `spline`.
+        start: equilibrium or joint values with the tip at the first point. By default inverse kinematics gives
+            configurations until the whole curve can be followed from one.
         tolerance: largest distance of the tip from the curve, m.
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
-        solver: how the motion is looked for.
+        solver: settings of the search.
 
     Returns:
-        The trajectory; `.deviation` (T,) is the distance of the tip from the curve.
+        The trajectory; `.deviation` (T,) is the distance of the tip from the curve, m.
 
     Raises:
-        InputError: fewer than two points, a curve longer than 1000 tubes, a start whose tip is elsewhere, numbers that
-            make no sense.
-        SolveError: the curve leaves what can be reached with margin and clearance; the message tells how far it goes.
+        InputError: fewer than two points, a curve longer than 1000 tubes, a start with its tip elsewhere, numbers out
+            of range.
+        SolveError: the curve leaves the region that is reachable with margin and clearance; the message states where.
 
     Examples:
         >>> import numpy as np

@@ -71,36 +71,36 @@ class Trajectory(Displayed):
     _brief = ("robot", "status", "time")
 
     robot: Robot
-    """That moves."""
+    """The robot."""
     time: Array
     """(T,) s; evenly spaced, but for the rests of `ArmsPlan.made_way`."""
     rotations: Array
     """(T, n) rad, not wrapped."""
     translations: Array
-    """(T, n) m."""
+    """(T, n) translations, m."""
     arms: tuple[Equilibrium, ...]
     """Equilibria at the samples."""
     start: Equilibrium
-    """That it was asked to begin with."""
+    """Equilibrium at the requested start."""
     turns: tuple[int, ...]
-    """(n,) whole turns by which the rotations at the end differ from the goal as given."""
+    """(n,) full turns between the rotations at the end and those of the goal."""
     obstacles: tuple[Obstacle, ...]
-    """Of which the arm keeps clear."""
+    """Obstacles that the arm avoids."""
     min_margin: float
-    """That is kept."""
+    """Smallest allowed margin."""
     min_clearance: float
     """That is kept, m."""
     rate_limits: RateLimits
-    """That are kept."""
+    """Limits on speeds and accelerations."""
     proof: Proof
-    """Of all of this, by other code; `.proved` says whether it was finished in time, `.status` says it in words."""
+    """Proof by independent code; `.proved` states whether it finished in time, `.status` the same as a sentence."""
     statistics: PlanStatistics
-    """How it was found."""
+    """Effort of the search."""
     deviation: Array | None = None
     """(T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm from the path
     of its tip, m; None for other plans."""
     entry: Entry | None = None
-    """Where the plate stands that was chosen, see `plan_from_region`; None where it stands as it is given."""
+    """Chosen pose of the plate, see `plan_from_region`; None if the plate was not moved."""
     cut: Plane | None = None
     """Along which pictures cut bodies open, in the frame of the plate; None for none."""
 
@@ -111,12 +111,12 @@ class Trajectory(Displayed):
 
     @cached_property
     def tip_position(self) -> Array:
-        """(T, 3) m."""
+        """(T, 3) positions of the tip, m."""
         return np.array([e.tip_position for e in self.arms])
 
     @cached_property
     def margin(self) -> Array:
-        """(T,)."""
+        """(T,) margins."""
         return np.array([e.margin for e in self.arms])
 
     @cached_property
@@ -132,7 +132,7 @@ class Trajectory(Displayed):
 
     @property
     def proved(self) -> bool:
-        """Whether all of it is proved; else the time limit was reached before the proof was finished."""
+        """True if the whole trajectory is proved; else the time limit was reached before the proof was finished."""
         return self.proof.holds
 
     @property
@@ -148,7 +148,7 @@ class Trajectory(Displayed):
 
     @property
     def status(self) -> str:
-        """Whether it is proved, in words."""
+        """Whether the trajectory is proved, as a sentence."""
         return "proved" if self.proved else "; ".join(self.proof.faults)
 
     def save(self, path: str | PathLike[str]) -> None:

@@ -72,7 +72,9 @@ class Calibration(Displayed):
     rotation_play: Annotated[
         Numbers, unit("deg"), LEFT_OUT, "half widths of the rotational backlash, for information; not applied"
     ]
-    """The tube follows its drive once it has turned by as much: it depends on the way, so `to_model` leaves it out."""
+    """Backlash: the tube follows its drive after a turn of this size. It depends on the history, so `to_model` omits
+    it.
+    """
 
     latency: Annotated[float, unit("s"), "delay of measured tips behind joint readings with the same time"] = 0.0
     found_by: Annotated[str, "data of the calibration"] = ""
@@ -82,8 +84,9 @@ class Calibration(Displayed):
     translation_compliance: Annotated[
         Numbers, unit("mm_per_N"), LEFT_OUT, "compliance of the carriages along the tubes"
     ] = ()
-    """Of concentric robots. The force is that of the tubes at the equilibrium, so it takes the mechanics:
-    `tubeopt.equilibrium.readings` applies it, `to_model` of this class leaves it out."""
+    """Concentric robots only. The force is that of the tubes at the equilibrium, so `tubeopt.equilibrium.readings`
+    applies it, and `to_model` omits it.
+    """
 
     rotation_middles: Annotated[
         Numbers,
@@ -132,12 +135,12 @@ class Calibration(Displayed):
 
     @property
     def trivial(self) -> bool:
-        """Whether drives and measurement need no correction."""
+        """True if drives and measurements need no correction."""
         return replace(self, found_by="") == Calibration.none(self.n_tubes)
 
     @property
     def reads_true(self) -> bool:
-        """Whether readings are the joint values of the model, without history."""
+        """True if readings equal the joint values of the model, without history."""
         n = self.n_tubes
         gains, offsets = self.rotation_gains + self.translation_gains, self.rotation_offsets + self.translation_offsets
         return gains == (1.0,) * 2 * n and not any(offsets) and not any(self.translation_compliance)

@@ -30,13 +30,13 @@ class ConcentricRobot(Robot):
     tubes: tuple[Tube, ...]
     """Inner to outer; each fits into the next, and none is shorter than the next."""
     name: str = ""
-    """What to call it in tables and pictures."""
+    """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """What the actuators allow, in their readings; None is what the lengths allow (see `limits`)."""
+    """Limits of the actuators, in readings; None allows what the lengths allow (see `limits`)."""
     calibration: Calibration | None = None
-    """How readings of the drives become joint values; None where they read true."""
+    """Conversion of drive readings to joint values; None if they are equal."""
     friction: Friction | None = None
-    """Between neighbouring tubes, for those who ask for motion with it; None where none is known."""
+    """Friction between neighbouring tubes, for motions with friction; None if unknown."""
     clearance: tuple[float, ...] | None = None
     """(n - 1,) m, radial, of every tube in the next one, for those who ask how far it lets the arm tilt; None: it does
     not count."""

@@ -103,8 +103,8 @@ class EccentricRobot(SheathedRobot):
     The sheath keeps the tubes in place and has no bending stiffness. The tubes move in and out together.
 
     Raises:
-        InputError: an offset or length that is negative or not finite, an offset at which the tubes would overlap or at
-            which the precurvature is tighter than the robot is thick, limits for another number of tubes.
+        InputError: an offset or length that is negative or not finite, or limits for another number of tubes. An offset
+            at which the tubes overlap, or are curved more tightly than the robot is thick.
     """
 
     tube: Tube
@@ -119,11 +119,11 @@ class EccentricRobot(SheathedRobot):
     transmission_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "straight length behind the base plate"] = 0.0
     """m, between where a tube is held and its straight_length."""
     name: str = ""
-    """What to call it in tables and pictures."""
+    """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """What the actuators allow, in their readings; None is what the lengths allow."""
+    """Limits of the actuators, in readings; None allows what the lengths allow."""
     calibration: Calibration | None = None
-    """How readings of the drives become joint values; None where they read true."""
+    """Conversion of drive readings to joint values; None if they are equal."""
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
@@ -154,14 +154,14 @@ class EccentricRobot(SheathedRobot):
 @keeps_hash
 @dataclass(frozen=True)
 class SegmentedEccentricRobot(SheathedRobot):
-    """An eccentric tube robot of k telescoping segments: at each of three places k tubes run one inside the other.
+    """An eccentric tube robot of k telescoping segments: three stacks of k concentric tubes around the centreline.
 
     The three tubes of a segment are equal and move in and out together. Where the tubes of an inner segment pass
     through an outer one they are straight but stiff: curved parts never overlap.
 
     Raises:
-        InputError: no segment, tubes that do not nest, an inner tube too short to reach beyond the next segment, an
-            offset at which tubes would overlap or at which a precurvature is tighter than the robot is thick.
+        InputError: no segment, tubes that do not nest, or an inner tube that does not protrude from the next segment.
+            An offset at which the tubes overlap, or are curved more tightly than the robot is thick.
     """
 
     segments: tuple[Tube, ...]
@@ -172,13 +172,15 @@ class SegmentedEccentricRobot(SheathedRobot):
         NOT_NEGATIVE,
         "distance of the tube axes from the centreline; by default the outermost tubes touch",
     ] = None
-    """Of the three places, m; None is OD / sqrt(3) of the outermost tube."""
+    """Distance of the three stacks from the centreline, m; None is OD / sqrt(3) of the outermost tube."""
     name: str = ""
-    """What to call it in tables and pictures."""
+    """Name in tables and figures."""
     joint_limits: JointLimits | None = None
-    """Of the 3 k tubes, ordered as `tubes`; as for one segment."""
+    """Limits of the actuators of the 3 k tubes, in readings, in the order of `tubes`; None allows what the lengths
+    allow.
+    """
     calibration: Calibration | None = None
-    """The same."""
+    """Conversion of drive readings to joint values; None if they are equal."""
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)

@@ -20,8 +20,8 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 class Friction(Displayed):
     """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers each, or one number for all pairs.
 
-    It bears a torque about the tubes' axis up to the capacities here, N m per m of length and N m at places, whatever
-    the speed, and as much while it slips.
+    The torque about the tubes' axis is limited by the capacities here: N m per m of length, and N m at points. A
+    slipping contact has the same torque at any speed.
 
     Raises:
         InputError: a number that is not finite or below 0, or tables of different length.
@@ -93,7 +93,7 @@ class Friction(Displayed):
 
     @property
     def trivial(self) -> bool:
-        """Whether nothing rubs."""
+        """True if there is no friction."""
         return not any(any(self.of(name)) for name in PAIRWISE)
 
 

@@ -60,7 +60,7 @@ class Load(Displayed):
     """
 
     force: Annotated[Vector, key("tip_force_mN"), "force on the tip in the base frame"] = ZERO
-    """N."""
+    """(3,) force on the tip, N."""
     moment: Annotated[Vector, key("tip_moment_mN_m"), "moment on the tip in the base frame"] = ZERO
     """N m; its part along the tip turns the tube that ends last, of several the innermost: it holds the tool."""
     _: KW_ONLY
@@ -70,12 +70,15 @@ class Load(Displayed):
     """Dead loads are those of the "world"; following ones turn with the Bishop frame of the tip, the `tip_rotation` of
     an equilibrium."""
     distributed: Vector | Callable[[float], ArrayLike] | tuple[Stretch, ...] | None = None
-    """Per length in world axes: a force (3,), N/m, all along the arm; a function of arc length (m from the plate)
-    -> (3,), or (6,) with a moment, N; or stretches (start, end, force (3,)) or (start, end, force (3,), moment (3,)),
-    constant on each. A moment's part along the arm turns the outermost tube there."""
+    """Load per length in world axes: a force (3,), N/m, along the whole arm, a function, or stretches. A function of
+    arc length (m from the plate) returns (3,), or (6,) with a moment, N. A stretch is (start, end, force (3,)) or
+    (start, end, force (3,), moment (3,)) and constant. The part of a moment along the arm turns the outermost tube
+    there.
+    """
     points: Annotated[tuple[PointLoad, ...], "forces and moments at points of the arm, in the base frame"] = ()
-    """(arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m; the part of a moment along
-    the arm turns the outermost tube there, at the arm's end the one that a moment at the tip turns."""
+    """Loads at points: (arc length, force (3,)) or (arc length, force (3,), moment (3,)) each, m, N and N m. The part
+    of a moment along the arm turns the outermost tube there; at the arm's end, the tube that a tip moment turns.
+    """
     gravity: Annotated[
         Vector | None, unit("m_per_s2"), "gravity vector in the base frame; acts on the mass of the tubes"
     ] = None
@@ -95,7 +98,7 @@ class Load(Displayed):
 
     @property
     def has_energy(self) -> bool:
-        """Whether all forces keep their direction and there are no moments: then equilibria are minima of an energy."""
+        """True if all forces keep their direction and there are no moments: equilibria are then minima of an energy."""
         turning = _has_moment(self.distributed) or any(map(any, self.moments))
         return not turning and (self.frame == "world" or not any(self.force))
 
@@ -111,7 +114,7 @@ class Load(Displayed):
 
     @property
     def tip_force_only(self) -> bool:
-        """Whether there is nothing but a dead force at the tip."""
+        """True if the only load is a dead force at the tip."""
         return self.has_energy and self.distributed is None and not self.points and self.gravity is None
 
     def scaled(self, factor: float) -> Load:

@@ -27,13 +27,13 @@ LENGTH, BEND, TWIST = Usual(3e-4, 10.0), Usual(0.1, 2000.0), Usual(0.0, 1000.0)
 
 @dataclass(frozen=True)
 class Slots(Displayed):
-    """Where slots are cut into a piece, for the strain of what they leave.
+    """Geometry of the slots in a piece, for the strain of the remaining material.
 
-    Stretches with slots, all alike, follow on whole rings, and both bend as beams under one moment:
+    Slotted stretches, all alike, alternate with full rings, and both bend as beams under one moment:
     `physics.strain.slotted_strain_ratio`.
 
     Raises:
-        InputError: a share that is not in (0, 1].
+        InputError: a fraction that is not in (0, 1].
     """
 
     share: Annotated[float, REQUIRED, POSITIVE, "slotted fraction of the length of the piece, at most 1"] = 1.0
@@ -45,7 +45,7 @@ class Slots(Displayed):
             raise InputError(f"share of the slots is {self.share:g}; it must be at most 1")
 
     def strain_ratio(self, bending_factor: Any) -> Any:
-        """How many times as much as the whole tube it is strained, where they leave this of its bending stiffness."""
+        """Strain relative to the whole tube, for slots that leave this fraction of the bending stiffness."""
         return slotted_strain_ratio(bending_factor, self.share, symmetric=not self.one_sided)
 
 
@@ -58,17 +58,18 @@ class Piece(Displayed):
     """
 
     length: float
-    """m, > 0."""
+    """Length, m, > 0."""
     precurvature: Any
-    """u* (1/m) in the tube's own frame, that turns with the tube: a number (about x), three numbers (x, y, z; z is the
-    natural twist), or a function of the piece's own arc length (m) that returns either. A function must be smooth: it
-    is turned into polynomials at once, and jumps lie where two pieces meet."""
+    """Precurvature u* (1/m) in the tube's own frame, which rotates with the tube. A number (about x), three numbers (x,
+    y, z; z is the natural twist), or a function of the piece's own arc length (m) that returns either. A function must
+    be smooth: it is converted to polynomials at once. Jumps belong between two pieces.
+    """
     bending_stiffness: Any = None
     """N m^2, a number or such a function; None is that of the tube."""
     torsional_stiffness: Any = None
-    """The same."""
+    """Torsional stiffness, N m^2: a number, a function of arc length, or None for that of the tube."""
     slots: Slots | None = None
-    """Where there are some, of which the stiffnesses tell already: for the strain alone."""
+    """Slots, for the strain only; the stiffnesses already include them."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -112,7 +113,7 @@ class Piece(Displayed):
 
     @property
     def plain(self) -> bool:
-        """Whether it is a circular arc, or straight, about x, with the tube's own stiffnesses and no slots."""
+        """True for an arc about x, or a straight piece, with the tube's own stiffnesses and no slots."""
         x, *rest = self.precurvature
         own = self.bending_stiffness is None and self.torsional_stiffness is None and self.slots is None
         return own and not isinstance(x, Series) and tuple(rest) == (0.0, 0.0)
@@ -123,7 +124,7 @@ class Piece(Displayed):
         return min(1.0, float(own) / whole)
 
     def strain_ratio(self, whole: float) -> float:
-        """How many times as much as without slots it is strained at most, in a tube of bending stiffness `whole`."""
+        """Largest strain relative to a piece without slots, in a tube of bending stiffness `whole` (N m^2)."""
         return 1.0 if self.slots is None else float(self.slots.strain_ratio(self.bending_factor(whole)))
 
     def stretched(self, factor: float) -> Piece:

@@ -39,10 +39,9 @@ class OfCrossSection(float):
 class Tube(Displayed):
     """A tube that is straight from its held end, then curved: with one radius, or piece by piece (`of_pieces`).
 
-    Of a tube of pieces `curved_length` is the sum of theirs, and `curvature` the largest |u*_xy|: another value bends
-    all pieces in proportion. The stiffnesses are those of the straight part and of the pieces without one of their own;
-    left out, or None, they are E I and G J, and stay so when `dataclasses.replace` changes the diameters or the
-    material; given ones stay as they are.
+    For a tube of pieces `curved_length` is the sum of their lengths, and `curvature` the largest |u*_xy|: another value
+    scales all pieces. The stiffnesses are those of the straight part and of pieces without their own. Omitted or None
+    they are E I and G J, also after `dataclasses.replace` changes diameters or material. Explicit values stay.
 
     Raises:
         InputError: a field is not finite or out of its range, or the curve is tighter than the tube is thick.
@@ -63,7 +62,7 @@ class Tube(Displayed):
         "precurvature; 0 for a straight tube, negative for the opposite direction",
     ]
     material: Material = NITINOL
-    """Of which stiffnesses and mass follow, where they are not given."""
+    """Material; default for stiffnesses and mass."""
     # None only on the way in: a tube that exists has its stiffnesses.
     bending_stiffness: Annotated[float, unit("N_mm2"), POSITIVE, "measured value; default E I"] = field(
         default=None,  # type: ignore[assignment]
@@ -207,12 +206,12 @@ class Tube(Displayed):
 
     @property
     def general(self) -> bool:
-        """Whether it is made of pieces: precurvature and stiffness are not one number each."""
+        """True for a tube made of pieces: precurvature and stiffness are not one number each."""
         return bool(self.pieces)
 
     @property
     def even(self) -> bool:
-        """Whether all of it has the same stiffnesses, and all of its curved part the same curvature, about x."""
+        """True if the stiffnesses are constant along the tube, and the curvature along its curved part, about x."""
         if not self.pieces:
             return True
         if isinstance(self.arc, Series):  # it varies along a piece
@@ -242,7 +241,7 @@ class Tube(Displayed):
 
     @property
     def cross_section(self) -> float:
-        """Of its metal, m^2."""
+        """Cross-sectional area of the metal, m^2."""
         return math.pi / 4 * (self.outer_diameter**2 - self.inner_diameter**2)
 
     @property
@@ -259,7 +258,7 @@ class Tube(Displayed):
     def straightened_strain(self) -> float:
         """Largest surface strain when the curved part is held straight: r kappa / (1 - r kappa).
 
-        Of slotted pieces it is the bound of their `slots`; where these are not told, that of the tube without slots.
+        For slotted pieces it is the bound of their `slots`, or without these the strain of the tube without slots.
         """
         if not self.pieces:
             return float(surface_strain(self.outer_diameter / 2, abs(self.curvature), self.curvature))

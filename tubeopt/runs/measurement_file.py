@@ -35,17 +35,21 @@ ASSIGNMENT, NOTE = "assignment", "note"
 def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
     """The measurements of `robot` in a CSV file, or those that a YAML file describes (see `load_mapped`).
 
-    Columns: `rotation_1_deg` to `rotation_n_deg`, or `direction_deg`, `separation_deg` and optionally `assignment` for
-    the mirror actuation of a one-segment eccentric robot (beside rotations they only label the rows);
-    `translation_1_mm` and so on, home where there is none; `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`,
-    `x2_mm`, ... for several sensors, empty where one was not seen; `time_s`; `qw`, `qx`, `qy`, `qz` of the (first)
-    sensor; `note` for any text. An assignment "132" turns tube 1 by the direction, tube 3 by direction plus separation
-    and tube 2 by direction minus separation; it is "123" where not given. Rows in which no sensor saw anything are left
-    out and counted in the remarks.
+    Columns:
+
+    - `rotation_1_deg` to `rotation_n_deg`: rotations. For the mirror actuation of a one-segment eccentric robot
+      `direction_deg`, `separation_deg` and optionally `assignment` replace them, or label the rows next to them.
+    - `translation_1_mm` and so on: translations; home if absent.
+    - `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`, `x2_mm`, ... for several sensors; empty where a sensor was
+      not seen.
+    - `time_s`; `qw`, `qx`, `qy`, `qz` of the (first) sensor; `note` for any text.
+
+    An assignment "132" turns tube 1 by the direction, tube 3 by direction plus separation and tube 2 by direction minus
+    separation; the default is "123". Rows without any sensor are left out and counted in the remarks.
 
     Raises:
-        InputError: no such file, columns that are unknown or missing, cells that are not what they must be: one line
-            for every problem, with row and column.
+        InputError: no such file, columns that are unknown or missing, or invalid cells: one line per problem, with row
+            and column.
 
     Examples:
         >>> import tubeopt

@@ -36,20 +36,20 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Sweep(Displayed):
-    """What a sweep left in its directory."""
+    """Files of a sweep and numbers of its points."""
 
     points: int
-    """How many there are."""
+    """Number of points."""
     computed: int
-    """By this run; the others were there before."""
+    """Number of points computed by this run; the others were in the journal."""
     failures: tuple[tuple[int, str], ...]
     """Index, from 0, and reason of every point that failed."""
     table: Path
-    """Of table.csv."""
+    """Path of table.csv."""
     arrays: Path
-    """Of table.npz."""
+    """Path of table.npz."""
     journal: Path
-    """Of journal.jsonl."""
+    """Path of journal.jsonl."""
     rows: tuple[Mapping[str, float | str], ...] | None = None
     """The table itself, where the files are not kept."""
 
@@ -88,23 +88,23 @@ def sweep(  # noqa: PLR0913
 ) -> Sweep:
     """`function` at every point, with a journal and a table in `directory`.
 
-    Points and answers are mappings of names to anything that JSON or NumPy knows; what is nested becomes columns such
-    as `tip[0]` and `snap.fraction`. What raises at one point is recorded there with its reason. If the directory holds
-    the journal of an earlier run with the same points, the points that it has are not computed again.
+    Points and answers are mappings of names to anything that JSON or NumPy supports; nested values become columns such
+    as `tip[0]` and `snap.fraction`. An exception at a point is recorded there with its reason. Points in the journal of
+    an earlier run with the same points are not computed again.
 
     Args:
         function: a function of a module, or a `functools.partial` of one, sent to every worker once.
-        fingerprint: tells one sweep from another; by default it is made of the function and all points.
+        fingerprint: identifies the sweep; by default it is computed from the function and all points.
         workers, scheduler: as for `tubeopt.solvers.parallel.executors.each`.
-        retry_failed: compute the points again that have failed before.
-        time_limit: s, on the clock; checked after each point, whose questions have limits of their own.
+        retry_failed: compute failed points of an earlier run again.
+        time_limit: maximum run time, s; checked after each point. Points may have their own limits.
 
     Raises:
-        InputError: no function, or no points; the directory holds another sweep, is in use or cannot be written;
+        InputError: no function, or no points; the directory contains another sweep, is in use or cannot be written;
             workers or scheduler as in `parallel.executor`.
-        SolveError: the connection to the cluster is lost; the journal keeps what was done.
-        TimeLimitError: (a SolveError) the time limit was reached before all points were done; the journal keeps those
-            that were.
+        SolveError: the connection to the cluster is lost; the journal keeps all finished points.
+        TimeLimitError: (a SolveError) the time limit was reached before all points were done; the journal keeps the
+            finished ones.
 
     Examples:
         >>> import tempfile

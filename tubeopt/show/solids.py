@@ -38,11 +38,11 @@ CHORD = 2e-5
 
 @typed
 def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
-    """Write the arm in its pose, whole or not at all; return the path.
+    """Path of a file with the arm in its pose; the file is written completely or not at all.
 
     Args:
-        path: its ending tells the format: .stl (mm) or .glb, closed surfaces with a part per tube; .urdf or .xml (MJCF
-            of MuJoCo), cylinders and capsules along the arm, fixed to each other, with a frame at the tip.
+        path: file; its ending selects the format. .stl (mm) and .glb: closed surfaces with a part per tube. .urdf and
+            .xml (MJCF of MuJoCo): cylinders and capsules along the arm, fixed to each other, with a frame at the tip.
 
     Raises:
         InputError: another ending, an arm of length zero, a file that cannot be written, or, for surfaces, trimesh is
@@ -98,7 +98,7 @@ def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
 
 
 class Piece(NamedTuple):
-    """A straight piece of a tube: its ends (3,), m, the frame (3, 3) whose third axis runs along it, its radius, m."""
+    """A straight piece of a tube: ends (3,), m, frame (3, 3) with the third axis along it, and radius, m."""
 
     tube: int
     start: Array

@@ -157,7 +157,7 @@ def to_xarray(answer: Any) -> xarray.Dataset:
     """An answer with many rows as labelled arrays in SI; every variable has its unit as attribute `units`.
 
     Args:
-        answer: as of `to_dataframe`, but for sweeps, whose columns are of any kind.
+        answer: as for `to_dataframe`, without sweeps: their columns have mixed types.
 
     Raises:
         InputError: another kind of answer, or xarray is not installed.

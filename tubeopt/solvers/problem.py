@@ -40,16 +40,16 @@ class Problem(NamedProgram):
     ) -> ProblemSolution:
         """Solve the program from its guesses, or from an earlier solution with its multipliers.
 
-        Where breakpoints of a block meet at the optimum and press against each other, they change places, and the solve
-        goes on from there as long as the objective does not grow. So they do where a failed solve ended.
+        Breakpoints of a block that meet at the optimum and press against each other are swapped. The solve then
+        continues as long as the objective does not grow. The same happens at the end of a failed solve.
 
         Args:
             solver: settings.
-            start: a solution of this problem or of one with the same names; what it does not name keeps its guess.
-            reorderings: how often breakpoints may change places.
+            start: a solution of this problem or of one with the same names; other variables keep their guess.
+            reorderings: maximum number of swaps of breakpoints.
 
         Raises:
-            SolveError: no optimum was found; the message names the worst constraints, `solution` holds the last point.
+            SolveError: no optimum was found. The message names the worst constraints; `solution` is the last point.
         """
         own = solver or Ipopt()
         solution = self.attempt(own, start=start)
@@ -62,13 +62,13 @@ class Problem(NamedProgram):
     def multistart(
         self, over: Sequence[str], count: int = 16, *, seed: int = 0, solver: Ipopt | None = None
     ) -> ProblemSolution:
-        """The best of `count` solves whose starts fill the bounds of the variables `over` evenly (Sobol).
+        """The best of `count` solves with starts that fill the bounds of the variables `over` evenly (Sobol).
 
         At every start the blocks begin at the equilibrium of their joint values and dimensions there.
 
         Raises:
             InputError: an unknown variable, or one without finite bounds.
-            SolveError: no start led to an optimum; the message counts what happened, `solution` is the nearest miss.
+            SolveError: no start led to an optimum. The message counts the results; `solution` is the nearest miss.
         """
         names = [over] if isinstance(over, str) else list(over)
         lower, upper = _box(self, names)

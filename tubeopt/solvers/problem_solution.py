@@ -21,7 +21,7 @@ from ..typing import Array, Sentence
 
 
 class ProblemStatus(Sentence):
-    """How the solve of a program ended; every value reads as a sentence."""
+    """Result of the solve of a program; every value reads as a sentence."""
 
     SOLVED = "an optimum was found"
     INFEASIBLE = "no point was found that satisfies all constraints"
@@ -88,31 +88,32 @@ class Attempts:
 
 @dataclass(frozen=True, eq=False)
 class ProblemSolution(Displayed):
-    """What was found for a `Problem`."""
+    """Values, multipliers and status of a solved `Problem`."""
 
     _brief = ("status", "objective", "values")
 
     status: ProblemStatus
-    """How the solve ended, as a sentence."""
+    """Result of the solve."""
     objective: float
-    """At these values, in its own unit."""
+    """Value of the objective, in its own unit."""
     values: dict[str, Array]
-    """Of the variables, by name, in their own units."""
+    """Values of the variables, by name, in their own units."""
     multipliers: dict[str, Array]
-    """Of the constraints, by name, a row each: the change of the objective per unit by which the bound that holds it is
-    raised, in the units of objective and constraint; 0 for what does not press."""
+    """Multipliers of the constraints, by name, one per row. They are the change of the objective per unit increase of
+    the active bound, in the units of objective and constraint. 0 for inactive constraints.
+    """
     bound_multipliers: dict[str, Array]
-    """The same of the bounds of variables."""
+    """Multipliers of the bounds of variables, by name, with the same meaning."""
     parameters: dict[str, Array]
     """The numbers that were given, by name."""
     violations: tuple[Violation, ...]
     """Constraints that do not hold, the worst first: none of a solved program."""
     statistics: ProblemStatistics
-    """What the solve took."""
+    """Effort of the solve."""
     attempts: Attempts | None = None
-    """Of a multi-start."""
+    """Results of the starts of a multistart, or None."""
     program: Evaluates | None = field(default=None, repr=False)
-    """Whose expressions have values here; None of a solution that was loaded or unpickled."""
+    """Program for evaluating expressions; None for a solution that was loaded or unpickled."""
 
     def value(self, what: Any) -> Any:
         """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.

@@ -14,7 +14,7 @@ from .time_limit import TIME_LIMIT
 
 @dataclass(frozen=True)
 class Newton(Settings):
-    """How Newton's method, and the descent in energy before it, solve for an equilibrium.
+    """Settings of Newton's method and of the energy descent before it, for an equilibrium.
 
     Raises:
         InputError: a field out of its range.
@@ -25,17 +25,17 @@ class Newton(Settings):
     last_step: float = 1e-6
     """A step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
     round_off: float = 1e-12
-    """Residual or step (rad) that is close to round-off; nothing below tells of convergence."""
+    """Residual or step (rad) close to round-off; smaller ones are no sign of divergence."""
     longest_step: float = 1.0
     """Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
     iterations: int = 20
-    """Of Newton's method, after which it gives up."""
+    """Maximum number of Newton iterations."""
     descent_iterations: int = 60
-    """Of the descent."""
+    """Maximum number of descent iterations."""
     refinements: int = 6
     """Most times that the pieces of the mesh are halved."""
     loaded_refinements: int = 4
-    """The same under load."""
+    """Maximum number of mesh refinements under load."""
     margin_tolerance: float = 1e-8
     """Wanted accuracy under load of margins so close to 1 that they need a check of their own."""
 
@@ -145,29 +145,28 @@ LINEAR_SOLVERS = ("mumps", "ma27", "ma57", "ma77", "ma86", "ma97", "pardiso", "p
 @typed
 @dataclass(frozen=True)
 class Ipopt(Displayed):
-    """How IPOPT solves a `Problem`, or the equations of an equilibrium.
+    """Settings of IPOPT, for a `Problem` or the equations of an equilibrium.
 
     Raises:
         InputError: a field out of its range.
     """
 
     tolerance: float = 1e-10
-    """Of optimality and of constraints over their scales. An answer that is merely "acceptable" to IPOPT counts as a
-    failure."""
+    """Tolerance of optimality and of scaled constraints. An "acceptable" solution of IPOPT counts as a failure."""
     constraint_tolerance: float | None = None
-    """Of constraints over their scales; None is `tolerance`."""
+    """Tolerance of scaled constraints; None is `tolerance`."""
     iterations: int = 500
-    """After how many it gives up."""
+    """Maximum number of iterations."""
     time_limit: float = TIME_LIMIT
     """s, after which it stops where it is."""
     linear_solver: str = "mumps"
-    """Of the Newton steps; "mumps" comes with CasADi."""
+    """Linear solver of the Newton steps; "mumps" comes with CasADi."""
     expand: bool = False
     """Write the program out in scalars first: a solve is faster, the building slower. For one to three blocks."""
     hessian: str = "exact"
     """Second derivatives: "exact", or "limited-memory"."""
     barrier: float = 0.1
-    """Barrier parameter with which a cold start begins."""
+    """Initial barrier parameter of a cold start."""
     print_level: int = 0
     """0 silent, 5 a line for every iteration."""
 

@@ -31,13 +31,13 @@ class Branch(Displayed):
     """A curve of equilibria, P points in order along it, stable and unstable."""
 
     fraction: Array
-    """(P,) of the way from start to end."""
+    """(P,) fractions of the path from start to end."""
     rotations: Array
     """(P, n) joint values, rad."""
     tip_rotations: Array
-    """(P, n) rad."""
+    """(P, n) rotations of the tubes at the tip, rad."""
     margin: Array
-    """(P,)."""
+    """(P,) margins."""
     folds: tuple[Equilibrium, ...]
     """Equilibria where the curve turns back, where a robot that follows it snaps."""
 
@@ -55,18 +55,18 @@ def trace_branch(
     step: float = 0.06,
     time_limit: float = TIME_LIMIT,
 ) -> Branch:
-    """Follow the branch through folds from rotations `start` until it leaves the way to `end` at either side.
+    """The branch of equilibria from rotations `start`, through folds, until it leaves the path to `end` on either side.
 
-    Pseudo-arclength continuation (Keller 1977) in the rotations along the arm and the fraction of the way.
+    Pseudo-arclength continuation (Keller 1977) in the rotations along the arm and the fraction of the path.
 
     Args:
         start, end: (n,) rotations, rad; translations (n,) m, default home.
-        equilibrium: where to begin, at rotations `start`; default that of `forward_kinematics`.
-        step: first change of a rotation along the arm or of the joint that turns most, rad, and half the largest.
-        time_limit: s, on the clock.
+        equilibrium: start, at rotations `start`; by default that of `forward_kinematics`.
+        step: first step of a rotation along the arm or of the joint that turns most, rad; at most half the largest.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: wrong number of joint values, start and end the same, a step that is not positive.
+        InputError: wrong number of joint values, equal start and end, a step that is not positive.
         SolveError: the branch could not be followed.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 

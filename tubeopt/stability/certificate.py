@@ -65,14 +65,16 @@ class Certificate(Displayed):
     """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where nothing
     can be proved: tubes off the centreline that are not three equal ones per segment."""
     translations: Array
-    """(n,) m."""
+    """(n,) translations, m."""
     gradient: dict[str, Array]
-    """Of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit: where breakpoints meet,
-    as it changes when the parameter grows. NaN where the eigenvalue is double, so that the margin has no
-    derivative."""
+    """Derivatives of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit. Where
+    breakpoints meet they are those for a growing parameter. NaN for a double eigenvalue: the margin then has no
+    derivative.
+    """
     pair: tuple[int, int] | None
-    """The two tubes (0 is the innermost) whose coupling takes most of the margin, None without coupling, and for tubes
-    off the centreline, of which three take it together."""
+    """The two tubes (0 is the innermost) with the coupling that reduces the margin most. None without coupling, and for
+    tubes off the centreline, where three act together.
+    """
     section: tuple[float, float] | None
     """(start, end) of the section where it takes most, m."""
     share: Array
@@ -85,41 +87,43 @@ class Certificate(Displayed):
 
     @property
     def status(self) -> CertificateStatus:
-        """What it says."""
+        """Whether snapping is excluded, as a sentence."""
         if np.isneginf(self.margin):
             return CertificateStatus.NONE
         return CertificateStatus.SNAP_FREE if self.snap_free else CertificateStatus.OPEN
 
     @property
     def statistics(self) -> CertificateStatistics:
-        """What it is about."""
+        """Numbers of tubes and of coupled pairs."""
         return CertificateStatistics(len(self.translations), int((np.triu(self.share, 1) > 0).sum()))
 
     @property
     def snap_free(self) -> bool:
-        """Whether snapping is excluded at every rotation: the margin is above 0 beyond round-off."""
+        """True if snapping is excluded at every rotation: the margin is above 0 beyond round-off."""
         return self.margin > ROUNDING
 
 
 @typed
 @small
 def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *, max_force: float = 0.0) -> float:
-    """mu_cert: a lower bound of the stability margin over all rotations, at given translations.
+    """mu_cert: a lower bound on the stability margin over all rotations, at given translations.
 
-    Above 0 the elastic energy is strictly convex for every input: one equilibrium, no snap anywhere. It is the margin
-    of the worst case in which all curved tubes oppose each other: reached, so exact, for two tubes; for more it is
-    conservative, since three tubes cannot oppose each other pairwise. With tubes made of pieces it is exact for two
-    coupled ones, whatever their curvatures, twists and stiffnesses are along them (see `stability.pair`); for more it
-    is a lower bound, since the second variation at any rotations is at least that of the worst case point by point.
-    What the mesh may leave out of varying couplings, by the difference to a finer one, is taken off.
+    Above 0 the elastic energy is strictly convex at all rotations: one equilibrium, no snap anywhere. The bound is the
+    margin of the worst case in which all curved tubes oppose each other. Two tubes reach it, so it is exact for them.
+    Three cannot oppose each other pairwise, so it is conservative for more.
 
-    For tubes off the centreline, in segments of three equal ones, it is the share of torsional stiffness that all of
-    them may lose with the proof for their own equations still holding (see `eccentric_certificate`): above 0 they
-    cannot snap either, but it is no bound of the margin. For others there is no proof, and the number is -inf.
+    Tubes made of pieces: exact for two coupled ones, with any curvatures, twists and stiffnesses along them (see
+    `stability.pair`). For more it is a lower bound: the second variation at any rotations is at least that of the worst
+    case, point by point. The possible error of the mesh for varying couplings is subtracted, estimated from a finer
+    mesh.
 
-    With `max_force` it is a bound over all rotations and all forces on the tip, of at most that size and in any
-    direction, that keep their direction (see `loaded_certificate`): above 0 the robot cannot snap or buckle, whatever
-    pushes so. It does not cover moments, forces that turn with the tip, or forces along the arm.
+    Tubes off the centreline, in segments of three equal ones: the fraction of torsional stiffness that all of them may
+        lose (see `eccentric_certificate`). The proof for their own equations remains valid. Above 0 they cannot snap,
+    but it is no bound on the margin. Other arrangements have no proof, and the number is -inf.
+
+    `max_force` includes all dead forces on the tip of at most that size, in any direction (see `loaded_certificate`):
+    above 0 the robot cannot snap or buckle under any of them. Moments, follower forces and forces along the arm are not
+    covered.
 
     Args:
         translations: (n,) m; default home.

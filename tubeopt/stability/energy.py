@@ -28,7 +28,7 @@ class EnergyMap(Displayed):
     """Least elastic energy with the tips of two tubes held at given angles; its stationary points are equilibria."""
 
     tubes: tuple[int, int]
-    """Whose tips are held, from 0."""
+    """Tubes of the two axes, from 0; their tips are fixed."""
     first: Array
     """(N,) tip angles of the first of `tubes`, rad."""
     second: Array
@@ -36,7 +36,7 @@ class EnergyMap(Displayed):
     energy: Array
     """(N, N), rows by `first`, J."""
     equilibria: tuple[Equilibrium, ...]
-    """All of them."""
+    """All equilibria."""
 
 
 @typed
@@ -54,13 +54,13 @@ def energy_map(
 ) -> EnergyMap:
     """Energy over the tip angles of two tubes at given joint values.
 
-    Everything else, the torsion inside and the tips of other tubes, takes the values of least energy, followed from
-    point to point.
+    All other unknowns (torsion inside, tips of other tubes) minimise the energy; the minimum is followed from point to
+    point.
 
     Args:
-        tubes: the two whose tips are held, from 0.   samples: points per axis.
-        window: (2, 2) least and largest tip angle of each of them, rad; by default around all equilibria.
-        time_limit: s, on the clock.
+        tubes: the two tubes with fixed tips, from 0.   samples: points per axis.
+        window: (2, 2) smallest and largest tip angle of each tube, rad; by default around all equilibria.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: wrong number of joint values; tubes that are the same, do not exist, or have no coupled part; a

@@ -39,26 +39,27 @@ def find_equilibria(
 ) -> list[Equilibrium]:
     """All equilibria at given joint values, the lowest energy first.
 
-    Where the certificate of tubes on the centreline is positive there is one, and no search. Else tubes that act on one
-    another are searched group by group (see `stability.groups`). For up to three tubes in a group, as in every segment
-    of an eccentric robot, the search is systematic: the joint rotations are tabulated over one turn of each tip angle,
-    every cell of a grid that may hold a solution is solved, and the grid is refined until the set no longer changes
-    and its topological degree, on the centreline the sum of (-1)^index, is 1, as it must be. For more tubes the
-    starting points are a Sobol sequence, and the degree is the only check.
+    A positive certificate of tubes on the centreline proves that there is only one; then nothing is searched. Otherwise
+    tubes that act on one another are searched group by group (see `stability.groups`).
+
+    Groups of up to three tubes, as in every segment of an eccentric robot, are searched systematically. The joint
+    rotations are tabulated over one turn of each tip angle. Every cell of the grid that may contain a solution is
+    solved. The grid is refined until the set no longer changes and its topological degree is 1, as theory demands. On
+    the centreline the degree is the sum of (-1)^index. Larger groups start from a Sobol sequence, and the degree is the
+    only check.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
-        load: the equilibria are then found from many starting points, with the degree as the only check (see
-            `stability.loaded_equilibria`). They are ordered by potential energy; under a load without one the largest
-            margin comes first.
-        search: how they are searched for.
-        time_limit: s, on the clock.
+        load: external load. The equilibria are then found from many starting points, with the degree as the only check
+            (see `stability.loaded_equilibria`). They are ordered by potential energy; without one, the largest margin
+            comes first.
+        search: settings of the search.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load on an
             eccentric robot.
-        SolveError: the degree of the set that was found is not 1: an equilibrium is missing, or the joint values are
-            a fold.
+        SolveError: the degree of the set is not 1: an equilibrium is missing, or the joint values are a fold.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:

@@ -79,12 +79,12 @@ class HeldEquilibria(Sequence[Equilibrium]):
 
 @dataclass(frozen=True, eq=False)
 class Path(Displayed):
-    """What a robot does along a path: one stable equilibrium per waypoint, and the snaps on the way."""
+    """Motion of a robot along a path: one stable equilibrium per waypoint, and the snaps between them."""
 
     equilibria: Sequence[Equilibrium]
     """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
-    """On the way, in order."""
+    """Snaps along the path, in order."""
 
     @property
     def value(self) -> Array:
@@ -93,12 +93,12 @@ class Path(Displayed):
 
     @property
     def status(self) -> PathStatus:
-        """Whether the robot snapped."""
+        """Whether the robot snapped, as a sentence."""
         return PathStatus.SNAPPED if self.snaps else PathStatus.SMOOTH
 
     @property
     def statistics(self) -> PathStatistics:
-        """What it took."""
+        """Numbers of equilibria and snaps, and solver iterations."""
         spent = sum(each.statistics.iterations for each in self.equilibria)
         return PathStatistics(len(self.equilibria), len(self.snaps), spent)
 
@@ -117,21 +117,21 @@ def follow(
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Path:
-    """Move a robot slowly through waypoints of joint values, along straight lines between them.
+    """Quasi-static motion of a robot through waypoints of joint values, along straight lines between them.
 
     Args:
         rotations, translations: (T, n) rad and m; translations default to home.
-        start: stable equilibrium at the first waypoint; by default the one of `forward_kinematics`. If its joint
-            values are others, the robot is first moved from there, and snaps on that way are not recorded.
-        load: forces and moments that stay on the robot; a start without it is first loaded.
-        friction: between the tubes, which makes every state depend on the way to it. A start that bears it goes on with
-            its history; one without it has none, as if it had been shaken.
+        start: stable equilibrium at the first waypoint; by default that of `forward_kinematics`. From other joint
+            values the robot is first moved to the first waypoint; snaps on that path are not recorded.
+        load: constant external load; a start without it is first loaded.
+        friction: friction between the tubes; every state then depends on its history. A start with friction continues
+            its history. One without has none, like a robot after vibration.
         progress: called with the number of each waypoint that is reached.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: tables of the wrong shape, a value that is not finite, a tube out of its actuator, or an unstable
-            start; a friction for another number of tubes, or of an eccentric robot.
+            start. Friction for another number of tubes, or of an eccentric robot.
         SolveError: descent from a fold found no stable equilibrium, or a motion with friction was lost.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -221,15 +221,15 @@ def find_snap(
     load: Load | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> Snap | None:
-    """The first snap on the straight path from `start` to `end`, or None where the branch reaches the end.
+    """The first snap on the straight path from `start` to `end`, or None if the branch reaches the end.
 
-    The branch is followed to where it ends; the fold there is the root of a bordered determinant.
+    The branch is followed to its end; the fold there is the root of a bordered determinant.
 
     Args:
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
         equilibrium: stable equilibrium at `start` on the branch to follow; by default that of `forward_kinematics`.
-        load: forces and moments that stay on the robot.
-        time_limit: s, on the clock.
+        load: constant external load.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: joint values of the wrong number, or not finite; an equilibrium that is unstable or not at `start`.

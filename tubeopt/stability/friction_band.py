@@ -35,15 +35,16 @@ from .certificate import convexity, snap_free_certificate
 
 @dataclass(frozen=True, eq=False)
 class FrictionBand(Displayed):
-    """Where friction can hold an arm at M points along it."""
+    """Region of equilibria that friction allows for an arm, at M points along it."""
 
     equilibrium: Equilibrium
-    """Without friction."""
+    """Equilibrium without friction."""
     friction: Friction
-    """As given."""
+    """The friction."""
     certificate: float
-    """Of convexity at these translations, under a force on the tip for all forces of its size; -inf under other loads,
-    and under a force with tubes made of pieces."""
+    """Certificate of convexity at these translations; under a tip force, that for all forces of its size. -inf under
+    other loads, and under a force with tubes made of pieces.
+    """
     first_order: Array
     """(M, 3) half widths along the axes of the plate, m, true for small friction only."""
     guaranteed: Array
@@ -57,14 +58,15 @@ class FrictionBand(Displayed):
 
     @property
     def tip_radius(self) -> float:
-        """That of the tip, m, guaranteed."""
+        """Guaranteed largest displacement of the tip by friction, m."""
         return float(self.guaranteed[-1])
 
 
 @typed
 @small
 def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
-    """How far friction can hold a concentric robot from an equilibrium without friction, whatever its history.
+    """Largest displacement that friction allows from an equilibrium without friction, for any history; concentric
+    robots.
 
     Raises:
         InputError: an equilibrium under friction, or under a load without an energy; a friction for another robot, an

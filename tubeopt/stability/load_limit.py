@@ -40,16 +40,18 @@ class LoadLimit(Displayed):
     """The end of the stable branch that grows from no load."""
 
     factor: float
-    """On the load, at which the branch ends or loses stability."""
+    """Load factor at which the branch ends or loses stability."""
     kind: str
-    """"fold": the equilibrium vanishes, and the robot snaps; or "bifurcation": it goes on, but unstable, and the robot
-    leaves it to one of two sides, as a straight column does that buckles; so do symmetric poses. "flutter", only under
-    a load without an energy: it goes on, but slow oscillations about it grow (docs/loads.md)."""
+    """"fold": the equilibrium vanishes, and the robot snaps. "bifurcation": it continues but is unstable, and the robot
+    leaves it to one of two sides, like a buckling column; symmetric poses do this. "flutter", only under a load without
+    an energy: it continues, but slow oscillations about it grow (docs/loads.md).
+    """
     before: Equilibrium
     """The equilibrium at the limit (margin 0)."""
     after: Equilibrium | None
-    """Where the robot goes: at a fold at the same load, at a bifurcation at a load larger by `past` of `Continuation`,
-    where the side is as likely as the other. None where descent finds no equilibrium, and where the robot flutters."""
+    """Equilibrium after the loss of stability. At a fold at the same load; at a bifurcation at a load larger by `past`
+    of `Continuation`, on one of two equally likely sides. None if descent finds no equilibrium, and after flutter.
+    """
     tip_jump: float
     """m, at the load of `after`, from the equilibrium that the robot leaves; NaN without an `after`."""
     energy_released: float
@@ -62,12 +64,12 @@ class LoadLimit(Displayed):
 
     @property
     def status(self) -> LoadLimitStatus:
-        """How the branch ends."""
+        """Kind of the limit, as a sentence."""
         return LoadLimitStatus[self.kind.upper()]
 
     @property
     def statistics(self) -> Statistics:
-        """What the equilibrium at the limit took."""
+        """Statistics of the equilibrium at the limit."""
         return self.before.statistics
 
 
@@ -84,16 +86,17 @@ def find_load_limit(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """The largest factor on a load that the robot bears at given joint values; None if it bears `up_to` times it.
+    """The load factor at which a robot loses stability at given joint values; None if it withstands `up_to`.
 
-    Folds are roots of a bordered determinant, bifurcations roots of the least eigenvalue on the branch, which goes on.
+    Folds are roots of a bordered determinant. Bifurcations are roots of the smallest eigenvalue on the branch, which
+    continues.
 
     Args:
         rotations, translations: (n,) rad and m; translations None for home.
         load: forces and moments.
-        equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
-        up_to: largest factor to look at.
-        time_limit: s, on the clock.
+        equilibrium: stable, unloaded equilibrium at the start; by default that of `forward_kinematics`.
+        up_to: largest load factor to search.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: joint values as in `forward_kinematics`; an equilibrium that is loaded, unstable, or elsewhere.

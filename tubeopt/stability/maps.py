@@ -60,19 +60,20 @@ class MapStatistics:
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap(Displayed):
-    """What a robot does that turns its tubes together, straight from home, to each pair of relative rotations."""
+    """Margins and snaps for straight motions of all tubes from home to each pair of relative rotations."""
 
     tubes: tuple[int, int]
-    """That turn; all others stay at home."""
+    """The two rotated tubes; all others stay at home."""
     angles: Array
     """(N,) of both axes, rad."""
     margin: Array
     """(N, N) at the end, rows by the first tube."""
     snaps: Array
-    """(N, N) on the way."""
+    """(N, N) number of snaps on the path."""
     directions: Array
-    """(D,) from the axis of the first tube, rising, rad: those asked for, and more between two of them where the
-    boundary ends or goes on elsewhere."""
+    """(D,) angles from the axis of the first tube, increasing, rad: the requested ones, and more where the boundary
+    ends or jumps between two of them.
+    """
     boundary: Array
     """(D, 2) rotations at the first snap in each, rad; NaN in those without."""
     approach: Array
@@ -85,13 +86,13 @@ class StabilityMap(Displayed):
 
     @property
     def status(self) -> MapStatus:
-        """Whether the robot snapped on any way."""
+        """Whether the robot snapped on any path, as a sentence."""
         snapped = (self.snaps > 0).any() or np.isfinite(self.boundary).any()
         return MapStatus.SNAPPED if snapped else MapStatus.SMOOTH
 
     @property
     def statistics(self) -> MapStatistics:
-        """What it took."""
+        """Numbers of points, boundary points and snaps."""
         return MapStatistics(self.margin.size, len(self.boundary), int(self.snaps.sum()))
 
 
@@ -111,15 +112,15 @@ def stability_map(
 ) -> StabilityMap:
     """Margin and snaps over two rotations relative to the other tubes, +-180 deg each.
 
-    Where opposite rotations give mirror images, as of concentric tubes that are not made of pieces, the ways to one
-    half of the map tell of the other, if `directions` is even.
+    Concentric tubes that are not made of pieces have mirror images at opposite rotations. Then half of the map is
+    computed, if `directions` is even.
 
     Args:
-        tubes: the tubes that turn, from 0.   samples: points per axis.
-        directions: of the snap boundary, evenly around home. Where it ends between two of them, or goes on elsewhere,
-            more are looked into, until that is known to a hundredth of what lies between the two.
+        tubes: the rotated tubes, from 0.   samples: points per axis.
+        directions: number of directions of the snap boundary, evenly around home. Where it ends or jumps between two of
+            them, directions are added until that place is known to 1/100 of their distance.
         workers: processes; 0 is one per core.   progress: called with the tasks done and their number.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: fewer than three tubes, tubes that do not exist or are the same, a tube out of its actuator.

@@ -32,18 +32,18 @@ class SnapStatus(Sentence):
 
 @dataclass(frozen=True, eq=False)
 class Snap(Displayed):
-    """One snap."""
+    """One snap: the vanishing equilibrium and the one after it."""
 
     _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
-    """Of the waypoint before it."""
+    """Index of the waypoint before it."""
     fraction: float
-    """Of the way to the next waypoint."""
+    """Fraction of the path to the next waypoint."""
     before: Equilibrium
-    """That vanishes (margin 0), at the joint values of the snap."""
+    """Equilibrium that vanishes (margin 0), at the joint values of the snap."""
     after: Equilibrium
-    """In which the robot lands."""
+    """Equilibrium after the snap."""
 
     rotations, translations = Of[Array]("before"), Of[Array]("before")
 
@@ -54,22 +54,22 @@ class Snap(Displayed):
 
     @property
     def tip_jump(self) -> float:
-        """m."""
+        """Distance that the tip jumps, m."""
         return float(np.linalg.norm(self.after.tip_position - self.before.tip_position))
 
     @property
     def value(self) -> float:
-        """The fraction of the way."""
+        """Fraction of the path to the next waypoint."""
         return self.fraction
 
     @property
     def status(self) -> SnapStatus:
-        """How it ends."""
+        """Result, as a sentence."""
         return SnapStatus.LANDED
 
     @property
     def statistics(self) -> Statistics:
-        """What the equilibrium that vanishes took."""
+        """Statistics of the vanishing equilibrium."""
         return self.before.statistics
 
 

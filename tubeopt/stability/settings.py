@@ -10,7 +10,7 @@ from ..errors import Settings
 
 @dataclass(frozen=True)
 class SnapSearch(Settings):
-    """How hard snaps and worst cases are searched for, where no proof decides; of `judge`, `worst_margin` and
+    """Settings of the search for snaps and worst cases where no proof decides; for `judge`, `worst_margin` and
     `worst_certificate`.
 
     Raises:
@@ -18,29 +18,29 @@ class SnapSearch(Settings):
     """
 
     samples: int = 512
-    """Of the tip angles, from the best of which the least margin is searched for."""
+    """Number of sampled tip angles; the search for the smallest margin starts from the best."""
     segment_samples: int = 128
-    """The same for each segment of tubes off the centreline."""
+    """Number of samples per segment, for tubes off the centreline."""
     local_searches: int = 6
-    """From the best samples."""
+    """Number of local searches, from the best samples."""
     evaluations: int = 1500
-    """Of the certificate by the global search over translations."""
+    """Maximum number of certificates in the global search over translations."""
     folds: int = 12
-    """At which the sheet of stable equilibria ends, to which ways are tried."""
+    """Number of folds at the edge of the stable branch surface that are tried as targets."""
     sheet_grid: tuple[int, ...] = (256, 64, 16, 8, 5)
     """Its nodes per turn with one, two, .. relative tip angles, and with all that are more."""
     sheet_turns: int = 3
-    """Of the tips around the relaxed pose in which folds are looked for, at most; a fold may belong to joints that are
-    turned further."""
+    """Maximum number of turns of the tips around the relaxed pose in which folds are searched. The joints of a fold may
+    have turned further.
+    """
     sheet_nodes: int = 1_000_000
-    """Of all turns together."""
+    """Maximum number of nodes of all turns together."""
     sheet_apart: float = 0.2
-    """Folds in whose directions from the relaxed pose a relative rotation differs by less than this part are one
-    try."""
+    """Relative difference between the directions of two folds from the relaxed pose below which they count as one."""
     overshoot: float = 0.3
-    """How far a way goes on beyond a fold, rad."""
+    """Length of the path beyond a fold, rad."""
     random_ways: int = 32
-    """Directions in which a snap is looked for in the end."""
+    """Number of random directions tried last."""
 
 
 DEFAULT_SEARCH = SnapSearch()
@@ -48,7 +48,7 @@ DEFAULT_SEARCH = SnapSearch()
 
 @dataclass(frozen=True)
 class EquilibriaSearch(Settings):
-    """How all equilibria at given joint values are searched for; of `find_equilibria`.
+    """Settings of the search for all equilibria at given joint values, for `find_equilibria`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
@@ -57,25 +57,25 @@ class EquilibriaSearch(Settings):
     certain: float = 1e-6
     """Certificate above which there is one equilibrium and no search: 0, and what round-off may add to it."""
     certain_of_pieces: float = 1e-3
-    """The same of tubes made of pieces, whose couplings vary between the points of the mesh."""
+    """Certificate above which nothing is searched, for tubes made of pieces; their couplings vary between mesh points.
+    """
     grids_of_one: tuple[int, ...] = (1024, 4096, 16384)
-    """Points per turn of the grids, one after the other, on which a table of one relative tip angle is read."""
+    """Points per turn of the successive grids for one relative tip angle."""
     grids_of_two: tuple[int, ...] = (160, 320, 640)
-    """The same of two."""
+    """Points per turn of the successive grids for two relative tip angles."""
     grids_of_three: tuple[int, ...] = (80, 120, 180)
-    """Of three."""
+    """Points per turn of the successive grids for three relative tip angles."""
     first_starts: int = 1024
     """Points of the Sobol sequence that is searched where there is no table, in the first round; every round has twice
     those of the one before."""
     most_starts: int = 16384
-    """The same in the last round."""
+    """Number of starts in the last round."""
     rough_steps: int = 2
-    """Of the integration per piece on the way to a solution: 2 are wrong by about 1e-4 rad."""
+    """Integration steps per piece on the path to a solution: 2 have an error of about 1e-4 rad."""
     handed_over: float = 1e-3
     """A solution of the rough integration is left to the finer one once its joints are as close, rad."""
     close: float = 1e-2
-    """Where Newton's method does not get there, as next to a fold, it is left from the best point that was seen if that
-    is as close, rad."""
+    """Residual of the best point, rad, that is accepted where Newton's method does not converge, as near a fold."""
     solved: float = 1e-8
     """Joints as close are solved, rad."""
     longest_step: float = 0.5
@@ -83,13 +83,13 @@ class EquilibriaSearch(Settings):
     same_tips: float = 1e-4
     """Tip angles that differ by less and lie on the same side of a fold are one, rad."""
     same: float = 1e-5
-    """Equilibria whose rotations differ by less everywhere are one, rad."""
+    """Largest difference of all rotations between equal equilibria, rad."""
     loaded_starts: int = 128
     """Starting points under a load, in the first round; every round has twice those of the one before."""
     most_loaded_starts: int = 512
-    """The same in the last round."""
+    """Number of starts in the last round under load."""
     largest_twist: float = 2 * math.pi
-    """Of a tube at the tip up to which these reach, rad."""
+    """Largest twist of a tube at the tip that the starts cover, rad."""
 
 
 DEFAULT_EQUILIBRIA_SEARCH = EquilibriaSearch()

@@ -37,18 +37,18 @@ def find_stroke_force(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """The largest force with which the tip can push along itself; None where it can with `up_to`, N.
+    """The largest force of the tip along its own direction, as a load limit; None if it withstands `up_to`, N.
 
-    What it pushes pushes back along the line on which the tip pointed at first, and lets it go anywhere: it neither
-    holds the tip nor turns with it. The limit is where the robot buckles or snaps, see `find_load_limit`; its `factor`
-    is the force, N. An arm that lies in a plane with its push buckles out of it; most others have no limit: they bend
-    away, ever softer and never unstable, and what counts is how far (`compliance`, `tip_deflection` of designs).
+    The reaction acts along the initial direction of the tip and keeps that direction; the tip is free to move. At the
+    limit the robot buckles or snaps, see `find_load_limit`; its `factor` is the force, N. A planar arm buckles out of
+    its plane. Most other arms have no limit: they bend ever further without instability. Then the displacement counts
+    (`compliance`, `tip_deflection` of designs).
 
     Args:
         rotations, translations: (n,) rad and m; translations None for home.
-        equilibrium: the stable, unloaded equilibrium to start from; by default that of `forward_kinematics`.
-        up_to: largest force to look at, N.
-        time_limit: s, on the clock.
+        equilibrium: stable, unloaded equilibrium at the start; by default that of `forward_kinematics`.
+        up_to: largest force to search, N.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError, SolveError: as `find_load_limit`.

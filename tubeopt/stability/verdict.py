@@ -59,36 +59,38 @@ class VerdictStatistics:
 
 @dataclass(frozen=True, eq=False)
 class Verdict(Displayed):
-    """Whether a robot can snap at given translations."""
+    """Whether a robot can snap at given translations, with the proof or the snap."""
 
     _brief = ("robot", "finding", "certificate")
 
     robot: Robot
-    """That is judged."""
+    """The robot."""
     certificate: Certificate
     """The lower bound of the margin over all rotations: proved."""
     worst: WorstMargin | None
     """The least margin that search found, None where it ended on a fold (margin 0)."""
     start: Array | None = None
-    """(n,) rotations from which a straight way begins on which the robot snaps, rad; None where none is known."""
+    """(n,) rotations at the start of a straight path with a snap, rad; None if no snap is known."""
     end: Array | None = None
     """(n,) where it ends."""
     snap: Snap | None = None
-    """On that way."""
+    """Snap on that path, or None."""
     ways: int = 0
-    """How many were tried."""
+    """Number of paths tried."""
     failed: int = 0
-    """On how many of them the equilibria were lost."""
+    """Number of these paths where the equilibrium was lost."""
     followed: bool = True
-    """Whether the snap is met where the way is followed. If not, it is one of two tubes too shallow for that and is
-    known from its fold alone."""
+    """True if the snap occurs when the path is followed. False for a snap of two tubes too shallow for that, known from
+    its fold.
+    """
     decided: bool = False
-    """Whether no more than two tubes are coupled, so that the certificate is exact, and a snap is known where it is
-    below 0; of tubes of one curvature each the nearest one."""
+    """True if no more than two tubes are coupled. The certificate is then exact: below 0 a snap is known. For tubes of
+    one curvature each it is the nearest snap.
+    """
 
     @property
     def value(self) -> bool | None:
-        """Whether the robot can snap; None where neither is known."""
+        """True if the robot can snap, False if it cannot, None if unknown."""
         return None if self.finding is Finding.OPEN else self.finding is Finding.CAN_SNAP
 
     @property
@@ -98,7 +100,7 @@ class Verdict(Displayed):
 
     @property
     def statistics(self) -> VerdictStatistics:
-        """What it took."""
+        """Numbers of paths tried and lost."""
         return VerdictStatistics(self.ways, self.failed)
 
     @property
@@ -110,7 +112,7 @@ class Verdict(Displayed):
 
     @property
     def within_limits(self) -> bool | None:
-        """Whether the robot comes to the snap inside the limits of its rotations; None where no snap is known."""
+        """True if the snap lies inside the limits of the rotations; None if no snap is known."""
         if self.snap is None or self.start is None:
             return None
         low, high = np.array(self.robot.limits.rotations).T
@@ -145,21 +147,24 @@ def judge(
     progress: Callable[[int, int], object] | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> Verdict:
-    """Prove that a robot cannot snap at given translations, or find a snap.
+    """Proof that a robot cannot snap at given translations, or a snap.
 
-    Where the certificate is not above 0, the robot is turned from its relaxed pose, all tubes curving to one side,
-    until it snaps; inside its joint limits where search finds a snap there, else beyond them (see
-    `stability.search.search_snap`). Two coupled tubes are decided: they can snap if and only if the certificate is
-    below 0, and their snap is found wherever it is. Robots with tubes made of pieces are turned from home, inside their
-    limits; more than two of them are not decided but where the certificate is above 0. Of tubes off the centreline one
-    tube of a segment is turned by a turn, forth and back, the other two held, all other segments curving to one side:
-    half-way lie the untwisted shapes of the closed form (see `eccentric_certificate`).
+    If the certificate is not above 0, rotations are searched for a snap. The paths start at the relaxed pose, with all
+    tubes curving to one side. Snaps inside the joint limits come first, then those beyond (see
+    `stability.search.search_snap`).
+
+    - Two coupled tubes are always decided: they can snap if and only if the certificate is below 0.
+    - Tubes made of pieces start at home and stay inside their limits. More than two of them are decided only by a
+      certificate above 0.
+    - Tubes off the centreline: one tube of a segment is turned once back and forth. Its other two tubes are fixed, and
+      all other segments curve to one side. Half-way are the untwisted shapes of the closed form (see
+      `eccentric_certificate`).
 
     Args:
         translations: (n,) m; default home.
-        effort: how hard is searched where no proof decides.
+        effort: settings of the search where no proof decides.
         progress: called with the steps done and their likely number.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.

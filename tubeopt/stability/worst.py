@@ -41,7 +41,7 @@ class WorstMargin(Displayed):
     _brief = ("margin", "equilibrium", "searches", "unstable")
 
     equilibrium: Equilibrium
-    """Where, with the joint values to repeat it."""
+    """Equilibrium with the smallest margin found, with its joint values."""
     searches: int
     """Local ones that were done."""
     unstable: Array
@@ -60,18 +60,18 @@ def worst_margin(
     effort: SnapSearch = DEFAULT_SEARCH,
     time_limit: float = TIME_LIMIT,
 ) -> WorstMargin:
-    """Search for the rotations with the least margin, over all equilibria, stable or not.
+    """Smallest margin over all rotations and all equilibria, stable or not, by search.
 
-    Tip angles, unlike joint rotations, name one equilibrium each (see `stability.shooting`), so the margin is a
-    function of them: it is sampled by a Sobol sequence over one turn of each relative tip angle, and the best samples
-    are improved by Nelder and Mead's method. Of two coupled tubes made of pieces it is the least there is (see
-    `stability.pair`). Of tubes off the centreline every segment is searched for itself: tips of its own tubes over a
-    turn each, those of the others as in its softest untwisted shape, from which one local search begins.
+    Each set of tip angles, unlike joint rotations, has exactly one equilibrium (see `stability.shooting`), so the
+    margin is a function of them. A Sobol sequence samples it over one turn of each relative tip angle, and the method
+    of Nelder and Mead improves the best samples. For two coupled tubes made of pieces the result is the global minimum
+    (see `stability.pair`). For tubes off the centreline every segment is searched alone, over one turn of the tips of
+    its tubes. The others stay in their softest untwisted shape, where one local search starts.
 
     Args:
         translations: (n,) m; default home.
-        effort: how hard is searched.
-        time_limit: s, on the clock.
+        effort: settings of the search.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: wrong number of translations, one that is not finite, a tube out of its actuator.
@@ -151,13 +151,13 @@ class WorstCertificate(Displayed):
     """The certificate over a box of translations."""
 
     certificate: Certificate
-    """Where it is least."""
+    """The smallest certificate found."""
     lower: Array
     """(n,) least translations of the box, m."""
     upper: Array
-    """(n,) largest, m."""
+    """(n,) upper bounds of the translations, m."""
     evaluations: int
-    """That the search took."""
+    """Number of certificates computed."""
 
 
 @typed
@@ -171,21 +171,21 @@ def worst_certificate(
     effort: SnapSearch = DEFAULT_SEARCH,
     time_limit: float = TIME_LIMIT,
 ) -> WorstCertificate:
-    """Least certificate over a box of translations.
+    """Smallest certificate over a box of translations, by search.
 
-    Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box), then
-    L-BFGS-B from its best point and from every corner, then Nelder and Mead's method from the best of all, since
-    mu_cert has kinks where two breakpoints meet. It is continuous and piecewise smooth in the translations, so this
-    finds the least value to the resolution of DIRECT; it is not a proof for the box. Of tubes made of pieces, what the
-    mesh leaves out of the certificate is bounded where it is least, and not on the way.
+    Method: the DIRECT algorithm (Jones, Perttunen, Stuckman 1993: deterministic division of the whole box). L-BFGS-B
+    then starts from its best point and from every corner, and Nelder and Mead's method from the best result, since
+    mu_cert has kinks where two breakpoints meet. The certificate is continuous and piecewise smooth in the
+    translations, so the result is the smallest value to the resolution of DIRECT. It is no proof for the box. For tubes
+    made of pieces, the mesh error of the certificate is bounded at the result only.
 
     Args:
         lower, upper: (n,) m; default the translations of `robot.limits`.
-        effort: how hard is searched.
-        time_limit: s, on the clock.
+        effort: settings of the search.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: bounds of the wrong number, not finite, crossed, or past where a tube leaves its actuator.
+        InputError: bounds of the wrong number, not finite, crossed, or beyond the actuator of a tube.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:

@@ -181,23 +181,23 @@ def validate(
     base: BasePose = SENSOR_FRAME,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Validation:
-    """Compare measured tips with the tips that the model predicts at the same joint readings.
+    """Measured tips compared with the tips of the model at the same joint readings.
 
     Every configuration is solved for a stable equilibrium on its own, from tubes without torsion. A robot that can snap
-    may have been measured in another one; its margin tells which configurations are in doubt.
+    may have been in another one; its margin shows which configurations are in doubt.
 
-    A robot that a fit calibrated brings what was fitted of the sensor, the plate and the registration along. So its
-    errors with the recording of the fit are those that the fit reported.
+    A calibrated robot includes the fitted sensor, plate and registration. Its errors for the recording of the fit are
+    those that the fit reported.
 
     Args:
-        registration: "rigid" (rotation and translation by least squares), "base-axis" (base and axis given by `base`,
-            only the yaw about the axis by least squares), "none", or "saved" (that of the robot's calibration); see
-            `register`. None is "saved" for the recording that the saved one was found with, "rigid" for others.
-        time_limit: s, on the clock.
+        registration: "rigid" (rotation and translation by least squares), "base-axis" (base and axis from `base`, yaw
+            by least squares), "none", or "saved" (that of the robot's calibration); see `register`. None is "saved" for
+            the recording of the calibration, "rigid" for others.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: measurements of another number of tubes, joint values out of range (naming the row), a registration
-            that the data leave undetermined or tell to no better than 5 deg (standard error).
+        InputError: measurements of another number of tubes, or joint values out of range (with their row). A
+            registration that the data leave undetermined, or uncertain by more than 5 deg (standard error).
         SolveError: no stable shape was found for a row.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 

@@ -56,16 +56,17 @@ UNSEEN = 1e-8
 
 @dataclass(frozen=True)
 class ForceSolver(Settings):
-    """How the fit of a force descends; of `estimate_force` and `estimate_forces`.
+    """Settings of the fit of a force, for `estimate_force` and `estimate_forces`.
 
     Raises:
         InputError: steps that are no whole number of at least 1, another number that is not positive.
     """
 
     steps: int = 60
-    """After which it gives up."""
+    """Maximum number of steps."""
     longest_move: float = 0.1
-    """Largest move of a measured point in one step, as a share of the arm: beyond, the linear fit tells nothing."""
+    """Largest displacement of a measured point in one step, as a fraction of the arm; the linear fit is useless beyond.
+    """
     first_damping: float = 1e-8
     """Relative to the diagonal of the normal equations: other directions may be seen a thousand times less."""
     settled: float = 1e-4
@@ -120,20 +121,22 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class ForceEstimate(Displayed):
-    """A force at the tip, world axes, and how far it is told."""
+    """Estimated force at the tip, in world axes, with its covariance."""
 
     force: Array
-    """(3,) N."""
+    """(3,) force, N."""
     covariance: Array
-    """(3, 3) N^2, by the noise of the measurement, to second order; inf along directions in which the measurement does
-    not bound the force. Its ellipsoid is an approximation: where a standard error is some hundredths of a newton, it
-    may hold the force less often than it says. `coverage` computes how often; `contains` is a region that keeps it."""
+    """(3, 3) covariance from the measurement noise, to second order, N^2; inf along directions that the measurement
+    does not bound. Its ellipsoid is an approximation. If a standard error is several hundredths of a newton, it may
+    contain the force less often than stated: `coverage` computes how often. `contains` is a region with the stated
+    confidence.
+    """
     directions: Array
-    """(3, 3) unit vectors by row, from the best to the worst told."""
+    """(3, 3) unit vectors by row, from the best to the worst determined."""
     errors: Array
     """(3,) standard error along each, N."""
     equilibrium: Equilibrium
-    """Of the robot under that force."""
+    """Equilibrium of the robot under that force."""
     residual: float
     """Root mean square distance of the measured points from the fitted ones, m."""
     fit: tuple[float, int]
@@ -141,18 +144,18 @@ class ForceEstimate(Displayed):
     iterations: int
     """Steps of the fit."""
     measured: Measured
-    """What was measured."""
+    """The measurement."""
     base: Load
     """Loads that were known."""
     solver: ForceSolver
-    """How the fit descended."""
+    """Settings of the fit."""
 
     def contains(self, force: ArrayLike, confidence: float = 0.95) -> bool:
-        """Whether a force, N, is in the confidence region of the likelihood.
+        """True if a force (N) is in the confidence region of the likelihood.
 
-        The region holds the forces whose sum of squares over the noise exceeds the least one by no more than the
-        quantile of chi-squared with 3 degrees of freedom. Where only the tip was measured its confidence is exact,
-        however much the arm bends.
+        The region is the set of forces for which the sum of squares over the noise exceeds its minimum by at most the
+        quantile of chi-squared with 3 degrees of freedom. If only the tip was measured its confidence is exact, for any
+        bending of the arm.
         """
         wanted = vector("force", force, 3, "x, y, z")
         try:
@@ -166,11 +169,10 @@ class ForceEstimate(Displayed):
     def coverage(
         self, confidence: float = 0.95, *, draws: int = 100, seed: int = 0, time_limit: float = TIME_LIMIT
     ) -> float:
-        """The share of simulated measurements, with the noise that was given, whose ellipsoid holds the force.
+        """Fraction of simulated measurements with this noise for which the ellipsoid contains the force.
 
-        A parametric bootstrap at this estimate: its force is taken for the true one, and estimated anew from every
-        draw. The standard error of the share is the root of share (1 - share) / draws. A draw that no force fits counts
-        as one that does not hold it.
+        A parametric bootstrap: the estimated force is taken for the true one and estimated again from every draw. The
+        standard error of the fraction p is sqrt(p (1 - p) / draws). A draw that no force fits counts as outside.
 
         Raises:
             InputError: a confidence that is not in (0, 1), fewer than one draw.
@@ -200,18 +202,18 @@ class ForceEstimate(Displayed):
 
     @property
     def status(self) -> ForceStatus:
-        """Whether the force is told in all directions."""
+        """Whether the force is determined in all directions, as a sentence."""
         told = np.abs(self.directions @ self.force) >= 2 * self.errors
         return ForceStatus.TOLD if told.all() else ForceStatus.IN_PART
 
     @property
     def statistics(self) -> ForceStatistics:
-        """What it took."""
+        """Number of iterations."""
         return ForceStatistics(self.iterations)
 
     @property
     def untold(self) -> str:
-        """What the measurement cannot tell, in a sentence: directions in which the force is not told from none."""
+        """Directions in which the force cannot be distinguished from zero, as a sentence."""
         parts = []
         for direction, error in zip(self.directions, self.errors, strict=True):
             along = abs(float(direction @ self.force))
@@ -227,13 +229,13 @@ class ForceRecord(Displayed):
     """Forces at the tip over the N rows of a recording."""
 
     robot: Robot
-    """That was pushed."""
+    """The robot."""
     measurements: Measurements
-    """Where its arm was seen."""
+    """The measurements."""
     noise: float
-    """Of a measured coordinate, m."""
+    """Standard deviation of a measured coordinate, m."""
     estimates: tuple[ForceEstimate | None, ...]
-    """One per row, None where there is none."""
+    """Estimates, one per row; None for rows without one."""
     failures: tuple[tuple[int, str], ...]
     """(row, reason in words) of those."""
 
@@ -250,7 +252,7 @@ class ForceRecord(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the robot has and the estimates leave out."""
+        """Effects of the robot that the estimates ignore."""
         r = self.robot
         words = {
             "the room between the tubes (clearance)": isinstance(r, ConcentricRobot) and r.clearance is not None,
@@ -273,24 +275,24 @@ def estimate_forces(
     solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ForceRecord:
-    """The dead force at the tip in every row of a recording, as `estimate_force`, each from the row before.
+    """The dead force at the tip in every row of a recording, as `estimate_force`, each started from the row before.
 
-    The robot's calibration turns readings into joint values, with latency and play, and says where the sensor sits on
-    the tip and how the plate stands. Turns of the readings count as they are read. Forces and known loads are in the
-    axes of the plate, tilted as the calibration says.
+    The robot's calibration converts readings to joint values, with latency and backlash, and gives the poses of sensor
+    and plate. Full turns of the readings count. Forces and known loads are in the axes of the plate, tilted by the
+    calibration.
 
     Args:
-        measurements: joint readings, and positions; sensors behind the tip are points of the arm. What a row's sensors
-            at one place saw counts by their mean.
+        measurements: joint readings, and positions; sensors behind the tip are points of the arm. Sensors at the same
+            place of a row count by their mean.
         noise, known, solver: as in `estimate_force`.
-        registration: "none", positions are in the frame of the plate, or "saved", in that of the device that the
-            calibration holds. It must be given where the calibration holds one and other positions were measured.
+        registration: "none": positions in the frame of the plate. "saved": in the frame of the calibrated device.
+            Required if the calibration has a registration and was fitted to other positions.
         progress: called with rows done and rows in all.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: as in `estimate_force`; measurements of a robot with another number of tubes; a calibration with
-            carriages that yield; a registration that is not given, or that the calibration lacks.
+        InputError: as in `estimate_force`; measurements of a robot with another number of tubes, a calibration with
+            compliant carriages, or a registration that is required or missing in the calibration.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
@@ -387,22 +389,22 @@ def estimate_force(  # noqa: PLR0913
 ) -> ForceEstimate:
     """The dead force at the tip that fits measured positions best (Levenberg and Marquardt, with exact derivatives).
 
-    Equilibria are those on the branch that grows from no force.
+    Equilibria are those of the branch that starts without force.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home.
         tip_position: (3,) measured, m, plate frame.
         points: (arc length from the plate, (3,) measured position), m, along the arm.
         noise: standard deviation of every measured coordinate, m.
-        known: other loads, as the robot's weight; its own tip force is added to.
-        guess: where to start, such as the equilibrium of the estimate before; by default without the force.
-        solver: how the fit descends.
-        time_limit: s, on the clock.
+        known: other loads, such as the robot's weight; the estimate is added to its tip force.
+        guess: start of the fit, such as the equilibrium of the last estimate; by default without force.
+        solver: settings of the fit.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: joint values as in `forward_kinematics`, nothing measured, a point that is not on the arm, a known
             load that turns with the tip.
-        SolveError: no equilibrium without the force, or the fit does not settle.
+        SolveError: no equilibrium without the force, or the fit does not converge.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:

@@ -53,11 +53,11 @@ class JointLog:
 @typed
 @dataclass(frozen=True, eq=False)
 class Measurements(Displayed):
-    """N configurations with the positions that S sensors measured, and the direction in which the tip pointed.
+    """N configurations with the positions of S sensors, and optionally the direction of the tip.
 
-    Sensors at the same distance behind the tip form a station, whose position is the mean over those that were seen.
-    For an eccentric robot that is the sheath's centreline where one sensor sits in each of its three tubes; a single
-    sensor there is off by the tube's distance from the centreline.
+    Sensors at the same distance behind the tip form a station; its position is the mean of the visible ones. For an
+    eccentric robot with one sensor in each of its three tubes that is the sheath's centreline. A single sensor is off
+    by the tube's distance from the centreline.
 
     Raises:
         InputError: arrays that do not fit each other, no configuration, a row that no sensor saw, or a number that is
@@ -72,13 +72,13 @@ class Measurements(Displayed):
     """(N, S, 3) positions in the frame of the measuring device, m; (N, 3) is one sensor. NaN where a sensor was not
     seen; every row needs one that was."""
     direction: Array | None = None
-    """(N,) of the mirror actuation that the rotations come from, rad; None where there is none."""
+    """(N,) direction of the mirror actuation, rad, or None; the rotations follow from it."""
     separation: Array | None = None
     """(N,) of the same, rad."""
     source: str = ""
-    """Where the data are from, for messages and pictures."""
+    """Origin of the data, for messages and figures."""
     time: Array | None = None
-    """(N,) s of the positions; None where there is none. Rows are then single configurations, not a way."""
+    """(N,) times of the positions, s. None: rows are single configurations, not a path."""
     behind: Array | None = None
     """(S,) distance of each sensor behind the tip along the arm, m; None is all at the tip."""
     orientation: Array | None = None
@@ -89,10 +89,11 @@ class Measurements(Displayed):
     log: JointLog | None = None
     """Joint readings at a rate of their own, where the joints were recorded apart."""
     wrapped: tuple[bool, ...] = ()
-    """(n,) whether rotations were recorded within one turn, so that nobody knows how many turns lie before the first
-    row; empty where none were."""
+    """(n,) True for rotations recorded within one turn, with an unknown number of turns before the first row; empty if
+    none were.
+    """
     remarks: tuple[str, ...] = ()
-    """What was noticed when the data were read, in words."""
+    """Remarks from reading the data, as text."""
 
     def __post_init__(self) -> None:
         rotations = finite_array("rotations", self.rotations, 2)
@@ -180,7 +181,7 @@ class Measurements(Displayed):
 
     @property
     def mark(self) -> str:
-        """16 hexadecimal digits of the measured positions, by which a saved registration knows its recording."""
+        """16 hexadecimal digits of the measured positions; they identify the recording of a saved registration."""
         return hashlib.sha256(np.nan_to_num(self.sensors, nan=1e9).tobytes()).hexdigest()[:16]
 
     def rows(self, index: ArrayLike | slice) -> Measurements:
@@ -191,7 +192,7 @@ class Measurements(Displayed):
         return replace(self, **picked)
 
     def turned(self, offsets: Array) -> Measurements:
-        """The same tips at rotations with `offsets` (n,), rad, added."""
+        """The measurements with `offsets` (n,), rad, added to the rotations."""
         return replace(self, rotations=self.rotations + offsets)
 
 

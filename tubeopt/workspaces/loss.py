@@ -37,13 +37,13 @@ class SnappingLoss(Displayed):
     """Voxels by what reaches them."""
 
     robot: Robot
-    """Whose workspace it is."""
+    """The robot."""
     size: float
     """Edge of the voxels, m."""
     equilibria: int
-    """How many were computed."""
+    """Number of computed equilibria."""
     unstable: int
-    """How many of them are unstable."""
+    """Number of unstable equilibria."""
     held: Keys
     """(V, 3) index of the voxels with a stable equilibrium."""
     lost: Keys
@@ -79,23 +79,24 @@ def snapping_loss(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> SnappingLoss:
-    """The part of the workspace that is inaccessible because the robot snaps past it.
+    """The part of the workspace that is lost because only unstable equilibria reach it.
 
-    A model that does not look at stability shows more than a robot can do: of the equilibria that it finds some are
-    unstable, and where they are the robot never stays. This computes equilibria of all kinds, from tip rotations over a
-    whole turn and the translations that the robot's limits allow, sorts their tips into voxels, and calls lost what
-    only unstable ones reach. A voxel with a stable equilibrium is held, even if the only way there should lead through
-    a snap: of ways speak `follow` and `stability_map`.
+    A model without stability overestimates the workspace: some of its equilibria are unstable, and the robot never
+    stays there. This function computes equilibria of all kinds, from tip rotations over a whole turn and the
+    translations within the robot's limits. It sorts their tips into voxels. A voxel with unstable equilibria only is
+    lost. One with a stable equilibrium is not, even if every path there leads through a snap; use `follow` and
+    `stability_map` for paths.
 
     Args:
-        samples: equilibria.   size: edge of the voxels, m; by default as in `voxels`.   seed: of the samples.
-        reached: a workspace of the same robot, whose stable tips count as well.
+        samples: number of equilibria.   size: edge of the voxels, m; by default as in `voxels`.   seed: seed of the
+            samples.
+        reached: a workspace of the same robot; its stable tips count as well.
         progress: called with the samples done and their number.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: tubes off the centreline, for which the equilibria cannot be listed by their tips; a workspace of
-            another robot; a size that is not positive; limits of rotations that leave no equilibrium.
+        InputError: tubes off the centreline (their equilibria cannot be listed by tip rotations), or a workspace of
+            another robot. A size that is not positive, or limits of rotations that leave no equilibrium.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:

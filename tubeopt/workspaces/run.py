@@ -41,26 +41,26 @@ def workspace(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Workspace:
-    """Where the tip of a robot is at many joint values within `robot.limits`, and by which margin it is stable there.
+    """Tip positions and stability margins at many joint values within `robot.limits`.
 
-    The joint values keep the tubes in order, carriages and ends (see `inverse.joints.joint_space`), and are spread
-    evenly over what is allowed: translations over all ordered ones, rotations over one turn where the limits hold a
-    whole one, since the shape repeats. Each is solved by itself, cold: its equilibrium is stable, and is the one that
-    `forward_kinematics` finds.
+    The joint values keep the order of carriages and ends (see `inverse.joints.joint_space`) and cover the allowed set
+    evenly. Rotations cover one turn where the limits include one, since the shape repeats. Each configuration is solved
+    alone, without a start: its equilibrium is stable, and the one of `forward_kinematics`.
 
     Args:
-        samples: joint values N. A grid has as many points per axis as N allows, less those out of order.
+        samples: number of joint values N. A grid has as many points per axis as N allows, less those out of order.
         method: "sobol" (scrambled Sobol points: the most even), "random" or "grid".
-        seed: of the first two; the same seed gives the same joint values.
-        out: directory to append results to as they come, so that memory does not grow with N; a run that was stopped
-            there goes on where it was.
+        seed: seed of "sobol" and "random"; the same seed gives the same joint values.
+        out: directory for the results, which are appended, so that memory does not grow with N. A run that was stopped
+            there
+            continues.
         workers: threads; 0 is one per core.
         progress: called with the samples done and their number.
-        time_limit: s, on the clock.
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: no number of samples, unknown method, limits that leave nothing, a directory that holds another
-            workspace, that another run is writing to, or that cannot be written.
+        InputError: no number of samples, unknown method, limits that leave nothing, or a directory that contains
+            another workspace, is in use or cannot be written.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
     Examples:
@@ -90,10 +90,10 @@ def workspace(
 
 @typed
 def load_workspace(robot: Robot, directory: str | PathLike[str]) -> Workspace:
-    """The workspace of `robot` that `workspace(..., out=directory)` left there, its table on disk.
+    """The workspace of `robot` that `workspace(..., out=directory)` saved, with its table on disk.
 
     Raises:
-        InputError: there is none, it is of another robot, or it is not finished.
+        InputError: no workspace in the directory, one of another robot, or an unfinished one.
 
     Examples:
         >>> import tempfile

@@ -27,11 +27,11 @@ class Workspace(Displayed):
     _brief = ("robot", "method", "seed", "table")
 
     robot: Robot
-    """Whose tips they are."""
+    """The robot."""
     method: str
-    """By which the joint values were drawn."""
+    """Sampling method of the joint values."""
     seed: int
-    """Of the joint values."""
+    """Seed of the joint values."""
     table: Array
     """(N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m."""
     failures: tuple[tuple[int, str], ...] = ()
@@ -47,22 +47,22 @@ class Workspace(Displayed):
 
     @property
     def status(self) -> BatchStatus:
-        """Whether an equilibrium was found everywhere."""
+        """Whether an equilibrium was found for every sample."""
         return BatchStatus.GAPS if self.failures else BatchStatus.SOLVED
 
     @property
     def statistics(self) -> BatchStatistics:
-        """What it took."""
+        """Numbers of samples and failures."""
         return BatchStatistics(len(self), len(self.failures))
 
     @property
     def rotations(self) -> Array:
-        """(N, n) rad."""
+        """(N, n) rotations, rad."""
         return self.table[:, : self.robot.n_tubes]
 
     @property
     def translations(self) -> Array:
-        """(N, n) m."""
+        """(N, n) translations, m."""
         return self.table[:, self.robot.n_tubes : 2 * self.robot.n_tubes]
 
     @property
@@ -77,7 +77,7 @@ class Workspace(Displayed):
 
     @property
     def margin(self) -> Array:
-        """(N,) stability margin."""
+        """(N,) stability margins."""
         return self.table[:, -1]
 
     @property
@@ -86,7 +86,7 @@ class Workspace(Displayed):
         return np.isfinite(self.margin)
 
     def chunks(self) -> Iterator[tuple[int, Array]]:
-        """Parts of the table, and the row with which each begins; of one on disk they are read, not mapped."""
+        """Parts of the table, each with the index of its first row; a table on disk is read in parts."""
         for first in range(0, len(self), CHUNK):
             rows, columns = self.table[first : first + CHUNK].shape
             if isinstance(self.table, np.memmap) and self.table.filename is not None:
@@ -97,7 +97,7 @@ class Workspace(Displayed):
             yield first, part
 
     def some(self, most: int) -> Array:
-        """At most so many rows in random order, the same each time: every k-th of a sequence is no fair choice."""
+        """At most `most` rows in random order, the same each time; every k-th row of a sequence would be biased."""
         random = np.random.default_rng(len(self))
         chosen = np.sort(random.choice(len(self), min(most, len(self)), replace=False))
         rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]

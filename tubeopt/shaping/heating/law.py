@@ -203,13 +203,13 @@ class Feedback(Displayed):
     """A heating in a closed loop, and what becomes of it on S rigs that are not quite the one it was planned for."""
 
     sensor: Sensor
-    """What reads."""
+    """Sensor of the control loop."""
     law: HeatingLaw
-    """What answers."""
+    """Control law."""
     uncertainty: Uncertainty
-    """Of the rigs."""
+    """Uncertainty of rig and tube."""
     history: LoopHistory
-    """Of the rig itself (first) and of the others."""
+    """Simulated control loops: the nominal rig first, then the sampled ones."""
     lowest: Array
     """(S,) of the curved part in the hold, degC."""
     highest: Array
@@ -221,15 +221,15 @@ class Feedback(Displayed):
     open_loop: float
     """Share of rigs that keep it with the schedule alone."""
     contributions: tuple[Contribution, ...]
-    """Of what is not known, largest first; "sensor" is its bias."""
+    """Effects of the uncertain parameters, largest first; "sensor" is its bias."""
     window: tuple[float, float]
-    """degC."""
+    """Smallest and largest allowed temperature, degC."""
     limit: float
-    """degC."""
+    """Largest allowed temperature of any point, degC."""
 
     @property
     def samples(self) -> int:
-        """S."""
+        """Number of sampled rigs S."""
         return len(self.kept)
 
     @property
@@ -239,7 +239,7 @@ class Feedback(Displayed):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the probability, 95 % (Wilson's)."""
+        """95 % confidence interval of the probability (Wilson)."""
         return wilson(int(self.kept.sum()), self.samples)
 
     @property

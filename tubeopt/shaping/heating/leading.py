@@ -42,14 +42,16 @@ def lead_by(
     seed: int = 0,
     time_limit: float = TIME_LIMIT,
 ) -> Feedback:
-    """The law that leads a plan by a sensor: its schedule as feedforward, gains and set-point that keep the window most
-    likely, and that likelihood on rigs that were not used to choose them.
+    """Feedback controller for a heating plan: feedforward, gains and set-point, with the probability of success.
+
+    The schedule of the plan is the feedforward. Gains and set-point maximise the probability that the window is kept.
+    That probability is estimated on rigs that were not used to choose them.
 
     Args:
-        plan: what is to be led; one with objective "margin" leaves the law most room.
-        uncertainty: of rig and tube; by default `Uncertainty.of_a_workshop()`.
-        samples: rigs for the likelihood, at least 20.
-        time_limit: s, on the clock.
+        plan: the plan to control; one with objective "margin" leaves most room for feedback.
+        uncertainty: uncertainty of rig and tube; by default `Uncertainty.of_a_workshop()`.
+        samples: number of rigs for the probability, at least 20.
+        time_limit: maximum run time, s.
 
     Raises:
         InputError: no sensor, fewer than 20 samples, or a sensor that is not on the tube.

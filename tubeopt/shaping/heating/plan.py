@@ -107,31 +107,31 @@ class HeatingPlan(Displayed):
     _brief = ("status", "hold_start", "hold_end", "lowest", "highest")
 
     tube: Tube
-    """What is heated."""
+    """The heated tube."""
     rig: Rig
-    """On which; clearance, lead and vents as chosen where they were free."""
+    """The rig; free clearance, lead and vents have their chosen values."""
     spec: HeatingSpec
-    """What was asked for."""
+    """The specification."""
     course: Course
-    """What happens over time."""
+    """Temperatures, currents and duties over time."""
     outcome: Outcome
-    """What became of what was asked: window, limit, ramp and currents, looked at within the slots too."""
+    """Temperatures, ramp and currents compared with window and limits, also between samples."""
     energies: Energies
-    """Where the energy goes."""
+    """Energy balance."""
     hold_start: float
     """Beginning of the hold, s."""
     reasons: tuple[str, ...]
-    """What keeps it from the window, in words; empty where the window is kept."""
+    """Reasons why the window is missed, as text; empty if it is kept."""
     problems: tuple[str, ...]
     """What is broken or missed and why, and what else is wrong in words: a mold or a battery that suffers."""
     cures: tuple[Cure, ...]
     """Changes that would help, where something is not kept; those that cure it come first."""
     quench_time: float
-    """From the end of the hold until all of the tube is below 100 degC, out of the mold, s."""
+    """Time from the end of the hold until the whole tube is below 100 degC, out of the mold, s."""
     growth: float
-    """Of the tube's length by its expansion at the end of the hold, m."""
+    """Thermal expansion of the tube's length at the end of the hold, m."""
     iterations: int
-    """Of the optimal control problem, in its last round; 0 where it was not needed."""
+    """Iterations of the optimal control problem in its last round; 0 if it was not needed."""
     feedback: Feedback | None = None
     """The law that leads the schedule by a sensor, where one was given."""
 
@@ -150,12 +150,14 @@ class HeatingPlan(Displayed):
 
     @property
     def feasible(self) -> bool:
-        """Whether everything is kept: window and limit, the mesh error included, ramp, and what the circuit bears."""
+        """True if all limits are satisfied: window and temperature limit including mesh error, ramp, and the currents
+        of the circuit.
+        """
         return self.outcome.kept
 
     @property
     def mesh_error(self) -> float:
-        """Of the temperatures of the outcome, estimated from a grid half as fine (Richardson), K."""
+        """Estimated error of the temperatures by the mesh (Richardson, grid half as fine), K."""
         return self.outcome.mesh.most
 
     @property
@@ -165,17 +167,17 @@ class HeatingPlan(Displayed):
 
     @property
     def value(self) -> Counts:
-        """(T,) duties."""
+        """(T,) duties, 0 to 255."""
         return self.duty
 
     @property
     def status(self) -> HeatingStatus:
-        """Whether everything is kept; `verdict` says what is not."""
+        """Whether all limits are satisfied; `verdict` names those that are not."""
         return HeatingStatus.HELD if self.feasible else HeatingStatus.MISSED
 
     @property
     def statistics(self) -> HeatingStatistics:
-        """What it took."""
+        """Iterations and number of samples."""
         return HeatingStatistics(self.iterations, len(self.time))
 
     @property

@@ -30,23 +30,23 @@ def plan_heating(
     sensor: Sensor | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> HeatingPlan:
-    """The schedule of whole counts that holds the curved part of a tube in the window, no point above the limit, and
-    ramp and currents within theirs.
+    """Schedule of integer duties that keeps the curved part of a tube in the temperature window for the hold time.
 
-    Where that is impossible, the plan is the one that misses the window by least: `feasible` is False, `shortfall` says
-    by how much, `broken` what else is not kept, and `cures` which changes would help.
+    No point exceeds the temperature limit; ramp and currents stay within theirs. If that is impossible, the plan with
+    the smallest miss is returned: `feasible` is False, `shortfall` is the miss, `broken` names other violated limits,
+    and `cures` lists changes that would help.
 
     Args:
-        tube: its straight part serves as a lead; what is missing of it, and the lead at the tip, are extra tube.
+        tube: the tube; its straight part serves as a lead. Missing lead, and the lead at the tip, are extra tube.
         rig: battery, circuit, clamps, mold.
         spec: window, hold and limits; by default 500-550 degC for 60 s.
-        sensor: what is felt of the tube: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then
-            the law that leads the schedule by it, and how likely uncertain rigs keep the window (see `lead_by`).
-        time_limit: s, on the clock.
+        sensor: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then the controller for it,
+            with the probability that uncertain rigs keep the window (see `lead_by`).
+        time_limit: maximum run time, s.
 
     Raises:
-        InputError: the tube has no curved part, its material no thermal data or no recipe (only nitinol has), or cannot
-            be set in the window; the rig or the window make no sense.
+        InputError: a tube without curved part, or an invalid rig or window. A material without thermal data or recipe
+            (only nitinol has one), or that cannot be set in the window.
         SolveError: the optimal control problem did not converge.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 

@@ -303,7 +303,7 @@ class Rig(Displayed):
         check_fields(self, "the rig")
 
     def with_charge(self, state_of_charge: float) -> Rig:
-        """The same rig with its battery at another state of charge."""
+        """A copy of the rig with its battery at another state of charge, 0 to 1."""
         return replace(self, battery=replace(self.battery, state_of_charge=state_of_charge))
 
 

@@ -105,9 +105,9 @@ def tube_at(model: ThermalModel, state: State, places: ArrayLike) -> Array:
 class Thermocouple(Sensor):
     """A thermocouple on the tube: by default of type K, 0.25 mm thick, read by a MAX31855.
 
-    The steps are those of the converter. Lag, noise and bias are assumed: a bead behind a thin coat that insulates, and
-    half of the standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K), for one that was compared with
-    another.
+    The resolution is that of the converter. Lag, noise and bias are assumed: a bead behind a thin insulating coat, and
+    half of the standard limits of error of type K at 525 degC (ASTM E230: 0.75 %, 4 K). The half assumes one comparison
+    with another thermocouple.
     """
 
     name: ClassVar[str] = "thermocouple"
@@ -134,8 +134,8 @@ class Thermocouple(Sensor):
 class Camera(Sensor):
     """A thermal camera, or a line of one, that sees the tube through vents of the lid.
 
-    Its bias is that of an emissivity known to 0.02 of 0.5 at 525 degC and 10 um (dT / T = d(eps) / eps * lambda T / c2
-    gives 18 K; half of it where a painted spot was compared with a thermocouple).
+    Its bias is that of an emissivity of 0.5 known to 0.02, at 525 degC and 10 um. With dT / T = d(eps) / eps * lambda T
+    / c2 that is 18 K. Half of it remains after a comparison of a painted spot with a thermocouple.
     """
 
     name: ClassVar[str] = "camera"
@@ -166,9 +166,9 @@ class Camera(Sensor):
 class TubeResistance(Sensor):
     """The tube as its own thermometer: voltage over current while the switch conducts, as a ratio to the cold tube.
 
-    Reads the mean temperature between the clamps that explains the ratio with the resistivity's nominal slope. The
-    contacts are measured with the tube, so that what they add stands in the reading; a slope that is not as assumed
-    too, and both are part of the uncertain rig, not of the sensor's own bias.
+    Reads the mean temperature between the clamps that explains the ratio with the nominal slope of the resistivity. The
+    contacts are measured with the tube, so their resistance and an error of the slope affect the reading. Both belong
+    to the uncertain rig, not to the bias of the sensor.
     """
 
     name: ClassVar[str] = "resistance"

@@ -145,7 +145,7 @@ class ReplanningSolver(Settings):
 
 @dataclass(frozen=True)
 class HeatingSolver(Settings):
-    """How a heating schedule is searched for, corrected and led; a field of `HeatingSpec`.
+    """Settings of the search for a heating schedule, its corrections and its control; a field of `HeatingSpec`.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `trims` and `cures.most`), another number that
@@ -153,35 +153,35 @@ class HeatingSolver(Settings):
     """
 
     program: ProgramSolver = ProgramSolver()
-    """Of the optimal control problem."""
+    """Settings of the optimal control problem."""
     counts: CountSolver = CountSolver()
-    """Of whole counts."""
+    """Settings of the rounding to integer duties."""
     nearest: NearestSolver = NearestSolver()
-    """Of the least miss."""
+    """Settings of the search for the smallest miss."""
     cures: CureSearch = CureSearch()
-    """Of changes where the window is missed."""
+    """Settings of the search for changes that help a missed window."""
     fabrication: FabricationSolver = FabricationSolver()
-    """Of mold and heating together."""
+    """Settings of the joint search over mold and heating."""
     law: LawSolver = LawSolver()
-    """Of a sensor's law."""
+    """Settings of the controller design."""
     replanning: ReplanningSolver = ReplanningSolver()
-    """Of planning anew beside the rig."""
+    """Settings of replanning during heating."""
     rounds: int = 4
-    """Of the optimal control problem, corrected by the difference between its grid and the fine one."""
+    """Rounds of the optimal control problem; each is corrected by the difference between its grid and the fine one."""
     trims: int = 8
     """Times that duties are scaled down until no point is above the limit."""
     cooling: float = 10.0
-    """Time, s, for which the simulation goes on after the hold, the tube still in the mold."""
+    """Simulated time after the hold, the tube still in the mold, s."""
     same_shift: float = 0.3
     """Change of the correction, K, below which another round would change nothing."""
     hopeless: float = 5.0
-    """Miss of the window, K, from which on a first round is far from what a correction can mend."""
+    """Miss of the window after the first round, K, that no correction repairs."""
     settled: float = 2.0
-    """Miss of the window by the corrected program, K, from which on no other round lets it be held."""
+    """Miss of the window by the corrected program, K, that no further round repairs."""
     fine_swing: float = 0.5
-    """Swing by rounding to counts, K, up to which it is told well enough before it is known."""
+    """Largest temperature ripple by the rounding of duties, K, with a sufficiently accurate estimate."""
     first_error: float = 0.004
-    """Of the mesh, expected before it is known, as a share of the rise in temperature."""
+    """Expected mesh error before it is known, as a fraction of the temperature rise."""
     reserve: float = 0.3
     """Kept from the window's ends beyond rounding and mesh error, K."""
 
@@ -193,7 +193,7 @@ DEFAULT_HEATING = HeatingSolver()
 
 @dataclass(frozen=True)
 class RigSolver(Settings):
-    """How a rig is calibrated to a log; of `calibrate`.
+    """Settings of the calibration of a rig to a log, for `calibrate`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
@@ -202,17 +202,17 @@ class RigSolver(Settings):
     step: float = 0.5
     """Longest of the simulation of a log, s."""
     perturbation: float = 1e-3
-    """Of the logarithm of a factor, for derivatives."""
+    """Step of the logarithm of a factor for finite differences."""
     bias: float = 25.0
-    """Of a thermometer, K, that counts as much as a factor of e."""
+    """Bias of a thermometer that counts as much as a factor of e, K."""
     weak: float = 0.4
-    """Standard error of a factor's logarithm from which on it is held: the log does not determine it."""
+    """Standard error of a factor's logarithm above which it is fixed: the log does not determine it."""
     flat: int = 3
     """Readings in a row at a channel's greatest value that are more than chance."""
     heated: float = 30.0
     """Rise, K, that the rig's file must expect of a thermometer before it is called dead or saturated."""
     shifted: float = 5.0
-    """What a thermometer may be off the ambient temperature before heating, K, before that is remarked."""
+    """Difference between a thermometer and the ambient temperature before heating that causes a remark, K."""
     rare: float = 1e-4
     """Probability below which what is seen is no accident of noise."""
 

@@ -76,7 +76,7 @@ class HeatingSpec(Displayed):
         "largest open fraction of the tube's surface, with --free vents",
     ] = 0.4
     solver: HeatingSolver = DEFAULT_HEATING
-    """How hard the schedule is searched for."""
+    """Settings of the search."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__

@@ -25,7 +25,7 @@ PART = Range(least=0.0, most=0.99)
 
 @dataclass(frozen=True)
 class Uncertainty(Displayed):
-    """Half-widths of what is not known of a rig and its tube, uniformly distributed and independent; 0 is known.
+    """Half-widths of the uncertain parameters of a rig and its tube, uniformly distributed and independent; 0 is exact.
 
     Raises:
         InputError: a half-width is out of its range.
@@ -72,7 +72,7 @@ class Uncertainty(Displayed):
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Names of what is not known."""
+        """Names of the uncertain parameters."""
         return tuple(item.name for item in fields(self) if getattr(self, item.name) > 0)
 
     def draws(self, samples: int, seed: int = 0) -> Array:
@@ -115,7 +115,9 @@ class Uncertainty(Displayed):
     def models(
         self, tube: Tube, rig: Rig, samples: int, resolution: Resolution, seed: int = 0
     ) -> tuple[ThermalModel, Array]:
-        """The rig itself, and after it as many as it may be; and their draws (samples, number of `unknown`)."""
+        """The nominal rig followed by `samples` random ones as one model, and their draws (samples, number of
+        `unknown`).
+        """
         draws = self.draws(samples, seed)
         members = [(tube, rig), *(self.member(tube, rig, draw) for draw in draws)]
         return stack([thermal_model(*member, resolution) for member in members]), draws

@@ -182,17 +182,17 @@ class Mold(Displayed):
     """Two plates with the grooves of one or several tubes."""
 
     spec: MoldSpec
-    """What was asked for."""
+    """The specification."""
     size: Point
     """Width and height of both plates, m."""
     grooves: tuple[Groove, ...]
-    """One per tube."""
+    """Grooves, one per tube."""
     holes: tuple[Hole, ...]
     """Bolts and dowels, through both plates."""
     checks: tuple[Check, ...]
-    """What was checked, with numbers and limits."""
+    """Checks, with numbers and limits."""
     remarks: tuple[str, ...]
-    """What to keep in mind."""
+    """Remarks for making and using the mold."""
 
     @property
     def value(self) -> tuple[Groove, ...]:
@@ -201,12 +201,12 @@ class Mold(Displayed):
 
     @property
     def status(self) -> MoldStatus:
-        """How it was planned."""
+        """Whether all checks are satisfied, as a sentence."""
         return MoldStatus.REMARKED if self.remarks else MoldStatus.CHECKED
 
     @property
     def statistics(self) -> MoldStatistics:
-        """What it has."""
+        """Numbers of grooves, holes, checks and remarks."""
         return MoldStatistics(len(self.grooves), len(self.holes), len(self.checks), len(self.remarks))
 
     @property
@@ -232,22 +232,23 @@ class Mold(Displayed):
 def plan_mold(
     tubes: Tube | Sequence[Tube], mold: MoldSpec | None = None, *, numbers: Sequence[int] | None = None
 ) -> Mold:
-    """The mold for one tube or for several on one plate.
+    """Mold for one tube, or for several on one plate.
 
-    The bend of a groove is as long as the tube's curved part, and of the curvatures that spring back to the tube's:
-    one arc for a tube of one curvature, a chain of tangent arcs for planar pieces of any.
-    Tangent leads run to the plate's edge, long enough that the clamps beyond it do not chill the bend. The tube's
-    straight part needs no setting: where it is longer than lead and clamp it hangs out of the proximal clamp.
+    The bend of a groove has the length of the tube's curved part, and a curvature that springs back to the tube's. It
+    is one arc for a tube of one curvature, and a chain of tangent arcs for planar pieces. Tangent leads run to the
+    plate's
+    edge, long enough that the clamps do not chill the bend. The tube's straight part needs no setting; if it is longer
+    than lead and clamp it hangs out of the proximal clamp.
 
     Args:
         tubes: a tube, or several.
-        numbers: what each is called in texts and drawings; None numbers them from 1.
+        numbers: number of each tube in texts and drawings; None numbers them from 1.
         mold: material, fit, plate, cutters and so on; None takes the defaults of `MoldSpec`.
 
     Raises:
-        InputError: no tube, a tube without a curved part, a space curve (`plan_mandrel` winds it), one strained too
-            far when pressed into its groove, end mills wider than the groove or its bend, a plate too thin or too
-            small, grooves that cross, no room for bolts, or a curvature that no mold yields.
+        InputError: no tube, a tube without a curved part, or a space curve (`plan_mandrel` winds it). A tube strained
+            too far when pressed into its groove, or a curvature that no mold can give. End mills wider than the groove
+            or its bend, a plate too thin or too small, grooves that cross, or no room for bolts.
 
     Examples:
         >>> import tubeopt

@@ -69,12 +69,12 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
 
 
 def predict_tube(mold: Mold, index: int | None = None, *, springback: Springback | None = None) -> Tube:
-    """The tube that comes out of a groove: the reverse of `plan_mold`.
+    """The tube that a groove produces after spring-back: the inverse of `plan_mold`.
 
     Args:
         mold: the mold.
-        index: of the groove, from 0; needed where there are several.
-        springback: another than the mold was planned with.
+        index: index of the groove, from 0; required if there are several.
+        springback: spring-back model; by default that of the mold.
 
     Raises:
         InputError: no such groove, several grooves and no index, or a tube tighter than it is thick.

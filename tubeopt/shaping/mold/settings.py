@@ -31,38 +31,38 @@ class PegSearch(Settings):
 
 @dataclass(frozen=True)
 class MoldSolver(Settings):
-    """How plates, mandrels and boards of pegs are searched for, and how finely they are drawn; a field of `MoldSpec`.
+    """Settings of the search for plates, mandrels and peg boards, and of their drawings; a field of `MoldSpec`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     arc_tolerance: float = 0.5e-6
-    """Greatest distance, m, of the arcs of a groove from its curve, where it is looked at."""
+    """Largest distance of the arcs of a groove from its curve at the checked points, m."""
     arc_places: int = 17
-    """On a pair of arcs, where that is."""
+    """Number of checked points on a pair of arcs."""
     arc_turn: float = 0.5
     """Angle, rad, through which such a pair turns at most."""
     sagitta: float = 1e-6
-    """By which chords leave the curves of grooves at most, m."""
+    """Largest distance of chords from the curves of grooves, m."""
     chord_turn: float = math.radians(5.0)
-    """Angle, rad, by which a groove in space turns at most from one of its points to the next."""
+    """Largest angle between neighbouring segments of a groove in space, rad."""
     hole_sides: int = 192
     """Corners of a hole in a solid; of 192 its area is 0.02 % small."""
     nest_step: float = 0.5e-3
-    """By multiples of which grooves are moved until they are apart, m."""
+    """Step of the shifts that separate grooves, m."""
     nest_steps: int = 1024
-    """Of these at most."""
+    """Maximum number of these steps."""
     plate_step: float = 5e-3
-    """Of which the sides of a plate of free size are multiples, m."""
+    """Step of the sides of a plate of free size, m."""
     fastener_step: float = 0.5e-3
     """Distance of places along the edge at which bolts and dowels are tried, m."""
     block_sides: int = 200
-    """From which a block for a space curve may be open, that are tried."""
+    """Number of opening directions tried for a block with a space curve."""
     block_slope: float = 0.8
     """Greatest slope (sine) of a groove in a block towards its open side."""
     pegs: PegSearch = PegSearch()
-    """Of boards of pegs."""
+    """Settings of peg boards."""
 
 
 DEFAULT_MOLD = MoldSolver()

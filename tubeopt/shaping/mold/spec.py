@@ -270,7 +270,7 @@ class VentSpec:
 
 @dataclass(frozen=True)
 class MoldSpec(Displayed):
-    """What is asked of a mold; every key may be left out.
+    """Material, fit, plate and tools of a mold; every key has a default.
 
     Raises:
         InputError: a number is out of its range, or no such material.
@@ -311,7 +311,7 @@ class MoldSpec(Displayed):
     pegs: Annotated[PegSpec, "pegs of an adjustable mold, instead of grooves"] = field(default_factory=PegSpec)
     heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
     solver: MoldSolver = DEFAULT_MOLD
-    """How finely it is searched for and drawn."""
+    """Settings of the search and of the drawings."""
 
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
