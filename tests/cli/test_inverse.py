@@ -51,7 +51,7 @@ def test_a_table_for_people(run: Run) -> None:
         "the target is reached in a stable",
         "tip position",
         "50.000000, 30.000000, 150.000000 mm",
-        "a way without a snap",
+        "snap-free path",
         "straight from the seed",
     ):
         assert part in outcome.out

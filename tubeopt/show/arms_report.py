@@ -68,41 +68,41 @@ def _moves(arm: _Arm) -> str:
 
 
 ARM: tuple[Quantity[_Arm], ...] = (
-    Quantity("number", "of the arm, from 1"),
-    Quantity("name", "of the arm"),
-    Quantity("position_mm", "of its plate in the frame that all share", lambda a: a.base.origin),
-    Quantity("direction", "along which it leaves the plate", lambda a: a.base.axes[:, 2]),
-    Quantity("roll_deg", "turn of its plate about that direction, as `base` has it", lambda a: roll_of(a.base)),
-    Quantity("begin_s", "when it begins to move", lambda a: a.motion.time[0]),
-    Quantity("end_s", "from when it rests", lambda a: a.motion.time[-1]),
-    Quantity("motion", "its motion, in the frame of its own plate", of=TRAJECTORY),
+    Quantity("number", "number of the arm, from 1"),
+    Quantity("name", "name of the arm"),
+    Quantity("position_mm", "position of its plate in the shared frame", lambda a: a.base.origin),
+    Quantity("direction", "direction of the arm at its plate, in the shared frame", lambda a: a.base.axes[:, 2]),
+    Quantity("roll_deg", "rotation of its plate about that direction, as in `base`", lambda a: roll_of(a.base)),
+    Quantity("begin_s", "start of its motion", lambda a: a.motion.time[0]),
+    Quantity("end_s", "end of its motion", lambda a: a.motion.time[-1]),
+    Quantity("motion", "motion in the frame of its own plate", of=TRAJECTORY),
 )
 
 PAIR: tuple[Quantity[PairProof], ...] = (
-    Quantity("arms", "their numbers, from 1", lambda p: [k + 1 for k in p.arms]),
-    Quantity("least_clearance_mm", "proved distance of both at all times"),
-    Quantity("measured_clearance_mm", "least distance that was measured"),
-    Quantity("when_s", "when that was"),
+    Quantity("arms", "numbers of the two arms, from 1", lambda p: [k + 1 for k in p.arms]),
+    Quantity("least_clearance_mm", "proved distance of the two arms at all times"),
+    Quantity("measured_clearance_mm", "smallest measured distance"),
+    Quantity("when_s", "time of the smallest distance"),
 )
 
 ARMS: tuple[Quantity[ArmsPlan], ...] = (
-    Quantity("proved", "whether all that was asked for holds"),
-    Quantity("status", "how the planning ended"),
-    Quantity("duration_s", "until the last arm rests", form=".2f"),
-    Quantity("order", "in which the arms were planned for, from 1", lambda p: [k + 1 for k in p.order],
-             label="planned in the order",
+    Quantity("proved", "true if all requirements are proved"),
+    Quantity("status", "result of the planning"),
+    Quantity("duration_s", "time until the last arm rests", form=".2f", label="duration"),
+    Quantity("order", "order of planning, arms from 1", lambda p: [k + 1 for k in p.order],
+             label="planning order",
              words=lambda p: ", ".join(str(k + 1) for k in p.order)),
-    Quantity("made_way", "arms that first withdrew, to go on when it was their turn, from 1",
+    Quantity("made_way", "arms that withdraw first and continue later, from 1",
              lambda p: [k + 1 for k in p.made_way],
-             words=lambda p: ", ".join(str(k + 1) for k in p.made_way) or None),
+             words=lambda p: ", ".join(str(k + 1) for k in p.made_way) or None, label="withdraw first"),
     line("arms", lambda p: "; ".join(_moves(arm) for arm in _arms(p))),
     line("distances between arms", lambda p: "; ".join(_bound(pair) for pair in p.proof.pairs)),
     line("clearance from", lambda p: _clearance_from(p)),
-    Quantity("faults", "what does not hold, in words", lambda p: p.proof.faults),
-    Quantity("arms", "each of the arms", _arms, of=ARM),
-    Quantity("pairs", "what is known of two arms each", lambda p: p.proof.pairs, of=PAIR),
-    Quantity("seconds_s", "that planning and proof took", form=".1f",
-             label="planning and proof took"),
+    Quantity("faults", "violated or unproved requirements, as text", lambda p: p.proof.faults),
+    Quantity("arms", "the arms", _arms, of=ARM),
+    Quantity("pairs", "the pairs of arms", lambda p: p.proof.pairs, of=PAIR),
+    Quantity("seconds_s", "run time of planning and proof", form=".1f",
+             label="run time"),
 )  # fmt: skip
 
 

@@ -45,31 +45,38 @@ CAPTIONS = {
 }
 
 DIMENSION: tuple[Quantity[Dimension], ...] = (
-    Quantity("name", "of which tube", label="", words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name),
-    Quantity("unit", "of the numbers"),
-    Quantity("before", "in the robot that was given", label="before", form=".5g"),
-    Quantity("after", "in the design", label="after", form=".5g"),
-    Quantity("bound", "the bound on which it lies", lambda d: d.bound or None, label="", words="at its {bound} bound"),
+    Quantity(
+        "name",
+        "name of the dimension and its tube",
+        label="",
+        words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name,
+    ),
+    Quantity("unit", "unit of its values"),
+    Quantity("before", "value of the given robot", label="before", form=".5g"),
+    Quantity("after", "value of the design", label="after", form=".5g"),
+    Quantity(
+        "bound", "active bound, `lower` or `upper`", lambda d: d.bound or None, label="", words="at its {bound} bound"
+    ),
 )
 
 BINDING: tuple[Quantity[Sensitivity], ...] = (
-    Quantity("limit", "in words", lambda one: one.limit.words),
-    Quantity("value", "at which it stands", lambda one: one.limit.value * one.limit.factor),
-    Quantity("unit", "of the value", lambda one: one.limit.unit),
-    Quantity("derivative_si", "of the objective by the limit, both in SI", lambda one: one.derivative),
-    Quantity("words", "what easing it would buy", lambda one: one.sentence),
+    Quantity("limit", "requirement, as text", lambda one: one.limit.words),
+    Quantity("value", "limit value", lambda one: one.limit.value * one.limit.factor),
+    Quantity("unit", "unit of the limit", lambda one: one.limit.unit),
+    Quantity("derivative_si", "derivative of the objective by the limit, both in SI", lambda one: one.derivative),
+    Quantity("words", "gain from relaxing the limit, as text", lambda one: one.sentence),
 )
 
 POSE: tuple[Quantity[Equilibrium], ...] = (
     *JOINTS,
-    Quantity("tip_position_mm", "tip in the frame of the plate"),
+    Quantity("tip_position_mm", "tip position in the frame of the plate"),
     Quantity("margin", "stability margin"),
 )
 
 CHECK: tuple[Quantity[Check], ...] = (
-    Quantity("what", "what was promised", label="", words="{what}"),
-    Quantity("found", "what was found", label="found", words="{found}"),
-    Quantity("kept", "whether it is kept", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
+    Quantity("what", "the requirement", label="", words="{what}"),
+    Quantity("found", "the value found", label="found", words="{found}"),
+    Quantity("kept", "true if it is satisfied", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
 )
 
 
@@ -86,39 +93,49 @@ def _spread(t: ToleranceAnalysis) -> str | None:
 
 
 TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
-    Quantity("samples", "robots as they may be made", lambda t: len(t.certificate)),
-    Quantity("snap_free_probability", "part of them that stays snap-free", lambda t: t.snap_free),
-    Quantity("interval_95", "its 95 % interval", lambda t: t.interval),
-    Quantity("tip_spread_rms_mm", "RMS distance of a pose's tip from where it should be", lambda t: t.spread),
-    Quantity("tip_spread_95_mm", "the distance within which 95 % of them lie", lambda t: t.spread_95),
+    Quantity("samples", "number of sampled robots within the tolerances", lambda t: len(t.certificate)),
+    Quantity("snap_free_probability", "fraction of them that is snap-free", lambda t: t.snap_free),
+    Quantity("interval_95", "95 % confidence interval of this fraction", lambda t: t.interval),
+    Quantity("tip_spread_rms_mm", "RMS distance of the tip of a pose from its nominal position", lambda t: t.spread),
+    Quantity("tip_spread_95_mm", "distance that contains 95 % of these tips", lambda t: t.spread_95),
     Quantity("failed", "samples that could not be solved"),
 )
 
 FRONT_POINT: tuple[Quantity[tuple[ParetoFront, FrontPoint]], ...] = (
-    Quantity("margin", "that was asked for", lambda at: at[1].margin),
-    Quantity("value", "of the objective", lambda at: at[1].objective * at[0].task.objectives[0].factor),
+    Quantity("margin", "required margin", lambda at: at[1].margin),
+    Quantity("value", "value of the objective", lambda at: at[1].objective * at[0].task.objectives[0].factor),
 )
 
 FRONT: tuple[Quantity[ParetoFront], ...] = (
-    Quantity("objective", "what is traded for margin"),
-    Quantity("unit", "of its values", lambda front: front.task.objectives[0].unit),
+    Quantity("objective", "objective that is traded for margin"),
+    Quantity("unit", "unit of the objective", lambda front: front.task.objectives[0].unit),
     Quantity(
-        "points", "margins and what they cost", lambda front: [(front, point) for point in front.points], of=FRONT_POINT
+        "points", "points of the trade-off", lambda front: [(front, point) for point in front.points], of=FRONT_POINT
     ),
-    Quantity("infeasible_from", "the margin from which no design was found", lambda front: front.ended),
+    Quantity("infeasible_from", "smallest margin without a design", lambda front: front.ended),
 )
 
 REGION: tuple[Quantity[RegionAnswer], ...] = (
-    Quantity("searched_before", "share of the places of the search, of the robot", lambda r: r.search.before),
-    Quantity("searched_after", "the same of the design", lambda r: r.search.after),
-    Quantity("tried", "designs that were looked at", lambda r: r.search.tried),
-    Quantity("places", "others, by which it is judged", lambda r: len(r.after.targets)),
-    Quantity("before", "share of them that the robot reaches at least", lambda r: r.before.share),
-    Quantity("after", "share of them that the design reaches at least", lambda r: r.after.share),
-    Quantity("planned", "places among them to which plans were made"),
-    Quantity("proved", "of these plans"),
-    Quantity("base_mm", "where the plate stands, in its own frame as given", lambda r: r.base.origin),
-    Quantity("base_direction", "along which the arm leaves it, likewise", lambda r: r.base.axes[:, 2]),
+    Quantity(
+        "searched_before",
+        "fraction of the places of the search that the given robot reaches",
+        lambda r: r.search.before,
+    ),
+    Quantity(
+        "searched_after", "fraction of the places of the search that the design reaches", lambda r: r.search.after
+    ),
+    Quantity("tried", "number of designs evaluated", lambda r: r.search.tried),
+    Quantity("places", "number of independent places for the evaluation", lambda r: len(r.after.targets)),
+    Quantity("before", "lower bound on the fraction of them that the given robot reaches", lambda r: r.before.share),
+    Quantity("after", "lower bound on the fraction of them that the design reaches", lambda r: r.after.share),
+    Quantity("planned", "number of plans made to these places"),
+    Quantity("proved", "number of proved plans"),
+    Quantity("base_mm", "position of the plate in the frame of the given plate", lambda r: r.base.origin),
+    Quantity(
+        "base_direction",
+        "direction of the arm at the plate in the frame of the given plate",
+        lambda r: r.base.axes[:, 2],
+    ),
 )
 
 SEARCHED: tuple[Quantity[RegionAnswer], ...] = (
@@ -140,43 +157,45 @@ def _margins(s: DesignSolution) -> str | None:
 SOLUTION: tuple[Quantity[DesignSolution], ...] = (
     Quantity("task", "name of the task", lambda s: s.task.name),
     Quantity("robot", "name of the robot", lambda s: s.robot.name),
-    Quantity("certificate", "lower bound of the margin at all rotations", label="certificate",
+    Quantity("certificate", "lower bound on the margin at all rotations", label="certificate",
              words="{certificate:.6f}, a lower bound of the margin at all rotations"),
-    Quantity("dimensions", "what was free", of=DIMENSION),
-    Quantity("binding", "requirements that bind", lambda s: s.sensitivities, of=BINDING),
-    Quantity("poses", "the poses of the task", lambda s: s.equilibria, of=POSE, label="task poses",
+    Quantity("dimensions", "free dimensions", of=DIMENSION),
+    Quantity("binding", "active requirements", lambda s: s.sensitivities, of=BINDING),
+    Quantity("poses", "the task poses", lambda s: s.equilibria, of=POSE, label="task poses",
              words=_margins),
-    Quantity("checks", "checked again by other code", lambda s: s.verification.checks, of=CHECK),
-    Quantity("starts", "that were tried", lambda s: s.ranking.starts, label="starts", words=_starts),
-    Quantity("designs", "different ones that were found", lambda s: len(s.ranking.designs)),
-    Quantity("failures", "of starts, by stage", lambda s: s.ranking.failures),
-    Quantity("rounds", "in which worst cases were added", label="worst cases added", words="in {rounds} rounds"),
-    Quantity("seconds", "wall time, s"),
+    Quantity("checks", "independent checks of the result", lambda s: s.verification.checks, of=CHECK),
+    Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", words=_starts),
+    Quantity("designs", "number of distinct designs found", lambda s: len(s.ranking.designs)),
+    Quantity("failures", "number of failed starts, by stage", lambda s: s.ranking.failures),
+    Quantity("rounds", "number of times that worst cases were added", label="worst cases added",
+             words="in {rounds} rounds"),
+    Quantity("seconds", "run time, s"),
 )  # fmt: skip
 
 CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
-    Quantity("sizes", "inner to outer", lambda of: [size.name for size in of[1].sizes], label="inner to outer",
+    Quantity("sizes", "sizes, inner to outer", lambda of: [size.name for size in of[1].sizes], label="inner to outer",
              words=lambda of: ", ".join(size.name for size in of[1].sizes)),
-    Quantity("value", "of the objective", lambda of: of[1].objective and of[1].objective * of[0].factor, label="value",
+    Quantity("value", "value of the objective", lambda of: of[1].objective and of[1].objective * of[0].factor,
+             label="value",
              words=lambda of: "–" if of[1].objective is None else f"{of[1].objective * of[0].factor:.5g} {of[0].unit}"),
-    Quantity("status", "design, not found, infeasible, pruned or out of time, and why", lambda of: of[1].status,
+    Quantity("status", "design, not found, infeasible, pruned or out of time, with the reason", lambda of: of[1].status,
              label="", words="{status}"),
 )  # fmt: skip
 """A choice from stock, by what was wanted."""
 
 DESIGN: tuple[Quantity[DesignAnswer], ...] = (
     *within(SOLUTION, lambda a: a.solution),
-    Quantity("objectives", "what was wanted, each with its unit", lambda a: _objectives(a)),
+    Quantity("objectives", "objectives with their units", lambda a: _objectives(a)),
     Quantity(
         "remarks",
-        "what holds the design, tubes that it hardly needs, a search that is too coarse",
+        "active limits, tubes with little effect, a coarse search",
     ),
-    Quantity("tolerance", "what becomes of it as manufactured, where that was asked for", of=TOLERANCE),
-    Quantity("pareto", "what margin costs, where that was asked for", lambda a: a.front, of=FRONT),
-    Quantity("region", "what is reached of a region, where that was wanted", of=REGION),
+    Quantity("tolerance", "effect of manufacturing tolerances; null unless requested", of=TOLERANCE),
+    Quantity("pareto", "trade-off between margin and objective; null unless requested", lambda a: a.front, of=FRONT),
+    Quantity("region", "reached fraction of a region; null unless it is the objective", of=REGION),
     *within((line("as manufactured", _made), line("tip spread", _spread)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
-    Quantity("stock", "choices from stock, where that was asked for, the best first", lambda a: _choices(a), of=CHOICE,
+    Quantity("stock", "choices from stock, best first; null unless requested", lambda a: _choices(a), of=CHOICE,
              label="from stock", words=lambda a: _best(a)),
     line("seconds", "{seconds:.1f}"),
 )  # fmt: skip

@@ -80,19 +80,21 @@ def _verdict(a: Doctor) -> str:
 
 
 DOCTOR: tuple[Quantity[Doctor], ...] = (
-    Quantity("versions", "versions", words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
+    Quantity("versions", "versions of Python and of the packages",
+             words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items()), label="versions"),
     Quantity("system", "system", words="{system}"),
     Quantity("kernel", "compiled kernel", words="{kernel}"),
-    Quantity("threads", "variables that set threads", label="threads",
+    Quantity("threads", "environment variables that set the number of threads", label="threads",
              words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items())
              or "as the libraries choose, one for small problems"),
-    Quantity("cache", "cache", lambda a: str(a.cache), words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB"),
+    Quantity("cache", "folder of the cache", lambda a: str(a.cache),
+             words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB", label="cache"),
     Quantity("cache_bytes", "size of the cache, bytes"),
-    Quantity("missing", "what each extra lacks", lambda a: {name: list(lacks) for name, lacks in a.missing.items()},
-             label="extras", words=_extras),
-    Quantity("passed", "whether the self-test passed"),
-    Quantity("difference_mm", "how far the tip is from that of a re-integration"),
-    Quantity("solve_us", "one solve of two tubes, microseconds"),
+    Quantity("missing", "missing packages of each extra",
+             lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", words=_extras),
+    Quantity("passed", "true if the self-test passed"),
+    Quantity("difference_mm", "difference of the tip from re-integration"),
+    Quantity("solve_us", "time of one solve of two tubes, microseconds"),
     line("self-test", _verdict),
 )  # fmt: skip
 

@@ -21,12 +21,29 @@ NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
 
 VERIFICATION: tuple[Quantity[Verification], ...] = (
-    Quantity("tip_position_mm", "distance of the tips", form=".6g"),
-    Quantity("tip_rotation_rad", "angle between the frames of the tips", form=".6g"),
+    Quantity("tip_position_mm", "difference of the tip position", form=".6g", label="distance of the tips"),
+    Quantity(
+        "tip_rotation_rad", "angle between the tip frames", form=".6g", label="angle between the frames of the tips"
+    ),
     Quantity("rotation_rad", "largest difference of a tube's rotation", form=".6g"),
-    Quantity("end_torsion_rad_per_m", "largest torsion left at the end of a tube", form=".6g"),
-    Quantity("end_curvature_per_m", "curvature at the tip that no moment makes", form=".6g"),
-    Quantity("base_rotation_rad", "largest difference to a rotation imposed at the base", form=".6g"),
+    Quantity(
+        "end_torsion_rad_per_m",
+        "largest remaining torsion at the end of a tube",
+        form=".6g",
+        label="largest torsion left at the end of a tube",
+    ),
+    Quantity(
+        "end_curvature_per_m",
+        "curvature at the tip without a moment",
+        form=".6g",
+        label="curvature at the tip that no moment makes",
+    ),
+    Quantity(
+        "base_rotation_rad",
+        "largest difference from an imposed rotation at the base",
+        form=".6g",
+        label="largest difference to a rotation imposed at the base",
+    ),
 )
 
 EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
@@ -34,36 +51,40 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     Quantity("rotations_deg", "rotations", form=".6g"),
     Quantity("translations_mm", "translations", form=".6g"),
     *readings(lambda e: e),
-    Quantity("status", "how the solve ended", lambda e: e.status.name),
-    Quantity("stable", "whether it is stable"),
-    Quantity("tip_position_mm", "tip position", form=".4f"),
-    Quantity("tip_tube", "which tube is the tip: the one that ends farthest from the plate, of several the innermost; "
-             "null where all are withdrawn", lambda e: tip_number(e), label="the tip is",
+    Quantity("status", "result of the solve", lambda e: e.status.name),
+    Quantity("stable", "true if it is stable"),
+    Quantity("tip_position_mm", "tip position in the frame of the plate", form=".4f", label="tip position"),
+    Quantity("tip_tube",
+             "number of the tube at the tip: the one that ends farthest from the plate, of several the innermost; "
+             "null if all are withdrawn", lambda e: tip_number(e), label="the tip is",
              words=lambda e: tip_in_words(e.robot, e.tube_end) or None),
-    Quantity("remarks", "carriages that are out of order; absent where none is",
+    Quantity("remarks", "carriages that are out of order; absent if none is",
              lambda e: order_remarks(e.robot, e.translations) or None, optional=True),
-    Quantity("tip_by_history_mm", "how far friction can hold the tip from there along x, y and z, whatever happened "
-             "before, to first order; absent without friction", lambda e: by_history(e), optional=True),
+    Quantity("tip_by_history_mm",
+             "largest displacement of the tip by friction along x, y and z, for any history, to first order; absent "
+             "without friction", lambda e: by_history(e), optional=True),
     line("friction holds it", lambda e: _held_within(e)),
-    Quantity("tip_by_clearance_mm", "tip position where the room between the tubes lets it tilt to, to first order; "
-             "absent without clearance", lambda e: _tilted(e, "tip_position"), optional=True),
-    Quantity("tip_clearance_radius_mm", "estimate of how far that can be from the tip position at worst, "
-             "a bound to first order where the tubes are bent in one plane; absent without clearance",
-             lambda e: _tilted(e, "tip_radius"), optional=True),
+    Quantity("tip_by_clearance_mm",
+             "tip position after tilting by the clearance between the tubes, to first order; absent without clearance",
+             lambda e: _tilted(e, "tip_position"), optional=True),
+    Quantity("tip_clearance_radius_mm",
+             "largest distance of that from the tip position, estimated; a first-order bound for tubes bent in one "
+             "plane; absent without clearance", lambda e: _tilted(e, "tip_radius"), optional=True),
     line("clearance", lambda e: _loose(e)),
-    Quantity("tip_direction", "pointing along", lambda e: e.tip_rotation[:, 2], form=".4f"),
-    Quantity("tip_rotations_deg", "rotations at the tips", form=".4f"),
-    Quantity("margin", "margin", words=lambda e: margin_in_words(e.margin)),
+    Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2], form=".4f",
+             label="pointing along"),
+    Quantity("tip_rotations_deg", "rotation of every tube at the tip", form=".4f", label="rotations at the tips"),
+    Quantity("margin", "stability margin", words=lambda e: margin_in_words(e.margin), label="margin"),
     Quantity("energy_mJ", "elastic energy", form=".4f"),
     *LOADED,
-    Quantity("residual_rad", "residual", form=".1e"),
+    Quantity("residual_rad", "residual of the equations", form=".1e", label="residual"),
     Quantity("mesh_error_rad", "estimated error of the tubes' rotations"),
     Quantity("tip_error_mm", "estimated error of the tip"),
     line("estimated error", "{mesh_error_rad:.1e} rad along the tubes, {tip_error_mm:.1e} mm at the tip"),
-    Quantity("verification", "how far an adaptive re-integration differs", of=VERIFICATION,
+    Quantity("verification", "difference from adaptive re-integration", of=VERIFICATION,
              label="re-integration differs",
              words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
-    Quantity("statistics", "how it was solved", lambda e: dict(vars(e.statistics)), label="solved",
+    Quantity("statistics", "method, mesh, iterations and time", lambda e: dict(vars(e.statistics)), label="solved",
              words=lambda e: _how(e)),
 )  # fmt: skip
 

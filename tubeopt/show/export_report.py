@@ -7,12 +7,12 @@ from .quantities import Quantity
 from .report import Report
 
 LIBRARY: tuple[Quantity[CLibrary], ...] = (
-    Quantity("name", "of the robot"),
-    Quantity("tubes", "of the robot", lambda a: a.robot.n_tubes),
-    Quantity("prefix", "with which all names of the library begin"),
+    Quantity("name", "name of the robot"),
+    Quantity("tubes", "number of tubes", lambda a: a.robot.n_tubes),
+    Quantity("prefix", "prefix of all names of the library"),
     Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
              words=lambda a: ", ".join(a.files)),
-    Quantity("lines", "of C", lambda a: sum(
+    Quantity("lines", "lines of C", lambda a: sum(
         text.count("\n") for file, text in a.files.items() if file.endswith((".c", ".h")))),
 )  # fmt: skip
 

@@ -19,28 +19,28 @@ from .quantities import Quantity
 from .report import Drawing, Report, grid, remarks
 
 TUBE: tuple[Quantity[TubeParts], ...] = (
-    Quantity("tube", "which tube, from 1", lambda part: part.number),
+    Quantity("tube", "number of the tube, from 1", lambda part: part.number),
     Quantity("mold", "its mold", of=MOLD),
     Quantity("heating", "its heating", of=HEATING),
     Quantity(
         "between_clamps_mm",
-        "tube between the clamps, by the mold and by the heating",
+        "length of tube between the clamps, by the mold and by the heating",
         lambda part: {
             "mold": part.made.groove.free_length * TO_MM,
             "heating": part.made.heating.free_length * TO_MM,
         },
     ),
-    Quantity("agreed", "whether the two agree", lambda part: part.made.agreed),
-    Quantity("disagreement", "in what they do not", lambda part: part.made.disagreement),
-    Quantity("rounds", "until they agreed", lambda part: part.made.rounds),
-    Quantity("remarks", "what to beware of", lambda part: part.made.remarks),
+    Quantity("agreed", "true if mold and heating agree", lambda part: part.made.agreed),
+    Quantity("disagreement", "difference between them, as text", lambda part: part.made.disagreement),
+    Quantity("rounds", "number of rounds to agreement", lambda part: part.made.rounds),
+    Quantity("remarks", "remarks for making it", lambda part: part.made.remarks),
 )
 
 FABRICATION: tuple[Quantity[Fabrication], ...] = (
     *SUCCESS,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("tubes", "mold and heating of every tube", lambda a: a.parts, of=TUBE),
-    Quantity("left_out", "tubes that are not made, and why"),
+    Quantity("left_out", "omitted tubes, with the reason"),
 )
 
 

@@ -16,50 +16,51 @@ from .quantities import Quantity, columns, line, within
 from .report import Report, grid, remarks
 
 CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
-    Quantity("name", "what is not known", label="not known", words=lambda item: item.name.replace("_", " ")),
-    Quantity("deviation_K", "standard deviation of the hold's temperature by it", label="moves the hold by >",
+    Quantity("name", "uncertain parameter", label="not known", words=lambda item: item.name.replace("_", " ")),
+    Quantity("deviation_K", "standard deviation of the hold temperature by this parameter", label="moves the hold by >",
              form=".2f"),
 )  # fmt: skip
 
 PART: tuple[Quantity[Part], ...] = (
-    Quantity("name", "what is needed", label="part", words="{name}"),
-    Quantity("rating", "what it must be, in words", label="rating", words="{rating}"),
-    Quantity("why", "from what that follows", label="why", words="{why}"),
+    Quantity("name", "name of the part", label="part", words="{name}"),
+    Quantity("rating", "required rating", label="rating", words="{rating}"),
+    Quantity("why", "reason for the rating", label="why", words="{why}"),
 )
 
 FEEDBACK: tuple[Quantity[Feedback], ...] = (
-    Quantity("sensor", "what is felt of the tube", lambda f: f.sensor.name),
-    Quantity("sensor_bias_K", "half-width of its error that stays", lambda f: f.sensor.bias),
-    Quantity("proportional_per_K", "gain: share of the planned duty", lambda f: f.law.proportional),
-    Quantity("integral_per_K_s", "gain of the sum of the error", lambda f: f.law.integral),
-    Quantity("samples", "uncertain rigs"),
-    Quantity("probability", "part of them that keeps window and limit", label="keeps the window",
+    Quantity("sensor", "sensor", lambda f: f.sensor.name),
+    Quantity("sensor_bias_K", "half-width of its constant error", lambda f: f.sensor.bias),
+    Quantity("proportional_per_K", "proportional gain: fraction of the planned duty per K",
+             lambda f: f.law.proportional),
+    Quantity("integral_per_K_s", "integral gain", lambda f: f.law.integral),
+    Quantity("samples", "number of uncertain rigs"),
+    Quantity("probability", "fraction of them that keeps window and limit", label="keeps the window",
              words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
              f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
-    Quantity("interval", "of the probability, 95 %"),
-    Quantity("open_loop", "the same with the schedule alone", label="without the sensor",
+    Quantity("interval", "95 % confidence interval of the probability"),
+    Quantity("open_loop", "the same fraction with the schedule alone, without sensor", label="without the sensor",
              words=lambda f: f"{100 * f.open_loop:.0f} % of {f.samples}; the schedule leaves the sensor room"),
-    Quantity("too_cold", "part that falls below the window"),
-    Quantity("too_hot", "part that rises above window or limit"),
-    Quantity("lowest_degC", "coldest of the curved part in the hold, any rig", lambda f: f.lowest.min()),
-    Quantity("highest_degC", "hottest of the curved part in the hold, any rig", lambda f: f.highest.max()),
+    Quantity("too_cold", "fraction below the window"),
+    Quantity("too_hot", "fraction above window or limit"),
+    Quantity("lowest_degC", "lowest temperature of the curved part in the hold, all rigs", lambda f: f.lowest.min()),
+    Quantity("highest_degC", "highest temperature of the curved part in the hold, all rigs", lambda f: f.highest.max()),
     line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
-    Quantity("top_degC", "hottest point at any time, any rig", lambda f: f.top.max(), label="hottest point, any rig",
-             words="{top_degC:.1f} degC"),
-    Quantity("contributions", "what moves the temperature of the hold, most first",
+    Quantity("top_degC", "highest temperature of any point at any time, all rigs", lambda f: f.top.max(),
+             label="hottest point, any rig", words="{top_degC:.1f} degC"),
+    Quantity("contributions", "effects on the hold temperature, largest first",
              of=CONTRIBUTION),
 )  # fmt: skip
 
 LED_HEATING: tuple[Quantity[LedHeating], ...] = (
     Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
-    Quantity("window_degC", "window", lambda a: a.plan.spec.window_degC),
-    Quantity("limit_degC", "limit for every point at all times", lambda a: a.plan.spec.limit),
-    Quantity("feasible", "whether the schedule alone keeps everything on the rig as filed", lambda a: a.plan.feasible),
-    Quantity("board", "what runs the sketch", lambda a: a.wiring.known.title, label="board",
+    Quantity("window_degC", "temperature window of the hold", lambda a: a.plan.spec.window_degC),
+    Quantity("limit_degC", "temperature limit of every point at all times", lambda a: a.plan.spec.limit),
+    Quantity("feasible", "true if the schedule alone keeps all limits on the nominal rig", lambda a: a.plan.feasible),
+    Quantity("board", "board for the sketch", lambda a: a.wiring.known.title, label="board",
              words="{board}, pulses at {pwm_Hz:.1f} Hz"),
-    Quantity("pwm_Hz", "frequency of the pulses", lambda a: a.frequency),
+    Quantity("pwm_Hz", "PWM frequency", lambda a: a.frequency),
     *within(FEEDBACK, lambda a: a.feedback),
-    Quantity("parts", "what is needed to build it", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
+    Quantity("parts", "list of parts", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
 )  # fmt: skip
 
 

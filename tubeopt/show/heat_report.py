@@ -69,71 +69,75 @@ def _chosen(plan: HeatingPlan) -> str | None:
 
 
 CURE: tuple[Quantity[Cure], ...] = (
-    Quantity("change", "what would be changed"),
-    Quantity("shortfall_K", "by how much window and limit would be missed"),
-    Quantity("broken", "which of ramp and currents would be beyond their limits"),
-    Quantity("cures", "whether everything would be kept"),
+    Quantity("change", "the change"),
+    Quantity("shortfall_K", "remaining miss of window and limit"),
+    Quantity("broken", "ramp or currents that would exceed their limits"),
+    Quantity("cures", "true if all limits would be satisfied"),
 )
 
 PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("rig", "name of the rig", lambda p: p.rig.name),
-    Quantity("mold_material", "what the mold is made of", lambda p: p.rig.mold.material.name),
-    Quantity("window_degC", "window", lambda p: p.spec.window_degC, words=_verdict),
-    Quantity("limit_degC", "limit for every point at all times", lambda p: p.spec.limit),
-    Quantity("hold_s", "length of the hold", lambda p: p.spec.hold_time),
+    Quantity("mold_material", "material of the mold", lambda p: p.rig.mold.material.name),
+    Quantity("window_degC", "temperature window of the hold", lambda p: p.spec.window_degC, words=_verdict,
+             label="window"),
+    Quantity("limit_degC", "temperature limit of every point at all times", lambda p: p.spec.limit),
+    Quantity("hold_s", "hold time", lambda p: p.spec.hold_time),
     Quantity("slot_s", "duration of one duty-cycle value", lambda p: p.spec.slot),
-    Quantity("feasible", "whether everything is kept"),
-    Quantity("shortfall_K", "by how much window and limit are missed"),
-    Quantity("broken", "which of ramp and currents are beyond their limits"),
+    Quantity("feasible", "true if all limits are satisfied"),
+    Quantity("shortfall_K", "miss of window and limit"),
+    Quantity("broken", "ramp or currents that exceed their limits"),
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
-    Quantity("lowest_degC", "of the curved part during the hold"),
-    Quantity("highest_degC", "of the curved part during the hold"),
-    Quantity("hottest_degC", "hottest point, ever", words="{hottest_degC:.1f} degC (limit {limit_degC:g})"),
-    Quantity("mesh_error_K", "estimated error of these temperatures"),
+    Quantity("lowest_degC", "lowest temperature of the curved part in the hold"),
+    Quantity("highest_degC", "highest temperature of the curved part in the hold"),
+    Quantity("hottest_degC", "highest temperature of any point at any time",
+             words="{hottest_degC:.1f} degC (limit {limit_degC:g})", label="hottest point, ever"),
+    Quantity("mesh_error_K", "estimated mesh error of these temperatures"),
     line("heating, then hold", "{hold_start_s:g} s, to {hold_end_s:g} s"),
     line("duty in the hold", _duties),
-    Quantity("hold_start_s", "when the hold begins"),
-    Quantity("hold_end_s", "when the hold ends"),
+    Quantity("hold_start_s", "start of the hold"),
+    Quantity("hold_end_s", "end of the hold"),
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
-    Quantity("rounding_error_K", "largest change of a temperature by rounding to counts", label="rounding to counts",
-             words="changes temperatures by {rounding_error_K:.1f} K at most"),
-    Quantity("ramp_K_per_s", "fastest warming as a mean over a slot"),
-    Quantity("steepest_K_per_s", "fastest warming at any instant"),
-    Quantity("ramp_limit_K_per_s", "its limit", lambda p: p.spec.ramp),
-    Quantity("pwm_ripple_K", "swing of the temperature within a period of the PWM"),
-    Quantity("cold_end_mm", "cold end", words=_cold_end),
-    Quantity("extra_length_mm", "extra tube", words="{extra_length_mm:.1f} mm in all, to be cut off afterwards"),
-    Quantity("growth_mm", "growth when hot", form=".2f"),
+    Quantity("rounding_error_K", "largest change of a temperature by rounding to integer duties",
+             label="rounding to counts", words="changes temperatures by {rounding_error_K:.1f} K at most"),
+    Quantity("ramp_K_per_s", "largest heating rate, mean over a slot"),
+    Quantity("steepest_K_per_s", "largest heating rate at any instant"),
+    Quantity("ramp_limit_K_per_s", "limit of the heating rate", lambda p: p.spec.ramp),
+    Quantity("pwm_ripple_K", "temperature ripple within a PWM period"),
+    Quantity("cold_end_mm", "length of the cold end", words=_cold_end, label="cold end"),
+    Quantity("extra_length_mm", "extra length of tube, cut off afterwards",
+             words="{extra_length_mm:.1f} mm in all, to be cut off afterwards", label="extra tube"),
+    Quantity("growth_mm", "thermal expansion of the tube", form=".2f", label="growth when hot"),
     Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
     Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
-    Quantity("side_clearance_um", "air on either side of the tube in its groove", lambda p: p.rig.mold.play),
-    Quantity("gap_um", "even gap that conducts as much as the air of the groove", lambda p: gap_of(p.tube, p.rig)),
+    Quantity("side_clearance_um", "side clearance of the tube in its groove", lambda p: p.rig.mold.play),
+    Quantity("gap_um", "uniform gap that conducts as much as the air of the groove", lambda p: gap_of(p.tube, p.rig)),
     Quantity("curved_length_mm", "curved part of the tube", lambda p: p.tube.curved_length),
-    Quantity("free_length_mm", "tube between the clamps when cold"),
-    Quantity("vents_percent", "open part of the surface, end of the mold to middle", lambda p: p.rig.mold.vents),
+    Quantity("free_length_mm", "cold length of tube between the clamps"),
+    Quantity("vents_percent", "open part of the surface, from the end of the mold to its middle",
+             lambda p: p.rig.mold.vents),
     line(
         "battery",
         "{battery_V:.2f} V at rest, {energy_kJ:.2f} kJ, {peak_current_A:.0f} A while on, "
         "{mean_current_A:.1f} A on average at most",
     ),
-    Quantity("battery_V", "voltage of the battery at rest", lambda p: p.rig.battery.voltage),
-    Quantity("state_of_charge_percent", "of the battery", lambda p: p.rig.battery.state_of_charge),
-    Quantity("charge_used_percent", "of the battery's capacity", lambda p: p.charge[0] - p.charge[-1]),
-    Quantity("energy_kJ", "drawn from the battery"),
-    Quantity("peak_current_A", "greatest while the MOSFET conducts"),
-    Quantity("mean_current_A", "greatest current times duty"),
-    Quantity("mold_degC", "hottest place of the groove's wall", lambda p: p.mold_temperature.max()),
-    Quantity("clamp_degC", "hottest of the clamps", lambda p: p.clamp_temperature.max()),
-    Quantity("quench", "water or air", lambda p: p.spec.quench),
-    Quantity("quench_s", "until all of the tube is below 100 degC", lambda p: p.quench_time, label="quench",
+    Quantity("battery_V", "open-circuit voltage of the battery", lambda p: p.rig.battery.voltage),
+    Quantity("state_of_charge_percent", "state of charge of the battery", lambda p: p.rig.battery.state_of_charge),
+    Quantity("charge_used_percent", "charge used, of the battery's capacity", lambda p: p.charge[0] - p.charge[-1]),
+    Quantity("energy_kJ", "energy drawn from the battery"),
+    Quantity("peak_current_A", "largest current while the MOSFET conducts"),
+    Quantity("mean_current_A", "largest product of current and duty"),
+    Quantity("mold_degC", "highest temperature of the groove's wall", lambda p: p.mold_temperature.max()),
+    Quantity("clamp_degC", "highest temperature of the clamps", lambda p: p.clamp_temperature.max()),
+    Quantity("quench", "quench medium, water or air", lambda p: p.spec.quench),
+    Quantity("quench_s", "time until the whole tube is below 100 degC", lambda p: p.quench_time, label="quench",
              words="in {quench}: below 100 degC after {quench_s:.1f} s"),
-    Quantity("energy_error", "part of the energy that is not accounted for", label="energy balance",
+    Quantity("energy_error", "relative error of the energy balance", label="energy balance",
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
-    Quantity("iterations", "of the optimal control problem, in its last round; 0 where none was needed"),
-    Quantity("problems", "what is wrong, in words"),
-    Quantity("cures", "what would help, what cures it first", of=CURE),
-    Quantity("duty", "0 to 255, one for every slot"),
+    Quantity("iterations", "iterations of the optimal control problem in its last round; 0 if it was not needed"),
+    Quantity("problems", "violated limits, as text"),
+    Quantity("cures", "changes that would help, best first", of=CURE),
+    Quantity("duty", "duty of every slot, 0 to 255"),
 )  # fmt: skip
 
 OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
@@ -141,20 +145,28 @@ OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "low
 """What is told of the table for a state of charge."""
 
 OF_THE_BAND: tuple[Quantity[Band], ...] = (
-    Quantity("samples", "uncertain rigs", lambda band: len(band.lowest)),
-    Quantity("probability", "part of them that stays in the window"),
-    Quantity("too_cold", "part that falls below"),
-    Quantity("too_hot", "part that rises above"),
-    Quantity("lowest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.lowest, QUANTILES)),
-    Quantity("highest_degC", f"its quantiles {QUANTILES}", lambda band: np.quantile(band.highest, QUANTILES)),
+    Quantity("samples", "number of uncertain rigs", lambda band: len(band.lowest)),
+    Quantity("probability", "fraction that stays in the window"),
+    Quantity("too_cold", "fraction that falls below the window"),
+    Quantity("too_hot", "fraction that rises above window or limit"),
+    Quantity(
+        "lowest_degC",
+        f"quantiles {QUANTILES} of the lowest temperature in the hold",
+        lambda band: np.quantile(band.lowest, QUANTILES),
+    ),
+    Quantity(
+        "highest_degC",
+        f"quantiles {QUANTILES} of the highest temperature in the hold",
+        lambda band: np.quantile(band.highest, QUANTILES),
+    ),
 )
 
 SUCCESS: tuple[Quantity[Any], ...] = (
-    Quantity("success_probability", "part of uncertain rigs that keep window and limit; null where none were sampled",
+    Quantity("success_probability", "fraction of uncertain rigs that keeps window and limit; null without sampling",
              lambda a: None if a.success is None else a.success.probability),
-    Quantity("success_interval", "of the probability, 95 %",
+    Quantity("success_interval", "95 % confidence interval of the probability",
              lambda a: None if a.success is None else a.success.interval),
-    Quantity("led_by", 'the sensor that closes the loop; "" where the schedule runs alone',
+    Quantity("led_by", "sensor of the feedback; \"\" for the schedule alone",
              lambda a: "" if a.success is None else a.success.led_by),
 )  # fmt: skip
 
@@ -183,17 +195,25 @@ def unlikely(success: Success | None) -> str:
 
 
 BAND: tuple[Quantity[Heating], ...] = (
-    Quantity("loss_percent", "half-width of what is not known of the heat loss", lambda a: a.uncertainty.loss),
-    Quantity("contact_resistance_percent", "the same of the contacts", lambda a: a.uncertainty.contact_resistance),
-    Quantity("resistivity_percent", "the same of the tube", lambda a: a.uncertainty.resistivity),
+    Quantity("loss_percent", "half-width of the uncertainty of the heat loss", lambda a: a.uncertainty.loss),
+    Quantity(
+        "contact_resistance_percent",
+        "half-width of the uncertainty of the contact resistance",
+        lambda a: a.uncertainty.contact_resistance,
+    ),
+    Quantity(
+        "resistivity_percent",
+        "half-width of the uncertainty of the tube's resistivity",
+        lambda a: a.uncertainty.resistivity,
+    ),
     *within(OF_THE_BAND, lambda a: a.band),
-    Quantity("duty_scale", "by which the duties were scaled", lambda a: a.scale),
+    Quantity("duty_scale", "factor on the duties", lambda a: a.scale),
 )
 
 HEATING: tuple[Quantity[Heating], ...] = (
     *SUCCESS,
     *within(PLAN, lambda a: a.plan),
-    Quantity("band", "what uncertain rigs do, where that was asked for", lambda a: None if a.band is None else a,
+    Quantity("band", "temperatures of uncertain rigs; null unless requested", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
     Quantity("tables", "the same for other states of charge",
              of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
@@ -289,18 +309,18 @@ def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
 
 
 ESTIMATE: tuple[Quantity[Estimate], ...] = (
-    Quantity("name", "what was fitted"),
-    Quantity("factor", "on the value of the rig file; of a bias K"),
-    Quantity("low", "least of its interval"),
-    Quantity("high", "greatest of its interval"),
-    Quantity("held", "whether it was held, since the log does not tell it"),
+    Quantity("name", "name of the parameter"),
+    Quantity("factor", "factor on the value of the rig file; bias in K"),
+    Quantity("low", "lower end of its interval"),
+    Quantity("high", "upper end of its interval"),
+    Quantity("held", "true if it was fixed because the log does not determine it"),
 )
 
 RIG_FIT: tuple[Quantity[RigFit], ...] = (
-    Quantity("estimates", "the fitted factors", of=ESTIMATE),
-    Quantity("confidence", "of the intervals"),
-    Quantity("noise", "residuals: temperature in K, voltage in V, current in A"),
-    Quantity("remarks", "what to beware of"),
+    Quantity("estimates", "the fitted parameters", of=ESTIMATE),
+    Quantity("confidence", "confidence of the intervals"),
+    Quantity("noise", "RMS residuals: temperature in K, voltage in V, current in A"),
+    Quantity("remarks", "remarks on the fit"),
 )
 
 
@@ -333,14 +353,15 @@ class RigFitReport(Report[RigFit]):
 
 
 TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
-    Quantity("loss_factor", "loss factor", lambda f: f.factor,
-             words=lambda f: f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}"),
-    Quantity("low", "least of its interval"),
-    Quantity("high", "greatest of its interval"),
-    Quantity("confidence", "of the interval"),
-    Quantity("end_temperatures_degC", "trials ended at", lambda f: f.temperatures,
-             words="{end_temperatures_degC:.0f} degC by the calibrated rig"),
-    Quantity("least_probability", "of the least likely trial", lambda f: f.surprise),
+    Quantity("loss_factor", "factor on the heat loss", lambda f: f.factor,
+             words=lambda f: f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}",
+             label="loss factor"),
+    Quantity("low", "lower end of its interval"),
+    Quantity("high", "upper end of its interval"),
+    Quantity("confidence", "confidence of the interval"),
+    Quantity("end_temperatures_degC", "end temperature of every trial by the calibrated rig", lambda f: f.temperatures,
+             words="{end_temperatures_degC:.0f} degC by the calibrated rig", label="trials ended at"),
+    Quantity("least_probability", "probability of the least likely trial", lambda f: f.surprise),
 )  # fmt: skip
 
 

@@ -31,41 +31,48 @@ NOTES = 10
 """Targets about which something is said; the others are counted."""
 
 WAY: tuple[Quantity[JointWay], ...] = (
-    Quantity("from", "where it begins", lambda way: way.origin),
+    Quantity("from", "start of the path", lambda way: way.origin),
     Quantity("rotations_deg", "rotations at its waypoints"),
     Quantity("translations_mm", "translations at its waypoints"),
 )
 
 SOLUTION: tuple[Quantity[InverseSolution], ...] = (
-    Quantity("target_mm", "target", lambda s: s.target_position, form=".6g"),
-    Quantity("target_direction", "wanted direction of the tip"),
-    Quantity("status", "how the solve ended", lambda s: s.status.name),
-    Quantity("rotations_deg", "rotations", words=lambda s: degrees(s.rotations, ".6f")),
-    Quantity("translations_mm", "translations", words=lambda s: millimetres(s.translations, ".6f")),
+    Quantity("target_mm", "target position of the tip", lambda s: s.target_position, form=".6g", label="target"),
+    Quantity("target_direction", "target direction of the tip"),
+    Quantity("status", "result of the search", lambda s: s.status.name),
+    Quantity("rotations_deg", "rotation of every tube", words=lambda s: degrees(s.rotations, ".6f"), label="rotations"),
+    Quantity("translations_mm", "translation of every tube", words=lambda s: millimetres(s.translations, ".6f"),
+             label="translations"),
     *readings(lambda s: s.equilibrium),
-    Quantity("tip_position_mm", "tip position", lambda s: s.equilibrium.tip_position, form=".6f"),
-    Quantity("tip_tube", "which tube is the tip: the one that ends farthest from the plate, of several the innermost; "
-             "null where all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
+    Quantity("tip_position_mm", "tip position in the frame of the plate", lambda s: s.equilibrium.tip_position,
+             form=".6f", label="tip position"),
+    Quantity("tip_tube",
+             "number of the tube at the tip: the one that ends farthest from the plate, of several the innermost; "
+             "null if all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
              words=lambda s: tip_in_words(s.equilibrium.robot, s.equilibrium.tube_end) or None),
-    Quantity("position_error_mm", "misses by",
-             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
-    Quantity("tip_direction", "pointing along", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f"),
-    Quantity("direction_error_deg", "off the direction by",
-             lambda s: None if s.target_direction is None else s.direction_error, form=".1e"),
-    Quantity("margin", "margin", form=".3f"),
+    Quantity("position_error_mm", "distance of the tip from its target",
+             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm", label="misses by"),
+    Quantity("tip_direction", "direction of the tip", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f",
+             label="pointing along"),
+    Quantity("direction_error_deg", "angle between the tip and its target direction",
+             lambda s: None if s.target_direction is None else s.direction_error, form=".1e",
+             label="off the direction by"),
+    Quantity("margin", "stability margin", form=".3f", label="margin"),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
              words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
-    Quantity("clearance_from", "what that is from, of obstacles that are no solids but points or open surfaces; absent "
-             "without", lambda s: s.scene.stands_for or None, optional=True, label="clearance from",
+    Quantity("clearance_from",
+             "reference of that distance, for obstacles that are points or open surfaces; absent otherwise",
+             lambda s: s.scene.stands_for or None, optional=True, label="clearance from",
              words=lambda s: "; ".join(s.scene.stands_for) or None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
-    Quantity("cold_start_agrees", "whether a cold start ends in the same equilibrium"),
-    Quantity("straight_from_start", "whether the straight way from the start is one", lambda s: s.straight_from_seed),
-    Quantity("reachable", "whether a way without a snap leads to it; null where that is not known"),
-    Quantity("way", "a way without a snap", of=WAY, words=lambda s: _way_words(s)),
-    Quantity("leaps", "how the robot leaps to it from the target before"),
-    Quantity("active", "held by", words=lambda s: ", ".join(s.active) or None),
-    Quantity("statistics", "how it was solved", lambda s: asdict(s.statistics), label="solved",
+    Quantity("cold_start_agrees", "true if a cold start gives the same equilibrium"),
+    Quantity("straight_from_start", "true if the straight path from the start arrives without a snap",
+             lambda s: s.straight_from_seed),
+    Quantity("reachable", "true if a snap-free path to it is known; null if unknown"),
+    Quantity("way", "a snap-free path", of=WAY, words=lambda s: _way_words(s), label="snap-free path"),
+    Quantity("leaps", "reason why the straight path from the target before jumps"),
+    Quantity("active", "active constraints", words=lambda s: ", ".join(s.active) or None, label="limited by"),
+    Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
              words=lambda s: _how(s)),
 )  # fmt: skip
 
@@ -86,8 +93,8 @@ def _how(s: InverseSolution) -> str:
 
 POSTURES: tuple[Quantity[Postures], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("solutions", "the answers, the best first", of=SOLUTION),
-    Quantity("timed_out", "whether the time limit ended the search for all postures, or for ways to them"),
+    Quantity("solutions", "the solutions, best first", of=SOLUTION),
+    Quantity("timed_out", "true if the time limit ended the search for all solutions or for their paths"),
 )
 
 
@@ -140,29 +147,35 @@ class PosturesReport(Report[Postures]):
 
 OF_THE_TARGET: tuple[Quantity[Row], ...] = (
     Quantity("target_mm", "target position of the tip in the base frame", lambda r: r.position),
-    Quantity("target_direction", "where it shall point", lambda r: r.direction),
-    Quantity("status", "how the solve ended", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
+    Quantity("target_direction", "target direction of the tip", lambda r: r.direction),
+    Quantity("status", "result of the search", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
 )
 """What is known of a target without any solution too."""
 
 ROW: tuple[Quantity[Row], ...] = (
-    Quantity("target", "number of the target, from 1; between two where one was put in between", lambda r: r.number),
+    Quantity("target", "number of the target, from 1; a fraction for an inserted one", lambda r: r.number),
     *OF_THE_TARGET,
     *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
-    Quantity("problem", "why there is no answer"),
+    Quantity("problem", "reason why there is no solution"),
 )
 
 TARGETS: tuple[Quantity[TargetTable], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("targets", "targets of the table", lambda a: len(_given(a))),
-    Quantity("reached", "reached", lambda a: len(_reached(a)), words="{reached} of {targets} targets"),
+    Quantity("targets", "number of targets in the table", lambda a: len(_given(a))),
+    Quantity(
+        "reached",
+        "number of targets reached",
+        lambda a: len(_reached(a)),
+        words="{reached} of {targets} targets",
+        label="reached",
+    ),
     line("largest error", lambda a: _of_reached(a, lambda s: f"{max(x.position_error for x in s) * TO_MM:.1e} mm")),
     line("least margin", lambda a: _of_reached(a, lambda s: f"{min(x.margin for x in s):.3f}")),
     line("median time", lambda a: _of_reached(a, _median_time)),
-    line("a way without a snap", lambda a: None if a.followed else _of_reached(a, _ways)),
+    line("snap-free path", lambda a: None if a.followed else _of_reached(a, _ways)),
     line("put in between", lambda a: _between(a)),
     line("leaps", lambda a: _leaps(a)),
-    Quantity("solutions", "the answers, one per target", lambda a: a.rows, of=ROW),
+    Quantity("solutions", "the solutions, one per target", lambda a: a.rows, of=ROW),
 )
 
 

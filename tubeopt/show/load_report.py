@@ -30,28 +30,29 @@ HAPPENS = {
 }
 
 LIMIT: tuple[Quantity[LoadLimit], ...] = (
-    Quantity("factor", "times the load at which the equilibrium is lost", label="lost at",
+    Quantity("factor", "load factor at which stability is lost", label="lost at",
              words="{factor:.9g} times the load"),
-    Quantity("kind", "fold: it vanishes; bifurcation: it turns unstable; flutter: slow oscillations grow",
+    Quantity("kind",
+             "fold: the equilibrium vanishes; bifurcation: it becomes unstable; flutter: slow oscillations grow",
              label="there", words=lambda a: HAPPENS[a.kind]),
     line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
-    Quantity("tip_jump_mm", "the tip jumps",
-             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
-    Quantity("energy_released_mJ", "energy released by tubes and load; null where the load has none",
+    Quantity("tip_jump_mm", "distance that the tip jumps",
+             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm", label="the tip jumps"),
+    Quantity("energy_released_mJ", "energy released by tubes and load; null for a load without energy",
              label="energy released by tubes and load",
              words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
     line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
-    Quantity("before", "the equilibrium at the limit", of=STATE),
-    Quantity("after", "the equilibrium in which the robot lands; null where none is found", of=STATE),
+    Quantity("before", "equilibrium at the limit", of=STATE),
+    Quantity("after", "equilibrium after the loss of stability; null if none was found", of=STATE),
 )  # fmt: skip
 
 BEARING: tuple[Quantity[Bearing], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
-    Quantity("load", "what pushes, in words", lambda a: load_in_words(a.load), label="load", words="{load}"),
-    Quantity("up_to", "times the load that was looked at"),
-    Quantity("limit", "where the equilibrium is lost, null where it is not", of=LIMIT),
+    Quantity("load", "the load, as text", lambda a: load_in_words(a.load), label="load", words="{load}"),
+    Quantity("up_to", "largest load factor searched"),
+    Quantity("limit", "the load limit; null if stability is not lost", of=LIMIT),
 )  # fmt: skip
 
 
@@ -86,14 +87,14 @@ class BearingReport(Report[Bearing]):
 
 FORCE: tuple[Quantity[ForceEstimate], ...] = (
     Quantity("force_mN", "force on the tip in the base frame", form=".3f", label="force at the tip"),
-    Quantity("standard_error_mN", "standard error along each axis; null where it is not seen at all",
+    Quantity("standard_error_mN", "standard error along each axis; null if undetermined",
              lambda e: np.sqrt(np.diag(e.covariance))),
-    Quantity("directions", "unit vectors, from the best to the worst told"),
+    Quantity("directions", "unit vectors, from the best to the worst determined"),
     Quantity("errors_mN", "standard error along each of them", form=".3f",
              label="standard errors, best direction to worst"),
-    Quantity("untold", "directions in which the force is not told from none, in words", label="", words="{untold}"),
-    Quantity("residual_mm", "root mean square distance of the measured from the fitted points", form=".4f",
-             label="root mean square distance of the points"),
+    Quantity("untold", "directions in which the force cannot be distinguished from zero", label="", words="{untold}"),
+    Quantity("residual_mm", "RMS distance between measured and fitted points", form=".4f",
+             label="RMS distance of the points"),
 )  # fmt: skip
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
@@ -110,16 +111,20 @@ CONFIDENCE = (
 
 RECORD: tuple[Quantity[ForceRecord], ...] = (
     Quantity("robot", "name of the robot", lambda r: r.robot.name),
-    Quantity("rows", "rows of the recording", lambda r: len(r.estimates), form="d"),
-    Quantity("told", "rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d"),
-    Quantity("noise_mm", "noise of a measured coordinate", form=".3g"),
+    Quantity("rows", "number of rows of the recording", lambda r: len(r.estimates), form="d",
+             label="rows of the recording"),
+    Quantity("told", "number of rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d",
+             label="rows with an estimate"),
+    Quantity("noise_mm", "standard deviation of a measured coordinate", form=".3g",
+             label="noise of a measured coordinate"),
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
     line("confidence", lambda r: CONFIDENCE if _told(r) else None),
     line("too small to be told", lambda r: _untold(r)),
-    Quantity("estimates", "the force in every row that tells one", lambda r: _told(r), of=ESTIMATE),
-    Quantity("failures", "other rows, from 1, and why", lambda r: [[k + 1, why] for k, why in r.failures]),
-    Quantity("remarks", "what the robot has and the estimates leave out"),
+    Quantity("estimates", "the force in every row with an estimate", lambda r: _told(r), of=ESTIMATE),
+    Quantity("failures", "rows without an estimate, from 1, and the reason",
+             lambda r: [[k + 1, why] for k, why in r.failures]),
+    Quantity("remarks", "effects of the robot that the estimates ignore"),
 )  # fmt: skip
 
 

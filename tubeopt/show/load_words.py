@@ -45,7 +45,7 @@ LOADED: tuple[Quantity[Equilibrium], ...] = within(
                               lambda e: load_in_words(e.load or Load()), label="load", words="{load}", optional=True),
         Quantity("potential_mJ", "elastic energy less the work of the load", optional=True),
         Quantity("compliance",
-                 "6 x 6: translation (m) and rotation (rad) of the tip by a force (N) and moment (N m) there",
+                 "6 x 6 compliance: translation (m) and rotation (rad) of the tip per force (N) and moment (N m) there",
                  label="a force at the tip moves it", words=_softness, optional=True),
         Quantity("base_force_mN", "force of the load on the plate", lambda e: e.base_wrench[:3],
                  label="on the plate", words=_on_the_plate, optional=True),

@@ -26,14 +26,31 @@ def _expected(p: Placement) -> list[dict[str, Any]]:
 
 PLACEMENT: tuple[Quantity[Placement], ...] = (
     Quantity("robot", "name of the robot", lambda p: p.robot.name),
-    Quantity("count", "configurations to measure", lambda p: int(p.measured.sum()), form="d"),
-    Quantity("waypoints", "waypoints with home and what leads round snaps", lambda p: len(p.measured), form="d"),
-    Quantity("least_margin", "least margin", lambda p: p.margin.min(), form=".3f"),
-    Quantity("noise_mm", "noise that errors are told for", form=".3g"),
+    Quantity(
+        "count",
+        "number of configurations to measure",
+        lambda p: int(p.measured.sum()),
+        form="d",
+        label="configurations to measure",
+    ),
+    Quantity(
+        "waypoints",
+        "number of waypoints, with home and detours around snaps",
+        lambda p: len(p.measured),
+        form="d",
+        label="waypoints with home and what leads round snaps",
+    ),
+    Quantity("least_margin", "smallest margin", lambda p: p.margin.min(), form=".3f", label="least margin"),
+    Quantity(
+        "noise_mm",
+        "noise of the measurement that the expected errors assume",
+        form=".3g",
+        label="assumed noise",
+    ),
     Quantity("expected", "expected standard errors, and those of random configurations", _expected),
     Quantity("rotations_deg", "rotations of the drives at the waypoints"),
     Quantity("translations_mm", "translations of the drives at the waypoints"),
-    Quantity("measured", "whether a waypoint is to be measured"),
+    Quantity("measured", "true for waypoints that are measured"),
 )
 
 

@@ -27,86 +27,86 @@ from .report import Drawing, Report, drawing, grid, remarks
 
 CLAMP: tuple[Quantity[Clamp], ...] = (
     Quantity("end", "proximal or distal"),
-    Quantity("face_mm", "middle of the face that looks at the plate"),
-    Quantity("direction", "along which the tube enters it"),
-    Quantity("slides", "whether it gives way when the tube grows"),
+    Quantity("face_mm", "centre of the face towards the plate"),
+    Quantity("direction", "direction of the tube into the clamp"),
+    Quantity("slides", "true if it slides when the tube expands"),
 )
 
 GROOVE: tuple[Quantity[Groove], ...] = (
-    Quantity("wanted_radius_mm", "wanted radius", lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf,
-             form=".4g"),
-    Quantity("mold_radius_mm", "mold radius", lambda g: g.radius, form=".4g"),
-    Quantity("mold_curvature_per_m", "curvature of the mold", lambda g: g.curvature),
-    Quantity("arcs", "tangent arcs that make the bend; of several, radii and curvature are of the tightest place",
+    Quantity("wanted_radius_mm", "target radius of the tube",
+             lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf, form=".4g", label="wanted radius"),
+    Quantity("mold_radius_mm", "radius of the groove", lambda g: g.radius, form=".4g", label="mold radius"),
+    Quantity("mold_curvature_per_m", "curvature of the groove", lambda g: g.curvature),
+    Quantity("arcs", "number of tangent arcs of the bend; with several, radii and curvature are the tightest",
              lambda g: len(g.centreline.bend)),
-    Quantity("bend_length_mm", "bend, length", form=".4g"),
-    Quantity("bend_angle_deg", "bend, angle", form=".4g"),
+    Quantity("bend_length_mm", "length of the bend", form=".4g", label="bend, length"),
+    Quantity("bend_angle_deg", "angle of the bend", form=".4g", label="bend, angle"),
     Quantity("lead_in_mm", "straight groove before the bend", lambda g: g.centreline.lead_in.length),
     Quantity("lead_out_mm", "straight groove behind the bend", lambda g: g.centreline.lead_out.length),
-    Quantity("width_mm", "groove, width", form=".4g"),
-    Quantity("depth_mm", "groove, depth", form=".4g"),
-    Quantity("end_mill_mm", "end mill", lambda g: g.mill.diameter, form=".4g"),
-    Quantity("strain_percent", "strain when pressed in", form=".4g"),
-    Quantity("cold_length_mm", "cold end from the clamp", lambda g: g.cold.length, form=".4g"),
-    Quantity("decay_length_mm", "in which the cold end warms up", lambda g: g.cold.decay_length),
-    Quantity("loss_coefficient_W_per_m2_K", "of heat into the mold", lambda g: g.cold.loss_coefficient),
-    Quantity("gaps_mm", "from the plate's edges to the clamps"),
-    Quantity("free_length_mm", "tube between the clamps"),
-    Quantity("growth_mm", "growth when hot", form=".4g"),
+    Quantity("width_mm", "width of the groove", form=".4g", label="groove, width"),
+    Quantity("depth_mm", "depth of the groove", form=".4g", label="groove, depth"),
+    Quantity("end_mill_mm", "diameter of the end mill", lambda g: g.mill.diameter, form=".4g", label="end mill"),
+    Quantity("strain_percent", "strain of the tube when pressed in", form=".4g", label="strain when pressed in"),
+    Quantity("cold_length_mm", "length of the cold end from the clamp", lambda g: g.cold.length, form=".4g",
+             label="cold end from the clamp"),
+    Quantity("decay_length_mm", "decay length of the cold end", lambda g: g.cold.decay_length),
+    Quantity("loss_coefficient_W_per_m2_K", "heat transfer coefficient into the mold",
+             lambda g: g.cold.loss_coefficient),
+    Quantity("gaps_mm", "gaps between the plate's edges and the clamps"),
+    Quantity("free_length_mm", "length of tube between the clamps"),
+    Quantity("growth_mm", "thermal expansion of the tube", form=".4g", label="growth when hot"),
     Quantity("travel_mm", "travel of the sliding clamp", lambda g: max(clamp.travel for clamp in g.clamps), form=".4g"),
-    Quantity("stock_length_mm", "cut the tube to", form=".4g"),
-    Quantity("extra_length_mm", "of which is trimmed", form=".4g"),
-    Quantity("bend_begins_mm", "from the tube's end", lambda g: g.before_bend),
-    Quantity("trim_proximal_mm", "cut off at the proximal end", lambda g: g.trim[0]),
-    Quantity("trim_distal_mm", "cut off at the distal end", lambda g: g.trim[1]),
+    Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
+    Quantity("extra_length_mm", "part of the blank that is trimmed", form=".4g", label="trimmed"),
+    Quantity("bend_begins_mm", "distance of the bend from the tube's end", lambda g: g.before_bend),
+    Quantity("trim_proximal_mm", "length to cut off at the proximal end", lambda g: g.trim[0]),
+    Quantity("trim_distal_mm", "length to cut off at the distal end", lambda g: g.trim[1]),
     Quantity("clamps", "the two clamps", of=CLAMP),
     Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
 )  # fmt: skip
 
 PREDICTED: tuple[Quantity[Tube], ...] = (
-    Quantity("curvature_per_m", "of the tube that comes out"),
-    Quantity("curved_length_mm", "of the tube that comes out"),
-    Quantity("straight_length_mm", "of the tube that comes out"),
+    Quantity("curvature_per_m", "curvature of the predicted tube"),
+    Quantity("curved_length_mm", "curved length of the predicted tube"),
+    Quantity("straight_length_mm", "straight length of the predicted tube"),
 )
 
 HOLE: tuple[Quantity[Hole], ...] = (
-    Quantity("purpose", "what it is for"),
-    Quantity("centre_mm", "where it is"),
-    Quantity("diameter_mm", "its diameter"),
+    Quantity("purpose", "purpose of the hole"),
+    Quantity("centre_mm", "centre of the hole"),
+    Quantity("diameter_mm", "diameter of the hole"),
 )
 
 PROGRAM: tuple[Quantity[Program], ...] = (
-    Quantity("file", "where it stands"),
-    Quantity("tool", "the first that it takes"),
-    Quantity("time_min", "that its moves take", lambda program: program.time / 60, form=".1f"),
+    Quantity("file", "name of the file"),
+    Quantity("tool", "first tool"),
+    Quantity("time_min", "machining time", lambda program: program.time / 60, form=".1f", label="that its moves take"),
 )
 
 MOLD: tuple[Quantity[RobotMold], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.name),
-    Quantity("material", "of both plates", lambda a: a.mold.spec.material.name),
+    Quantity("material", "material of both plates", lambda a: a.mold.spec.material.name),
     Quantity("size_mm", "width and height of the plates", lambda a: a.mold.size),
-    Quantity("thickness_mm", "of the lower plate", lambda a: a.mold.spec.plate.thickness),
+    Quantity("thickness_mm", "thickness of the lower plate", lambda a: a.mold.spec.plate.thickness),
     Quantity("lid_thickness_mm", "thickness of the top plate", lambda a: a.mold.spec.plate.lid_thickness),
-    Quantity("base_volume_mm3", "of the lower plate", lambda a: a.mold.base_volume),
+    Quantity("base_volume_mm3", "volume of the lower plate", lambda a: a.mold.base_volume),
     Quantity("lid_volume_mm3", "volume of the top plate", lambda a: a.mold.lid_volume),
-    Quantity("springback", "the spring-back, as in a mold file", lambda a: _springback(a.mold.spec.springback)),
+    Quantity("springback", "spring-back, as in a mold file", lambda a: _springback(a.mold.spec.springback)),
     Quantity(
         "grooves",
-        "a groove per tube",
+        "the grooves, one per tube",
         lambda a: [(a, k) for k in range(len(a.mold.grooves))],
         of=(
             Quantity("tube", "number of the tube, 1 for the innermost", lambda at: at[0].mold.grooves[at[1]].number),
             *within(GROOVE, lambda at: at[0].mold.grooves[at[1]]),
-            Quantity("predicted", "what comes out of it", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
+            Quantity("predicted", "predicted tube", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
         ),
     ),
-    Quantity(
-        "programs", "G-code of both plates, in the order in which it is run", lambda a: programs_of(a.mold), of=PROGRAM
-    ),
-    Quantity("clear_mm", "room beside the plates that clamps of their stock leave free", lambda a: clear_room(a.mold)),
-    Quantity("holes", "for bolts, dowels and vents", lambda a: a.mold.holes, of=HOLE),
-    Quantity("checks", "what was checked, and whether it passed", lambda a: [_check(c) for c in a.mold.checks]),
-    Quantity("remarks", "what to beware of", lambda a: [*a.left_out, *a.mold.remarks]),
+    Quantity("programs", "G-code of both plates, in order of machining", lambda a: programs_of(a.mold), of=PROGRAM),
+    Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clear_room(a.mold)),
+    Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=HOLE),
+    Quantity("checks", "checks, and whether they passed", lambda a: [_check(c) for c in a.mold.checks]),
+    Quantity("remarks", "remarks for making and using it", lambda a: [*a.left_out, *a.mold.remarks]),
 )
 
 
@@ -160,8 +160,8 @@ def _check(check: Check) -> dict[str, Any]:
 
 TRIAL: tuple[Quantity[tuple[float, float, float]], ...] = (
     Quantity("mold_radius_mm", "radius of the mold", lambda trial: 1 / trial[0]),
-    Quantity("obtained_radius_mm", "radius of the tube that came out", lambda trial: 1 / trial[1]),
-    Quantity("residual_percent", "of the lost part, beyond what the model says", lambda trial: trial[2]),
+    Quantity("obtained_radius_mm", "radius of the obtained tube", lambda trial: 1 / trial[1]),
+    Quantity("residual_percent", "deviation of the lost fraction from the model", lambda trial: trial[2]),
 )
 """Of a trial: curvatures of mold and tube, 1/m, and by how much the lost part is off the model."""
 
@@ -181,10 +181,11 @@ def _radii(c: Calibration) -> list[float] | None:
 
 
 CALIBRATION: tuple[Quantity[Calibration], ...] = (
-    Quantity("trials", "trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature))),
-    Quantity("model", "model", words="{model}"),
-    Quantity("fraction_percent", "lost at small curvature", lambda c: c.springback.fraction,
-             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}"),
+    Quantity("trials", "the trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature)), label="trials"),
+    Quantity("model", "spring-back model", words="{model}", label="model"),
+    Quantity("fraction_percent", "lost fraction of the curvature at small curvature", lambda c: c.springback.fraction,
+             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
+             label="lost at small curvature"),
     Quantity("slope_mm", "increase of the lost fraction with the mold curvature", lambda c: c.springback.slope,
              label="and per 1/m of curvature",
              words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear"
@@ -194,9 +195,10 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
     Quantity("radius_range_mm", "smallest and largest mold radius of the trials", _radii, digits=9, optional=True),
     Quantity("fraction_interval_percent", "95 % interval of the fraction"),
     Quantity("slope_interval_mm", "95 % interval of the slope"),
-    Quantity("noise_percent", "scatter of one tube",
-             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
-    Quantity("remarks", "what to beware of"),
+    Quantity("noise_percent", "scatter between equal tubes",
+             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %",
+             label="scatter of one tube"),
+    Quantity("remarks", "remarks on the fit"),
 )  # fmt: skip
 
 
@@ -226,31 +228,31 @@ class CalibrationReport(Report[Calibration]):
 
 
 RATING: tuple[Quantity[MaterialRating], ...] = (
-    Quantity("material", "its name", lambda r: r.material.name),
-    Quantity("suitable", "whether it suits"),
-    Quantity("held", "whether the rig holds the window with it", lambda r: r.plan is None or r.plan.feasible),
-    Quantity("shortfall_K", "by how much the rig misses the window with it"),
-    Quantity("heat_drawn_J_per_m", "per length of tube during the hold"),
-    Quantity("heat_flow_W_per_m", "per length of tube at the end of the hold"),
-    Quantity("heat_J", "that the curved part and the mold around it take to the end of the hold"),
-    Quantity("energy_J", "that the heating on the rig draws from the battery; none where the tube cannot be heated"),
-    Quantity("leak", "part of the current that goes astray"),
-    Quantity("limit_degC", "that it endures", lambda r: r.material.limit_temperature_degC),
-    Quantity("limit_margin_K", "that are left to it"),
-    Quantity("conductivity_W_per_m_K", "thermal", lambda r: r.material.conductivity),
+    Quantity("material", "name of the material", lambda r: r.material.name),
+    Quantity("suitable", "true if it is suitable"),
+    Quantity("held", "true if the rig keeps the window with it", lambda r: r.plan is None or r.plan.feasible),
+    Quantity("shortfall_K", "miss of the window with it"),
+    Quantity("heat_drawn_J_per_m", "heat into the mold per length of tube during the hold"),
+    Quantity("heat_flow_W_per_m", "heat flow into the mold per length of tube at the end of the hold"),
+    Quantity("heat_J", "heat of the curved part and of the mold around it, until the end of the hold"),
+    Quantity("energy_J", "energy drawn from the battery; null if the tube cannot be heated"),
+    Quantity("leak", "fraction of the current that leaks into the mold"),
+    Quantity("limit_degC", "temperature limit of the material", lambda r: r.material.limit_temperature_degC),
+    Quantity("limit_margin_K", "margin to that limit"),
+    Quantity("conductivity_W_per_m_K", "thermal conductivity", lambda r: r.material.conductivity),
     Quantity("density_kg_per_m3", "density", lambda r: r.material.density),
     Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
-    Quantity("resistivity_ohm_m", "electrical", lambda r: r.material.resistivity),
+    Quantity("resistivity_ohm_m", "electrical resistivity", lambda r: r.material.resistivity),
     Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
-    Quantity("reasons", "what speaks for it and against it"),
-    Quantity("source", "of its constants", lambda r: r.material.source),
+    Quantity("reasons", "reasons for and against it"),
+    Quantity("source", "source of its constants", lambda r: r.material.source),
 )
 
 RANKING: tuple[Quantity[Ranking], ...] = (
-    Quantity("outer_diameter_mm", "of the tube", lambda a: a.tube.outer_diameter),
-    Quantity("curved_length_mm", "of the tube", lambda a: a.tube.curved_length),
-    Quantity("set_degC", "to which it is heated", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
-    Quantity("hold_s", "for how long", lambda a: a.heat.hold_time),
+    Quantity("outer_diameter_mm", "outer diameter of the tube", lambda a: a.tube.outer_diameter),
+    Quantity("curved_length_mm", "curved length of the tube", lambda a: a.tube.curved_length),
+    Quantity("set_degC", "set temperature", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
+    Quantity("hold_s", "hold time", lambda a: a.heat.hold_time),
     Quantity("materials", "the materials, best first", lambda a: a.ratings, of=RATING),
 )
 

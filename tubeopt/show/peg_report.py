@@ -13,15 +13,15 @@ from .quantities import Quantity, columns, line, within
 from .report import Report, grid
 
 PEG: tuple[Quantity[Peg], ...] = (
-    Quantity("hole", "row from below by letter, place in the row from the left", label="hole", words="{hole}"),
-    Quantity("angle_deg", "at which its pin is set, from x", label="angle", form="g"),
-    Quantity("left", "whether it stands to the left of the tube", label="side",
+    Quantity("hole", "hole: row from below by letter, number from the left", label="hole", words="{hole}"),
+    Quantity("angle_deg", "angle of the pin from x", label="angle", form="g"),
+    Quantity("left", "true if it is to the left of the tube", label="side",
              words=lambda peg: "left" if peg.left else "right"),
-    Quantity("pin_mm", "where its pin stands"),
-    Quantity("arc_length_mm", "of the tube beside it, from the proximal clamp", label="along mm",
+    Quantity("pin_mm", "position of the pin"),
+    Quantity("arc_length_mm", "arc length of the tube at the peg, from the proximal clamp", label="along mm",
              words="{arc_length_mm:.1f}"),
-    Quantity("room_um", "between it and a tube that lay on its curve"),
-    Quantity("force_N", "with which it pushes while the tube is cold", label="push N", words="{force_N:.2f}"),
+    Quantity("room_um", "gap between the peg and a tube on its exact curve"),
+    Quantity("force_N", "force on the cold tube", label="push N", words="{force_N:.2f}"),
 )  # fmt: skip
 
 COOLED: tuple[Quantity[tuple[Peg, float]], ...] = (
@@ -32,17 +32,45 @@ COOLED: tuple[Quantity[tuple[Peg, float]], ...] = (
 
 PEGS: tuple[Quantity[PegBoard], ...] = (
     Quantity("tube", "number of the tube, 1 for the innermost", lambda b: b.number),
-    Quantity("board_mm", "board", lambda b: b.size, form=".4g"),
-    Quantity("holes", "holes, drilled once", lambda b: len(b.holes)),
-    Quantity("free_length_mm", "tube between the clamps", form=".4g"),
-    Quantity("cold_length_mm", "cold end from the clamp", lambda b: b.cold.length, form=".4g"),
-    Quantity("deviation_mm", "tube off its curve, at most", form=".3f"),
-    Quantity("heading_deviation_deg", "its heading off, at most", form=".2f"),
-    Quantity("dip_K", "colder at a peg, at most", lambda b: b.heat.dip.max(initial=0.0), form=".0f"),
-    Quantity("drawn_W", "heat into all pegs", lambda b: b.heat.drawn.sum(), words="{drawn_W:.2f} W"),
-    Quantity("lost_W", "heat of the tube into air", lambda b: b.heat.loss * b.free_length, words="{lost_W:.1f} W"),
-    Quantity("pegs", "along the tube", of=PEG),
-    Quantity("remarks", "what to beware of"),
+    Quantity("board_mm", "size of the board", lambda b: b.size, form=".4g", label="board"),
+    Quantity("holes", "drilled holes", lambda b: len(b.holes)),
+    Quantity("free_length_mm", "length of tube between the clamps", form=".4g", label="tube between the clamps"),
+    Quantity(
+        "cold_length_mm",
+        "length of the cold end from the clamp",
+        lambda b: b.cold.length,
+        form=".4g",
+        label="cold end from the clamp",
+    ),
+    Quantity(
+        "deviation_mm", "largest distance of the tube from its curve", form=".3f", label="tube off its curve, at most"
+    ),
+    Quantity(
+        "heading_deviation_deg", "largest deviation of its direction", form=".2f", label="its heading off, at most"
+    ),
+    Quantity(
+        "dip_K",
+        "largest temperature drop at a peg",
+        lambda b: b.heat.dip.max(initial=0.0),
+        form=".0f",
+        label="colder at a peg, at most",
+    ),
+    Quantity(
+        "drawn_W",
+        "heat flow into all pegs",
+        lambda b: b.heat.drawn.sum(),
+        words="{drawn_W:.2f} W",
+        label="heat into all pegs",
+    ),
+    Quantity(
+        "lost_W",
+        "heat flow from the tube into air",
+        lambda b: b.heat.loss * b.free_length,
+        words="{lost_W:.1f} W",
+        label="heat of the tube into air",
+    ),
+    Quantity("pegs", "pegs along the tube", of=PEG),
+    Quantity("remarks", "remarks for making and using it"),
 )
 
 

@@ -82,28 +82,28 @@ def _tip_speed(p: Proof) -> str:
 
 FORCED: tuple[Quantity[ForceBound], ...] = (
     line("any force on the tip", _any_force),
-    Quantity("max_force_mN", "force on the tip, in any direction, under which margin and clearance are told"),
-    Quantity("deflection_mm", "bound of how far such a force moves the arm"),
+    Quantity("max_force_mN", "largest force on the tip, in any direction, that margin and clearance include"),
+    Quantity("deflection_mm", "bound on the displacement of the arm by such a force"),
 )
 
 PROOF: tuple[Quantity[Proof], ...] = (
-    Quantity("proved", "whether all that was asked for holds", lambda p: p.holds),
-    Quantity("assumed", "what all is said under", _assuming),
-    Quantity("faults", "what does not hold, in words"),
+    Quantity("proved", "true if all requirements are proved", lambda p: p.holds),
+    Quantity("assumed", "assumptions of all results", _assuming),
+    Quantity("faults", "violated or unproved requirements, as text"),
     Quantity("followed_percent", "part of the motion that was followed"),
-    Quantity("snap_at_percent", "where it snaps", lambda p: p.snap),
-    Quantity("least_margin", "least margin", form=".4f"),
+    Quantity("snap_at_percent", "position of a snap along the motion", lambda p: p.snap),
+    Quantity("least_margin", "smallest margin", form=".4f", label="least margin"),
     Quantity("least_clearance_mm", "proved distance of the arm from obstacles", label="clearance", words=_clearance),
     Quantity(
         "clearance_from",
-        "what the clearance is from, of obstacles that are no solids but points or open surfaces; absent without",
+        "reference of the clearance, for obstacles that are points or open surfaces; absent otherwise",
         lambda p: p.clearance_from or None,
         optional=True,
         label="clearance from",
         words=lambda p: "; ".join(p.clearance_from) or None,
     ),
-    Quantity("clearance_bound_mm", "bound of the distance between the instants that were looked at"),
-    Quantity("measured_clearance_mm", "least distance at the instants that were looked at"),
+    Quantity("clearance_bound_mm", "lower bound on the distance between the checked instants"),
+    Quantity("measured_clearance_mm", "smallest distance at the checked instants"),
     *within(FORCED, lambda p: p.forced),
     line(
         "largest rates",
@@ -111,35 +111,44 @@ PROOF: tuple[Quantity[Proof], ...] = (
         "{largest_rotation_acceleration_deg_per_s2:.2f} deg/s^2, "
         "{largest_translation_acceleration_mm_per_s2:.2f} mm/s^2",
     ),
-    Quantity("largest_rotation_rate_deg_per_s", "of a tube"),
-    Quantity("largest_translation_rate_mm_per_s", "of a tube"),
-    Quantity("largest_rotation_acceleration_deg_per_s2", "of a tube"),
-    Quantity("largest_translation_acceleration_mm_per_s2", "of a tube"),
+    Quantity("largest_rotation_rate_deg_per_s", "largest rotation rate of a tube"),
+    Quantity("largest_translation_rate_mm_per_s", "largest translation rate of a tube"),
+    Quantity("largest_rotation_acceleration_deg_per_s2", "largest rotation acceleration of a tube"),
+    Quantity("largest_translation_acceleration_mm_per_s2", "largest translation acceleration of a tube"),
     line("path of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
     line("speed of the tip", _tip_speed),
-    Quantity("largest_tip_step_mm", "of the tip between equilibria"),
-    Quantity("tip_length_mm", "way of the tip"),
-    Quantity("largest_tip_rate_mm_per_s", "proved bound of the speed of the tip at all times"),
+    Quantity("largest_tip_step_mm", "largest step of the tip between equilibria"),
+    Quantity("tip_length_mm", "length of the path of the tip"),
+    Quantity("largest_tip_rate_mm_per_s", "proved bound on the speed of the tip at all times"),
     Quantity("measured_tip_rate_mm_per_s", "largest mean speed of the tip between two equilibria"),
     Quantity(
         "reintegration_mm",
-        "largest difference of a tip to an adaptive re-integration; under a load, the estimated error",
+        "largest difference of a tip from adaptive re-integration; under a load, the estimated error",
     ),
-    Quantity("equilibria", "equilibria through which it was followed", label="followed again", words=_again),
+    Quantity("equilibria", "number of equilibria of the proof", label="followed again", words=_again),
 )
 
 
-def _ends(k: int, name: str, about: str) -> Quantity[Trajectory]:
+def _ends(k: int, name: str, label: str) -> Quantity[Trajectory]:
     """Joint values at an end of a trajectory."""
     joints: tuple[Quantity[Trajectory], ...] = (
         Quantity("rotations_deg", "rotation of every tube", lambda t: t.rotations[k]),
         Quantity("translations_mm", "translation of every tube", lambda t: t.translations[k]),
         *readings(lambda t: t.arms[k]),
         Quantity(
-            "tip_tube", "which tube is the tip, from 1; null where all are withdrawn", lambda t: tip_number(t.arms[k])
+            "tip_tube",
+            "number of the tube at the tip, from 1; null if all are withdrawn",
+            lambda t: tip_number(t.arms[k]),
         ),
     )
-    return Quantity(name, about, lambda t: t, of=joints, words=lambda t: joints_in_words(t.arms[k]))
+    return Quantity(
+        name,
+        f"joint values at the {name}",
+        lambda t: t,
+        of=joints,
+        label=label,
+        words=lambda t: joints_in_words(t.arms[k]),
+    )
 
 
 def _chosen(t: Trajectory) -> str | None:
@@ -152,13 +161,15 @@ def _chosen(t: Trajectory) -> str | None:
 
 
 ENTRY: tuple[Quantity[Entry], ...] = (
-    Quantity("position_mm", "of the plate in the frame of the plate as it is given", lambda e: e.frame.origin),
-    Quantity("direction", "along which the arm leaves it, likewise", lambda e: e.frame.axes[:, 2]),
-    Quantity("patient_position_mm", "of the plate in the patient, RAS", lambda e: e.base.origin),
-    Quantity("patient_direction", "along which the arm leaves it, likewise", lambda e: e.base.axes[:, 2]),
-    Quantity("looked_at", "places that were looked at"),
-    Quantity("clear", "of them those in which the arm is clear at the start"),
-    Quantity("tried", "of those the ones from which plans were made"),
+    Quantity("position_mm", "position of the plate in the frame of the given plate", lambda e: e.frame.origin),
+    Quantity(
+        "direction", "direction of the arm at the plate in the frame of the given plate", lambda e: e.frame.axes[:, 2]
+    ),
+    Quantity("patient_position_mm", "position of the plate in the patient, RAS", lambda e: e.base.origin),
+    Quantity("patient_direction", "direction of the arm at the plate in the patient, RAS", lambda e: e.base.axes[:, 2]),
+    Quantity("looked_at", "number of positions considered"),
+    Quantity("clear", "number of them with a collision-free arm at the start"),
+    Quantity("tried", "number of these that were tried as start of a plan"),
 )
 
 
@@ -172,23 +183,27 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("robot", "name of the robot", lambda t: t.robot.name),
     _ends(0, "start", "from"),
     _ends(-1, "goal", "to"),
-    Quantity("tip_position_mm", "tip at the end", lambda t: t.tip_position[-1], form=".3f"),
-    Quantity("duration_s", "duration", lambda t: t.time[-1], words="{duration_s:.2f} s, {samples} samples"),
-    Quantity("samples", "instants at which joint values are given", lambda t: len(t.time)),
+    Quantity("tip_position_mm", "tip position at the end", lambda t: t.tip_position[-1], form=".3f",
+             label="tip at the end"),
+    Quantity("duration_s", "duration of the motion", lambda t: t.time[-1],
+             words="{duration_s:.2f} s, {samples} samples", label="duration"),
+    Quantity("samples", "number of samples", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
     line("the tip is", lambda t: tip_in_words(t.robot, t.arms[-1].tube_end) or None),
-    Quantity("turns", "whole turns added",
-             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
-    Quantity("status", "how the planning ended"),
-    Quantity("largest_deviation_mm", "largest deviation", lambda t: None if t.deviation is None else t.deviation.max(),
-             form=".3f"),
-    Quantity("tip_by_history_mm", "how far friction can hold the tip off along x, y and z, at the worst of samples, "
-             "to first order; absent without friction", lambda t: largest_by_history(t), optional=True,
-             label="friction holds it", words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
+    Quantity("turns", "full turns added to the rotations of the goal",
+             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None,
+             label="full turns added"),
+    Quantity("status", "result of the planning"),
+    Quantity("largest_deviation_mm", "largest deviation from the requested path",
+             lambda t: None if t.deviation is None else t.deviation.max(), form=".3f", label="largest deviation"),
+    Quantity("tip_by_history_mm",
+             "largest displacement of the tip by friction along x, y and z, over all samples, to first order; absent "
+             "without friction", lambda t: largest_by_history(t), optional=True, label="friction holds it",
+             words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     line("plate", _chosen),
-    Quantity("entry", "the place of the plate that was chosen, where that was free", of=ENTRY, optional=True),
-    Quantity("proof", "what was proved", of=PROOF),
-    Quantity("statistics", "how it was found", lambda t: asdict(t.statistics)),
+    Quantity("entry", "chosen position of the plate; null if it was not free", of=ENTRY, optional=True),
+    Quantity("proof", "the proof", of=PROOF),
+    Quantity("statistics", "effort of the search", lambda t: asdict(t.statistics)),
 )  # fmt: skip
 
 FOUND: tuple[Quantity[Trajectory], ...] = (
@@ -271,8 +286,8 @@ def _pose(base: Frame) -> str:
 
 CHECKED: tuple[Quantity[Checked], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.joints.robot.name),
-    Quantity("duration_s", "from the first instant to the last", lambda a: a.joints.time[-1] - a.joints.time[0]),
-    Quantity("samples", "instants at which joint values are given", lambda a: len(a.joints.time)),
+    Quantity("duration_s", "duration of the motion", lambda a: a.joints.time[-1] - a.joints.time[0]),
+    Quantity("samples", "number of samples", lambda a: len(a.joints.time)),
     *within(PROOF, lambda a: a.proof),
 )
 

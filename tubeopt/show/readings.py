@@ -15,10 +15,10 @@ A = TypeVar("A")
 
 
 READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (
-    Quantity("readings_deg", "rotations that the drives of a calibrated robot read there", lambda read: read[0],
+    Quantity("readings_deg", "readings of the drives for these rotations; calibrated robots only", lambda read: read[0],
              label="the drives read", words=lambda read: _words(read, ".6g"), optional=True),
-    Quantity("readings_mm", "translations that the drives of a calibrated robot read there", lambda read: read[1],
-             optional=True),
+    Quantity("readings_mm", "readings of the drives for these translations; calibrated robots only",
+             lambda read: read[1], optional=True),
 )  # fmt: skip
 
 

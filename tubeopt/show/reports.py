@@ -49,17 +49,26 @@ MODULES = {
 
 PAGE = "docs/json.md"
 
-INTRODUCTION = """# What `--json` prints
+INTRODUCTION = """# JSON output
 
-Every command prints one JSON object with `--json`, and saves the same where it is given `--out`. Keys end in the unit
-of their numbers. `a.b` is the key b of the object a, or of each object of the list a; a key is null where there is
-nothing to say. Numbers that are not finite are null. Every object also has `files`, the paths that were written, and
-`warnings`, sentences that are shown on stderr without `--json`. What fails has `error`: its `kind` (`input`, `usage`,
-`no_solution`, `not_proved` or `interrupted`), its `exit_code` (2, 2, 3, 4 or 130), and `messages`; beside the answer
-where there is one, else alone with `warnings`.
-`tubeopt run` prints what the command of its study prints; a sweep has a column for every number of these objects.
+Every command prints one JSON object with `--json`, and saves the same object with `--out`.
 
-This page is written by `python -m tubeopt.show.reports` from the lists of quantities that the answers are printed from.
+- A key ends in the unit of its numbers. Numbers that are not finite are null.
+- `a.b` is the key b of the object a, or of each object in the list a.
+- A key without a value is null, unless the table says "absent".
+- `files` is in every object: the paths of the written files.
+- `warnings` is in every object: sentences that stderr shows without `--json`.
+- `error` reports a failure, next to the answer if there is one. It has these keys:
+
+| key | value |
+|---|---|
+| `error.kind` | `input`, `usage`, `no_solution`, `not_proved` or `interrupted` |
+| `error.exit_code` | 2, 2, 3, 4 or 130, in the same order |
+| `error.messages` | sentences |
+
+`tubeopt run` prints the object of the command of its study. A sweep has a column for every number of these objects.
+
+`python -m tubeopt.show.reports` writes this page from the lists of quantities in `tubeopt/show/`.
 """
 
 
@@ -110,27 +119,58 @@ def formats_of(command: str) -> tuple[str, ...]:
     return (*pictures, *(TABLE_FORMATS if has("tables") else ()), *(SOLID_FORMATS if has("solids") else ()))
 
 
+Signature = tuple[Any, ...]
+"""Key and meaning of a quantity, with those of its parts: equal for quantities that a reader need read once only."""
+
+
 def page() -> str:
     """The page of the docs about `--json`, as Markdown."""
     lines = [INTRODUCTION]
+    described: dict[Signature, str] = {}
+    commands = {_signatures(kind.quantities): command for command, kind in reports().items()}
     for command, kind in reports().items():
-        lines += [f"## `tubeopt {command}`", "", "| key | unit | |", "|---|---|---|"]
-        lines += [f"| `{path}` | {unit} | {about} |" for path, unit, about in _keys(kind.quantities, "")]
+        lines += [f"## `tubeopt {command}`", "", "| key | meaning |", "|---|---|"]
+        own = {signatures: link for signatures, link in commands.items() if link != command}
+        known = {signatures: _link(link) for signatures, link in own.items()}
+        rows = _keys(kind.quantities, "", command, known | described, described)
+        lines += [f"| `{path}` | {about} |" for path, about in rows]
         lines.append("")
     return "\n".join(lines)
 
 
-def _keys(quantities: Sequence[Quantity[Any]], path: str) -> Iterator[tuple[str, str, str]]:
-    """Path, unit and meaning of every key; a part that a command of its own prints is not told again."""
-    elsewhere = {id(kind.quantities): command for command, kind in reports().items()}
-    for quantity in quantities:
-        if not quantity.key:
+def _link(command: str) -> str:
+    return f"[`tubeopt {command}`](#tubeopt-{command.replace(' --', '-').replace(' ', '-')})"
+
+
+def _signatures(quantities: Sequence[Quantity[Any]]) -> Signature:
+    return tuple((q.key, q.about, _signatures(q.of or ())) for q in quantities if q.key)
+
+
+def _keys(
+    quantities: Sequence[Quantity[Any]], path: str, command: str, known: dict[Signature, str], new: dict[Signature, str]
+) -> Iterator[tuple[str, str]]:
+    """Path and meaning of every key; lists of keys that are `known` are named, and others become `new`."""
+    shown = [quantity for quantity in quantities if quantity.key]
+    signatures = _signatures(shown)
+    i = 0
+    while i < len(shown):
+        same = [one for one in known if len(one) > 2 and len(one) < len(shown) and signatures[i : i + len(one)] == one]
+        if same:
+            longest = max(same, key=len)
+            yield f"{path}*", f"the keys of {known[longest]}"
+            i += len(longest)
             continue
-        here = f"{path}{quantity.key}"
-        same = elsewhere.get(id(quantity.of))
-        yield here, quantity.sign, quantity.about + (f", as `tubeopt {same}` prints it" if same else "")
-        if quantity.of is not None and not same:
-            yield from _keys(quantity.of, f"{here}.")
+        quantity, here = shown[i], f"{path}{shown[i].key}"
+        i += 1
+        parts = _signatures(quantity.of or ())
+        if parts and parts in known:
+            yield here, f"{quantity.about}; keys of {known[parts]}"
+            continue
+        yield here, quantity.about
+        if quantity.of is not None:
+            yield from _keys(quantity.of, f"{here}.", command, known, new)
+            new.setdefault(parts, f"`{here}` in {_link(command)}")
+            known.setdefault(parts, f"`{here}` in {_link(command)}")
 
 
 if __name__ == "__main__":

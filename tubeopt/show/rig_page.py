@@ -18,17 +18,17 @@ BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDTH = 60
 
 RUN: tuple[Quantity[HeatingRun], ...] = (
-    Quantity("reason", "why it ended", label="ended", words="{reason}"),
-    Quantity("done", "whether the whole schedule was run through"),
-    Quantity("time_s", "how long it took", label="after", words="{time_s:.1f} s"),
-    Quantity("hottest_degC", "greatest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
-    Quantity("window_degC", "window that is to be kept in the hold"),
-    Quantity("lowest_degC", "least reading in the hold, null without any", lambda r: r.held and r.held[0]),
-    Quantity("highest_degC", "greatest reading in the hold", lambda r: r.held and r.held[1]),
-    Quantity("shortfall_K", "by how much the readings of the hold miss the window; 0 where they keep it",
+    Quantity("reason", "reason for the end", label="ended", words="{reason}"),
+    Quantity("done", "true if the whole schedule was executed"),
+    Quantity("time_s", "duration", label="after", words="{time_s:.1f} s"),
+    Quantity("hottest_degC", "highest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
+    Quantity("window_degC", "temperature window of the hold"),
+    Quantity("lowest_degC", "lowest reading in the hold; null without one", lambda r: r.held and r.held[0]),
+    Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
+    Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",
              label="in the hold", words=lambda r: _held(r)),
-    Quantity("rows", "reports of the rig", lambda r: len(r.rows)),
-    Quantity("log", "where every report is written", lambda r: None if r.log is None else str(r.log)),
+    Quantity("rows", "number of reports from the rig", lambda r: len(r.rows)),
+    Quantity("log", "file with all reports", lambda r: None if r.log is None else str(r.log)),
 )  # fmt: skip
 
 

@@ -39,21 +39,23 @@ TUBE: tuple[Quantity[Tube], ...] = (
     Quantity("bending_stiffness_N_mm2", "bending stiffness EI", form=".6g"),
     Quantity("torsional_stiffness_N_mm2", "torsional stiffness GJ", form=".6g"),
     Quantity("poisson_ratio", "Poisson's ratio", _poisson_ratio, words=_poisson_words),
-    Quantity("straightened_strain_percent", "strain held straight", form=".6g"),
+    Quantity(
+        "straightened_strain_percent", "strain of the straightened tube", form=".6g", label="strain held straight"
+    ),
 )
 
 
 NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
     *within(TUBE, lambda nested: nested[0]),
-    Quantity("radial_clearance_mm", "radial clearance in the next", lambda nested: nested[1], digits=9),
+    Quantity("radial_clearance_mm", "radial clearance in the next tube", lambda nested: nested[1], digits=9),
 )
 """Of a tube, and of its radial clearance (m) in the next one around it, None without one."""
 
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _nested(robot), of=NESTED),
-    Quantity("home_translations_mm", "translation of every tube at home", digits=9),
-    Quantity("warnings", "what may go wrong when it is built and used", lambda robot: fit_warnings(robot)),
+    Quantity("home_translations_mm", "translations at home", digits=9),
+    Quantity("warnings", "possible problems in making and using it", lambda robot: fit_warnings(robot)),
 )
 
 

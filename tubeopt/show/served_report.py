@@ -34,13 +34,13 @@ class Served(Viewed):
 
 VIEWED: tuple[Quantity[Viewed], ...] = (
     Quantity("url", "address of the page"),
-    Quantity("robot", "its name", lambda a: a.robot.name),
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
 )
 
 SERVED: tuple[Quantity[Served], ...] = (
     Quantity("url", "address of the server"),
-    Quantity("token", "what clients must know"),
-    Quantity("robot", "its name", lambda a: a.robot.name),
+    Quantity("token", "token for clients"),
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
 )
 
 

@@ -7,11 +7,11 @@ from .quantities import Quantity
 from .report import Report
 
 FILE: tuple[Quantity[ShippedFile], ...] = (
-    Quantity("name", "what is typed"),
-    Quantity("folder", "what it is one of: robots, rigs, studies, ..."),
-    Quantity("kind", "what its key kind says; null where it has none"),
+    Quantity("name", "name for commands"),
+    Quantity("folder", "folder: robots, rigs, studies, ..."),
+    Quantity("kind", "its key `kind`; null without one"),
     Quantity("tubes", "number of tubes of a robot", lambda file: file.n_tubes),
-    Quantity("about", "what it is"),
+    Quantity("about", "description"),
 )
 
 

@@ -33,21 +33,21 @@ JOINTS: tuple[Quantity[Any], ...] = (
 """Joint values of an answer."""
 
 FRICTION: tuple[Quantity[Any], ...] = (
-    Quantity("held_margin", "margin while friction holds what it holds; absent without friction", optional=True),
-    Quantity("friction_heat_mJ", "what friction has taken since the first waypoint; absent without friction",
+    Quantity("held_margin", "margin with friction; absent without friction", optional=True),
+    Quantity("friction_heat_mJ", "heat of friction since the first waypoint; absent without friction",
              lambda friction: friction.heat, optional=True),
 )  # fmt: skip
 
 STATE: tuple[Quantity[Equilibrium], ...] = (
-    Quantity("stable", "whether it is stable"),
+    Quantity("stable", "true if it is stable"),
     Quantity("margin", "stability margin"),
-    Quantity("index", "number of ways in which it is unstable"),
+    Quantity("index", "number of unstable directions (Morse index)"),
     Quantity("energy_mJ", "elastic energy"),
-    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load, null where it has no "
-             "energy", lambda e: None if e.load is None else e.potential, optional=True),
+    Quantity("potential_mJ", "elastic energy less the work of the load; absent without load, null without an energy",
+             lambda e: None if e.load is None else e.potential, optional=True),
     *within(FRICTION, lambda e: e.friction),
-    Quantity("tip_position_mm", "tip in the frame of the plate"),
-    Quantity("tip_direction", "where the tip points", lambda e: e.tip_rotation[:, 2]),
+    Quantity("tip_position_mm", "tip position in the frame of the plate"),
+    Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2]),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
 )  # fmt: skip
 """An equilibrium in short."""
@@ -56,30 +56,30 @@ EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     *readings(lambda a: a.equilibria[0]),
-    Quantity("equilibria", "all equilibria there, the lowest energy first; without an energy the largest margin first",
-             of=(*STATE, Quantity("residual_rad", "violation of the equations"),
+    Quantity("equilibria", "all equilibria, the lowest energy first; without an energy the largest margin first",
+             of=(*STATE, Quantity("residual_rad", "residual of the equations"),
                  Quantity("tip_error_mm", "estimated error of the tip"))),
 )  # fmt: skip
 
 SNAP: tuple[Quantity[Snap], ...] = (
-    Quantity("fraction", "part of the way to it"),
-    Quantity("rotations_deg", "rotations at which it happens", label="snap at rotations", form=".9g"),
-    Quantity("translations_mm", "translations", form=".9g"),
+    Quantity("fraction", "fraction of the path to the snap"),
+    Quantity("rotations_deg", "rotations at the snap", label="snap at rotations", form=".9g"),
+    Quantity("translations_mm", "translations at the snap", form=".9g", label="translations"),
     *readings(lambda snap: snap.before),
     line("tip before", lambda snap: millimetres(snap.before.tip_position, ".4f")),
     line("tip after", lambda snap: millimetres(snap.after.tip_position, ".4f")),
-    Quantity("tip_jump_mm", "the tip jumps", form=".4f"),
+    Quantity("tip_jump_mm", "distance that the tip jumps", form=".4f", label="the tip jumps"),
     Quantity(
         "energy_released_mJ",
-        "energy released; null where the load has none",
+        "energy released; null for a load without energy",
         label="energy released",
         words=lambda snap: released(snap.energy_released, "{:.4f} mJ") or None,
     ),
     line("tubes' tips before", lambda snap: degrees(snap.before.tip_rotations, ".6f")),
     line("tubes' tips after", lambda snap: degrees(snap.after.tip_rotations, ".6f")),
     line("margin after", lambda snap: margin_in_words(snap.after.margin)),
-    Quantity("before", "the equilibrium that is lost", of=STATE),
-    Quantity("after", "the equilibrium in which the robot lands", of=STATE),
+    Quantity("before", "equilibrium that is lost", of=STATE),
+    Quantity("after", "equilibrium after the snap", of=STATE),
 )
 
 WAY: tuple[Quantity[Way], ...] = (
@@ -88,11 +88,11 @@ WAY: tuple[Quantity[Way], ...] = (
     Quantity("from_mm", "translations at the start", lambda w: w.start[1]),
     Quantity("to_deg", "rotations at the end", lambda w: w.end[0]),
     Quantity("to_mm", "translations at the end", lambda w: w.end[1]),
-    Quantity("answer", "what happens on the way", lambda w: way_sentence(w)),
+    Quantity("answer", "result, as text", lambda w: way_sentence(w)),
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
-    Quantity("snap", "the snap, null where there is none", of=SNAP),
-    Quantity("arrived", "the equilibrium at the end of a way without a snap", of=STATE, label="tip at the end",
+    Quantity("snap", "the snap; null without one", of=SNAP),
+    Quantity("arrived", "equilibrium at the end of a path without a snap", of=STATE, label="tip at the end",
              words="{arrived[tip_position_mm]:.4f} mm"),
 )  # fmt: skip
 
@@ -102,10 +102,11 @@ PATH: tuple[Quantity[stability.Path], ...] = (
     line("friction", lambda m: _rubbed(m)),
     Quantity("waypoints", "the state at every waypoint", lambda m: list(m.equilibria), of=(*JOINTS, *STATE)),
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
-    Quantity("remarks", "where carriages are out of order, or an outer tube is the tip; absent where neither is",
+    Quantity("remarks", "carriages out of order, or an outer tube at the tip; absent otherwise",
              lambda m: _remarks(m) or None, optional=True),
-    Quantity("snaps", "the snaps on the way",
-             of=(Quantity("after_waypoint", "the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
+    Quantity("snaps", "snaps along the path",
+             of=(Quantity("after_waypoint", "number of the waypoint before it, from 1",
+                          lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
 
 
@@ -261,19 +262,19 @@ MAP: tuple[Quantity[RobotMap], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     line("axes", "rotations of tubes {tubes[0]} and {tubes[1]} from -180 to 180 deg, {samples} points each"),
     Quantity("translations_mm", "translations", form=".9g"),
-    Quantity("tubes", "the two tubes that turn, from 1", lambda a: [tube + 1 for tube in a.map.tubes]),
+    Quantity("tubes", "the two rotated tubes, from 1", lambda a: [tube + 1 for tube in a.map.tubes]),
     Quantity("samples", "points per axis", lambda a: len(a.map.angles)),
-    Quantity("directions", "directions in which the first snap is looked for", lambda a: len(a.map.boundary)),
-    Quantity("least_margin", "least margin", lambda a: a.map.margin.min(), form=".3f"),
-    Quantity("least_margin_before_a_snap", "least margin of what is reached without a snap", _least_before),
-    Quantity("snapped_fraction", "part of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
+    Quantity("directions", "number of directions searched for the first snap", lambda a: len(a.map.boundary)),
+    Quantity("least_margin", "smallest margin", lambda a: a.map.margin.min(), form=".3f", label="least margin"),
+    Quantity("least_margin_before_a_snap", "smallest margin of the points reached without a snap", _least_before),
+    Quantity("snapped_fraction", "fraction of the map that is reached after a snap", lambda a: (a.map.snaps > 0).mean(),
              label="reached after a snap", words=lambda a: f"{100 * (a.map.snaps > 0).mean():.1f} % of the map"),
-    Quantity("most_snaps", "most snaps on the way to a point", lambda a: a.map.snaps.max()),
-    Quantity("snapping_fraction", "part of all directions from home in which a snap is met", _snapping_fraction,
-             label="snaps on the way", words=lambda a: f"in {100 * _snapping_fraction(a):.1f} % of all directions"),
-    Quantity("nearest_snap_deg", "the snap that needs the least turning", _nearest, label="the nearest snap",
+    Quantity("most_snaps", "largest number of snaps on the path to a point", lambda a: a.map.snaps.max()),
+    Quantity("snapping_fraction", "fraction of all directions from home with a snap", _snapping_fraction,
+             label="directions with a snap", words=lambda a: f"{100 * _snapping_fraction(a):.1f} % of all directions"),
+    Quantity("nearest_snap_deg", "nearest snap: smallest rotation from home", _nearest, label="the nearest snap",
              words="at {nearest_snap_deg:.6f} deg"),
-    Quantity("directions_deg", "from the axis of the first tube", lambda a: a.map.directions),
+    Quantity("directions_deg", "directions, from the axis of the first tube", lambda a: a.map.directions),
     Quantity("boundary_deg", "rotations of the first snap in every direction", lambda a: a.map.boundary),
 )  # fmt: skip
 

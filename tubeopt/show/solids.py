@@ -41,8 +41,8 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
     """Path of a file with the arm in its pose; the file is written completely or not at all.
 
     Args:
-        path: file; its ending selects the format. .stl (mm) and .glb: closed surfaces with a part per tube. .urdf and
-            .xml (MJCF of MuJoCo): cylinders and capsules along the arm, fixed to each other, with a frame at the tip.
+        path: file; its ending selects the format. Surfaces with a part per tube: .stl (mm), .glb. Cylinders and
+            capsules along the arm, fixed to each other, with a frame at the tip: .urdf, .xml (MJCF of MuJoCo).
 
     Raises:
         InputError: another ending, an arm of length zero, a file that cannot be written, or, for surfaces, trimesh is

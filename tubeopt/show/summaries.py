@@ -84,7 +84,7 @@ VERDICT: tuple[Quantity[Verdict], ...] = (
 )
 
 WORST_MARGIN: tuple[Quantity[WorstMargin], ...] = (
-    Quantity("margin", "least margin found", form=".6g"),
+    Quantity("margin", "smallest margin found", form=".6g", label="least margin found"),
     line("at", lambda w: degrees(w.equilibrium.rotations, ".6g")),
     Quantity("searches", "local searches", form="d"),
 )

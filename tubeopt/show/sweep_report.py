@@ -18,19 +18,19 @@ SHOWN = 3
 """Failures that are told; the table has all."""
 
 FAILURE: tuple[Quantity[tuple[int, str]], ...] = (
-    Quantity("point", "its number, from 1", lambda failed: failed[0] + 1),
-    Quantity("reason", "why it failed", lambda failed: failed[1]),
+    Quantity("point", "number of the point, from 1", lambda failed: failed[0] + 1),
+    Quantity("reason", "reason for the failure", lambda failed: failed[1]),
 )
 
 SWEEP: tuple[Quantity[Sweep], ...] = (
-    Quantity("points", "points", words=lambda a: _points(a)),
+    Quantity("points", "number of points", words=lambda a: _points(a), label="points"),
     Quantity("computed", "points computed by this run"),
-    Quantity("failed", "failed", lambda a: len(a.failures), form="d"),
-    Quantity("failures", "points that failed", of=FAILURE),
-    Quantity("table", "table", lambda a: _kept(a, a.table)),
-    Quantity("arrays", "the same as arrays", lambda a: _kept(a, a.arrays)),
-    Quantity("journal", "a line per point, as they were computed", lambda a: _kept(a, a.journal)),
-    Quantity("rows", "without a directory: the table itself", lambda a: None if a.rows is None else list(a.rows),
+    Quantity("failed", "number of failed points", lambda a: len(a.failures), form="d", label="failed"),
+    Quantity("failures", "the failed points", of=FAILURE),
+    Quantity("table", "file of the table", lambda a: _kept(a, a.table)),
+    Quantity("arrays", "file of the same arrays", lambda a: _kept(a, a.arrays)),
+    Quantity("journal", "journal: a line per point, in order of computation", lambda a: _kept(a, a.journal)),
+    Quantity("rows", "the table, if no directory was given", lambda a: None if a.rows is None else list(a.rows),
              optional=True),
 )  # fmt: skip
 

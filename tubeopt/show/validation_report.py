@@ -64,7 +64,7 @@ def _worst(groups: tuple[ErrorGroup, ...]) -> str | None:
 
 
 REGISTRATION: tuple[Quantity[Registration], ...] = (
-    Quantity("method", "how the device's frame was brought to the plate's"),
+    Quantity("method", "method of the registration, device to plate"),
     Quantity("rotation", "rotation matrix, device to plate"),
     Quantity("translation_mm", "translation, device to plate"),
     Quantity("yaw_deg", "rotation about the plate's axis"),
@@ -72,15 +72,15 @@ REGISTRATION: tuple[Quantity[Registration], ...] = (
 )
 
 REGISTRATION_ERROR: tuple[Quantity[RegistrationError], ...] = (
-    Quantity("turn_deg", "about the axis that is known worst"),
-    Quantity("reach_mm", "of the position of a point at the arm's length from the plate"),
+    Quantity("turn_deg", "standard error of the rotation about the worst axis"),
+    Quantity("reach_mm", "standard error of a point at the arm's length from the plate"),
 )
 
 PARITY: tuple[Quantity[Parity], ...] = (
     Quantity("pairs", "places that were passed in both directions"),
-    Quantity("history_mm", "RMS of half the difference of their errors"),
-    Quantity("static_mm", "RMS of half the sum of their errors"),
-    Quantity("measured_mm", "RMS of half the difference of their tips, as measured"),
+    Quantity("history_mm", "RMS of half the difference of the errors in both directions"),
+    Quantity("static_mm", "RMS of half the sum of the errors in both directions"),
+    Quantity("measured_mm", "RMS of half the difference of the measured tips in both directions"),
 )
 
 
@@ -115,26 +115,29 @@ def _registered(found: Registration) -> str:
 COMPARISON: tuple[Quantity[Validation], ...] = (
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
-    Quantity("count", "measured", lambda v: len(v.measurements), words=_measured),
-    Quantity("registration", "registration", of=REGISTRATION, words=lambda v: _registered(v.registration)),
-    Quantity("registration_error", "standard errors of a registration by least squares, for the shapes of the model",
+    Quantity("count", "number of measured configurations", lambda v: len(v.measurements), words=_measured,
+             label="measured"),
+    Quantity("registration", "registration, device to plate", of=REGISTRATION,
+             words=lambda v: _registered(v.registration), label="registration"),
+    Quantity("registration_error", "standard errors of a registration by least squares",
              of=REGISTRATION_ERROR, label="known to", words="{registration_error[turn_deg]:.2f} deg and "
              "{registration_error[reach_mm]:.2f} mm at the arm's length (standard errors)"),
-    Quantity("error", "tip error", lambda v: _summary(v.summary, v.length),
-             words=lambda v: _errors_in_words(v.summary, v.length)),
-    Quantity("by_direction", "the same by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
+    Quantity("error", "errors of the tip", lambda v: _summary(v.summary, v.length),
+             words=lambda v: _errors_in_words(v.summary, v.length), label="tip error"),
+    Quantity("by_direction", "errors by direction", lambda v: _groups(v.by_direction, "direction_deg", v.length),
              label="worst direction", words=lambda v: _worst(v.by_direction)),
-    Quantity("by_separation", "the same by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
+    Quantity("by_separation", "errors by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
              label="worst separation", words=lambda v: _worst(v.by_separation)),
-    Quantity("length_mm", "length of the arm, which percentages are of", label="percentages",
+    Quantity("length_mm", "length of the arm, reference of percentages", label="percentages",
              words="of the arm's length, {length_mm:.1f} mm"),
     Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
              lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
-    Quantity("least_margin", "least margin of the configurations", lambda v: np.nanmin(v.margin)),
+    Quantity("least_margin", "smallest margin of the configurations", lambda v: np.nanmin(v.margin)),
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
-    Quantity("stations", "the same errors at each distance behind the tip", lambda v: _stations(v)),
-    Quantity("parity", "what depends on the way", of=PARITY, label="both ways", words=lambda v: _both_ways(v)),
-    Quantity("remarks", "what was noticed in the measurements"),
+    Quantity("stations", "errors at each distance behind the tip", lambda v: _stations(v)),
+    Quantity("parity", "errors that depend on the direction of motion", of=PARITY, label="both directions",
+             words=lambda v: _both_ways(v)),
+    Quantity("remarks", "remarks on the measurements"),
 )  # fmt: skip
 
 
@@ -183,28 +186,28 @@ def _estimate(e: Estimate) -> dict[str, Any]:
 FIT_ERRORS: tuple[Quantity[Fit], ...] = (
     line("tip error before", lambda f: _errors_in_words(f.before.summary, f.before.length)),
     line("after the fit", lambda f: _errors_in_words(f.after.summary, f.after.length)),
-    Quantity("held_out", "errors of configurations that a fit to the others did not see",
+    Quantity("held_out", "errors of held-out configurations",
              lambda f: _summary(f.held_out, f.after.length) if f.held_out else None, label="held out",
              words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None),
 )  # fmt: skip
 
 FIT: tuple[Quantity[Fit], ...] = (
     Quantity("estimates", "the parameters, with their intervals", lambda f: [_estimate(e) for e in f.estimates]),
-    Quantity("confidence", "of the intervals"),
-    Quantity("correlation", "of the estimates"),
+    Quantity("confidence", "confidence of the intervals"),
+    Quantity("correlation", "correlation of the estimates"),
     Quantity("noise_mm", "noise per coordinate", form=".3f"),
-    Quantity("remarks", "what to beware of"),
+    Quantity("remarks", "remarks on the fit"),
     Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
-    Quantity("calibration", "what robot.yaml holds of drives, sensor, plate and registration",
+    Quantity("calibration", "calibration of drives, sensor, plate and registration, as in robot.yaml",
              lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
              label="drives", words="their offsets, gains and latency go into robot.yaml of --out, with sensor, plate "
              "and registration: `tubeopt validate` of it with these measurements gives the error after the fit again"),
-    Quantity("held_out_axis_deg", "RMS angle of directions that a fit to the others did not see",
+    Quantity("held_out_axis_deg", "RMS angle between measured and predicted direction, held out",
              lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
-             form=".2f"),
+             form=".2f", label="RMS angle of directions that a fit to the others did not see"),
     Quantity("before", "the comparison before the fit", of=COMPARISON),
     Quantity("after", "the comparison after the fit", of=COMPARISON),
-    Quantity("shapes_solved", "shapes that were solved", lambda f: f.evaluations),
+    Quantity("shapes_solved", "number of solved shapes", lambda f: f.evaluations),
 )  # fmt: skip
 
 
@@ -275,19 +278,22 @@ def _length(c: Comparison) -> float:
 
 
 EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
-    Quantity("folds", "blocks held out"),
-    Quantity("start", "held-out errors of the robot as given", lambda c: _summary(c.start, _length(c)),
+    Quantity("folds", "number of held-out blocks"),
+    Quantity("start", "held-out errors of the given robot", lambda c: _summary(c.start, _length(c)),
              label="as given", words="RMS {start[rms_mm]:.2f} mm held out"),
     Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
-    Quantity("steps", "effects that pay, in order", lambda c: [_step(s, _length(c)) for s in c.steps]),
-    Quantity("chosen_anew", "held-out errors that include the choice of effects, to first order; those of the steps "
-             "and of the fit do not: their rows took part in the choice",
-             lambda c: _summary(c.chosen_anew, _length(c)), label="held out, choice included",
+    Quantity("steps", "effects that reduce the held-out errors, in order",
+             lambda c: [_step(s, _length(c)) for s in c.steps]),
+    Quantity("chosen_anew",
+             "held-out errors that include the choice of effects, to first order; the rows held out for steps and fit"
+             " took part in that choice", lambda c: _summary(c.chosen_anew, _length(c)),
+             label="held out, choice included",
              words="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
-    Quantity("dropped", "effects that later ones made useless"),
-    Quantity("refused", "effects that do not pay beside them", lambda c: [_step(s, _length(c)) for s in c.refused]),
-    Quantity("remarks", "what was noticed when the file was read"),
-    Quantity("fit", "the fit of the effects that pay", of=(*FIT_ERRORS[2:], *FIT)),
+    Quantity("dropped", "effects made useless by later ones"),
+    Quantity("refused", "effects that do not reduce the held-out errors further",
+             lambda c: [_step(s, _length(c)) for s in c.refused]),
+    Quantity("remarks", "remarks on the file"),
+    Quantity("fit", "the fit with the chosen effects", of=(*FIT_ERRORS[2:], *FIT)),
 )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from .report import Report
 
 class WrittenReport(Report[Written]):
     command = "init"
-    quantities = (Quantity("then", "a command that uses it", words="{then}", label="next"),)
+    quantities = (Quantity("then", "command that uses the file", words="{then}", label="next"),)
 
     def title(self) -> str:
         return ""
