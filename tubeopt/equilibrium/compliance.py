@@ -32,7 +32,7 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
         raise InputError(f"arc_length is {arc_length:g} m; it must be on the arm, between 0 and {length:g} m")
     here = np.flatnonzero(assembly.end >= arc_length - SAME_END)
-    chosen = twisted_tube(assembly.end, arc_length) if tube is None else tube
+    chosen = int(twisted_tube(assembly.end, arc_length)) if tube is None else tube
     if chosen not in here:
         raise InputError(f"tube is {tube}; tubes {', '.join(map(str, here))} are at {arc_length:g} m")
     # Where a wrench acts the curvature jumps: elements end there.

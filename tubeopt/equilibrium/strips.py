@@ -11,6 +11,7 @@ import numpy as np
 
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections
+from ..robots.order import outermost
 from ..typing import Array, Index, Mask
 
 SAME_SPEED = 1e-12
@@ -127,7 +128,7 @@ def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) 
         index=points.index[first],
         sections=_sections(assembly, np.concatenate([place, place]), bends, present),
         there=np.asarray(present.any(1)),
-        outermost=n - 1 - present[:, ::-1].argmax(1),
+        outermost=outermost(present),
         onto=np.asarray(np.arange(len(between) // 8)[:, None] == points.index[first], dtype=float),
     )
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from ..typing import Array, Index
+from ..typing import Array, Index, Mask
 from .assembly import ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
@@ -209,12 +210,18 @@ def last_tube(end: Array) -> Index:
     return np.asarray(np.argmax(end >= end.max(-1, keepdims=True) - SAME_END, axis=-1))
 
 
-def twisted_tube(end: Array, arc_length: float) -> int:
-    """The tube, from 0, that a moment along the arm twists at an arc length, m, where tubes end at arc lengths (n,).
+def outermost(there: Mask) -> Index:
+    """(...) the outermost of the tubes, from 0, that are `there` (..., n)."""
+    return np.asarray(there.shape[-1] - 1 - np.argmax(there[..., ::-1], axis=-1))
+
+
+def twisted_tube(end: Array, arc_length: ArrayLike) -> Index:
+    """(...) the tube, from 0, that a moment along the arm twists at arc lengths (...), m, where tubes end at arc lengths
+    (..., n).
 
     It is the outermost tube there, and at the tip the tube that ends last. A moment changes its tube where it passes an
     end: of the last two, the shape jumps there by what their twists differ.
     """
-    if arc_length >= end.max() - SAME_END:
-        return int(last_tube(end))
-    return int(np.flatnonzero(end >= arc_length - SAME_END)[-1])
+    at = np.asarray(arc_length)
+    at_tip = at >= end.max(-1) - SAME_END
+    return np.where(at_tip, last_tube(end), outermost(end >= at[..., None] - SAME_END))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...robots.load import Load
-from ...robots.order import last_tube, twisted_tube
+from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
 from .orientation import Orientation, tangent_slopes, tangents
 from .reduced import ReducedProblem, row_of
@@ -43,8 +43,8 @@ class Couples:
     """(C,) on which each acts."""
     row: Array
     """(C, U) turn of the tube there by z."""
-    unseen: Array
-    """(C,) turn of the tip, by a unit torque there, that z does not see, rad/(N m)."""
+    rest: Array
+    """(J, C) turns of the tubes at the joints, by unit torques on all of them, that z does not see, rad/(N m)."""
 
     def quaternions(self, along: Orientation) -> Array:
         """(C, 4) where the moments act."""
@@ -68,29 +68,25 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     (N, n, U) is the turn of the tubes there by z."""
     assembly, mesh = torsion.assembly, torsion.mesh
     ahead, ends = torsion.softness
-    at = [part for part in load.points if any(part.moment)]
-    joint = np.array([len(mesh.length), *(_joint(mesh.start, part.at) for part in at)])
-    tip = int(last_tube(assembly.end))
-    on_joint = [tip, *(twisted_tube(assembly.end, part.at) for part in at)]
-    point = np.flatnonzero(per_length.any(1))
-    present = assembly.present[np.repeat(mesh.section, mesh.tableau.degree)[point]]
-    outermost = present.shape[1] - 1 - present[:, ::-1].argmax(1)
-    # A torque turns its tube up to where it acts, and no farther.
-    levers = [np.minimum(ahead[:, j], ends[e, j]) for e, j in zip(joint.tolist(), on_joint, strict=True)]
-    rows = [row_of(torsion, j, lever) for j, lever in zip(on_joint, levers, strict=True)]
-    row, tube = np.concatenate([rows, spread[point, outermost]]), np.array([*on_joint, *outermost], dtype=np.intp)
-    turns = np.concatenate([ends[joint, tip], ahead[point, tip]])
+    at = [(np.inf, load.moment), *((part.at, part.moment) for part in load.points if any(part.moment))]
+    # The piece that begins there, at the tip the number of pieces.
+    joint = np.searchsorted(mesh.start, [s - END for s, _ in at])
+    on_joint, point = twisted_tube(assembly.end, [s for s, _ in at]), np.flatnonzero(per_length.any(1))
+    on_point = outermost(assembly.present[np.repeat(mesh.section, mesh.tableau.degree)[point]])
+    tube, lever = np.concatenate([on_joint, on_point]), np.concatenate([ends[joint, on_joint], ahead[point, on_point]])
+    rows = [
+        # A torque turns its tube up to where it acts, and no farther.
+        row_of(torsion, j, np.minimum(ahead[:, j], end))
+        for j, end in zip(on_joint.tolist(), lever.tolist(), strict=False)
+    ]
+    row, count = np.concatenate([rows, spread[point, on_point]]), len(joint)
+    whole = np.where(tube[:count, None] == tube, np.minimum(lever[:count, None], lever), 0.0)
     return Couples(
         along=per_length,
-        moment=np.concatenate([[load.moment, *(part.moment for part in at)], (per_length.T * torsion.weight).T[point]]),
+        moment=np.concatenate([[m for _, m in at], (per_length.T * torsion.weight).T[point]]),
         joint=joint,
         point=point,
         tube=tube,
         row=row,
-        unseen=np.where(tube == tip, turns, 0.0) - row @ row[0],
+        rest=whole - row[:count] @ row.T,
     )
-
-
-def _joint(start: Array, at: float) -> int:
-    """The piece that begins at an arc length, of those that begin at (P,); their number at the tip."""
-    return int(np.searchsorted(start, at - END))

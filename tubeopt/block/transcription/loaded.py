@@ -355,7 +355,7 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     if problem.couples is not None:
         push = _push(problem, state.orientation)
         twisting = _torque_slopes(problem, state.orientation, push, state.turned)
-        out[3:] += state.factor * np.outer(tangent, problem.couples.unseen @ twisting @ answer)
+        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ twisting @ answer)
     return np.asarray(out)
 
 
@@ -365,10 +365,7 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
-    ends, row, tube = problem.torsion.softness[1], couples.row[:joints], couples.tube[:joints]
-    lever = ends[couples.joint, tube]
-    alike = np.where(tube[:, None] == tube, np.minimum(lever[:, None], lever), 0.0)
-    size, vectors = np.linalg.eigh(alike - row @ row.T)
+    size, vectors = np.linalg.eigh(couples.rest[:, :joints])
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
     twisting = _torque_slopes(problem, state.orientation, _push(problem, state.orientation), state.turned)
     across = -state.factor / 2 * root @ twisting[:joints]
