@@ -18,6 +18,7 @@ from ..block.transcription.standing import cross
 from ..errors import InputError, SolveError
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import FORCE, MOMENT
+from ..robots.order import SAME_END, twisted_tube
 from ..typing import Array
 from .directions import Directions
 
@@ -26,6 +27,9 @@ PLACES = tuple(ENDS.tolist())
 
 TIP = 1e-9
 """Distance (m) from the tip up to which a force acts at it."""
+
+AHEAD = 100 * SAME_END
+"""How far (m) the fastest end moves, to see whether a moment passes from one tube to another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,20 +151,17 @@ class ArmChange(Directions):
                 f"points of load act at the tip, {1e3 * tip:g} mm from the plate, from where it draws back; take "
                 "derivatives by what moves it out (side=1)"
             )
-        if not here.joints and not any(here.load.moment):
+        acts = [self.cuts[k] for k, *_ in here.joints] + [np.inf] * any(here.load.moment)
+        if not acts:
             return
         at_end, pace = np.abs(points.place - ends[points.tube]) <= ROUND_OFF, np.zeros((self.n, self.size))
         pace[points.tube[at_end]] = self.side * self.entered.speed[at_end]
-        left = {tube for k, tube, _ in here.joints if (pace[tube] < 0).any() and abs(self.cuts[k] - ends[tube]) <= TIP}
-        if any(here.load.moment):
-            last = np.flatnonzero(tip - ends <= ROUND_OFF)
-            over = pace[last] > pace[here.tip_tube]
-            # A tube that runs ahead takes the moment over, or one that stays while that with the moment draws back.
-            left |= {int(i) for i, row in zip(last, over, strict=True) if (row & (pace[i] > 0)).any()}
-            left |= {here.tip_tube} if (over.any(0) & (pace[here.tip_tube] < 0)).any() else set()
-        if left:
+        moved = ends + AHEAD * pace.T / np.maximum(np.abs(pace).max(0), 1e-300)[:, None]
+        left = (twisted_tube(moved[:, None], acts) != twisted_tube(ends, acts)).any(1)
+        if left.any():
+            tube = np.flatnonzero(pace[:, left].any(1))[0]
             raise SolveError(
-                f"the derivative with respect to the end of tube {min(left) + 1} does not exist: a moment acts there"
+                f"the derivative with respect to the end of tube {tube + 1} does not exist: a moment acts there"
             )
 
     @cached_property

@@ -21,7 +21,7 @@ import scipy
 
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
-from ..robots.order import last_tube, twisted_tube
+from ..robots.order import last_tube, outermost, twisted_tube
 from ..robots.robot import Robot
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
@@ -304,8 +304,7 @@ class _Section:
         own = np.einsum("bij,bi->bj", frame, state[:, -3:])
         if self.load.gravity is not None:
             along = along + self.mass[:, None] * np.array(self.load.gravity)
-        outermost = n - 1 - np.argmax(self.there[:, ::-1], axis=1)
-        out[np.arange(count), n + outermost] -= couple[:, 2]
+        out[np.arange(count), n + outermost(self.there)] -= couple[:, 2]
         whole = (state[:, n : 2 * n] * self.there).sum(1)
         out[:, -5] = -u.imag * whole + own[:, 1] - couple[:, 0]
         out[:, -4] = u.real * whole - own[:, 0] - couple[:, 1]

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
-from ..robots.order import last_tube, twisted_tube
+from ..robots.order import outermost, twisted_tube
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 from .cross_sections import Bending, Drift, Jet, turned
@@ -66,10 +66,9 @@ class Pull:
         """(Q + 1, 3) moments at places, and these (Q + 1,); the last is that at the tip."""
         return np.concatenate([self.points, self.tip[None]])[:, MOMENT], np.append(self.at, np.inf)
 
-    def twisted(self, ends: Array) -> Index:
-        """(E, Q + 1) tubes that those moments twist, where tubes end at (E, n)."""
-        at_points = [np.array([twisted_tube(end, at) for end in ends], dtype=np.intp) for at in self.at]
-        return np.stack([*at_points, last_tube(ends)], axis=1)
+    def twists(self, ends: Array) -> Mask:
+        """(E, Q + 1, n) which tubes those moments twist, where tubes end at (E, n)."""
+        return np.asarray(twisted_tube(ends[:, None], self.couples[1])[..., None] == np.arange(ends.shape[1]))
 
     def on(self, s: Array, ends: Array, inside: Array) -> Array:
         """(..., 6) force and moment of what is ahead of arc lengths s (...), on arms whose tubes end at (..., n); where
@@ -85,9 +84,9 @@ class Pull:
         return np.asarray(inside @ self.along[:, MOMENT])
 
 
-def outermost(there: Mask) -> Mask:
-    """(..., n) the outermost of the tubes that are `there` (..., n)."""
-    return np.asarray(there & (np.cumsum(there[..., ::-1], axis=-1)[..., ::-1] == 1))
+def _on_outermost(size: Array, there: Mask) -> Array:
+    """(..., n) of (...) on the outermost of the tubes that are `there` (..., n)."""
+    return np.asarray(size[..., None] * (there & (outermost(there)[..., None] == np.arange(there.shape[-1]))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +132,9 @@ class LoadedArms(Arms):
     @cached_property
     def kicks(self) -> Array:
         """(P, n) what the moments at points take of the torque there, N m."""
-        out, tubes = np.zeros(self.rotation.shape), self.pull.twisted(self.ends)
-        for q, (moment, at) in enumerate(zip(*self.pull.couples, strict=True)):
-            rows = np.flatnonzero(np.abs(self.arc_length - at) <= JUMP)
-            np.add.at(out, (rows, tubes[self.owner[rows], q]), self.tangent[rows] @ moment)
-        return out
+        moment, at = self.pull.couples
+        torque = self.tangent @ moment.T * (np.abs(self.arc_length[:, None] - at) <= JUMP)
+        return np.asarray((torque[..., None] * self.pull.twists(self.ends)[self.owner]).sum(1))
 
     @cached_property
     def _values(self) -> tuple[Array, Array]:
@@ -188,7 +185,7 @@ class LoadedArms(Arms):
             force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
             along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
             twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
-            twisting -= along[:, 2:] * outermost(self._sides[k] < self.constants.ended)
+            twisting -= _on_outermost(along[:, 2], self._sides[k] < self.constants.ended)
             torsion = torque.sum(1)
             bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1) - along[:, :2]
             sides.append((twisting, bending))
@@ -284,9 +281,8 @@ class LoadedIntervals(Intervals):
         """As those without a load; nowhere does a moment change its tube in between."""
         found = super().of(arms, one, other)
         assert isinstance(arms, LoadedArms)
-        acts = arms.pull.couples[0].any(1)
-        tubes = arms.pull.twisted(arms.ends)[:, acts]
-        return replace(found, ordered=found.ordered & (tubes[one] == tubes[other]).all(1))
+        twists = arms.pull.twists(arms.ends)[:, arms.pull.couples[0].any(1)]
+        return replace(found, ordered=found.ordered & (twists[one] == twists[other]).all((1, 2)))
 
     @cached_property
     def _loads(self) -> tuple[Jet, Jet]:
@@ -316,16 +312,14 @@ class LoadedIntervals(Intervals):
     @cached_property
     def twisting(self) -> tuple[Array, Array]:
         """(B, K, n) sizes of the moments that act on a tube, at the ends of the sections, N m, and per length, N."""
-        pull, present = self.arms.pull, self.stretch < self.arms.constants.ended
-        cuts = (self.begin + self.end) / 2
-        middle, tubes = (cuts[:, :-1] + cuts[:, 1:]) / 2, pull.twisted(self.arms.ends[self.one])
-        at_ends, b = np.zeros(self.stretch.shape), np.arange(len(middle))
-        for q, (moment, at) in enumerate(zip(*pull.couples, strict=True)):
-            section = (middle < np.minimum(at, cuts[:, -1:])).sum(1) - 1
-            # What acts at the plate twists nothing.
-            np.add.at(at_ends, (b, section, tubes[:, q]), np.where(section < 0, 0.0, np.linalg.norm(moment)))
+        pull, cuts = self.arms.pull, (self.begin + self.end) / 2
+        middle, (moment, at) = (cuts[:, :-1] + cuts[:, 1:]) / 2, pull.couples
+        # Before the first section is the plate, where it twists nothing.
+        before = (middle[..., None] < np.minimum(at, cuts[:, -1:])[:, None]).sum(1)
+        here = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
+        at_ends = here @ (np.linalg.norm(moment, axis=1)[:, None] * pull.twists(self.arms.ends[self.one]))
         size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
-        return at_ends, size[..., None] * outermost(present)
+        return at_ends, _on_outermost(size, self.stretch < self.arms.constants.ended)
 
     @cached_property
     def lever(self) -> Array:

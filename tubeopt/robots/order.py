@@ -216,8 +216,7 @@ def outermost(there: Mask) -> Index:
 
 
 def twisted_tube(end: Array, arc_length: ArrayLike) -> Index:
-    """(...) the tube, from 0, that a moment along the arm twists at arc lengths (...), m, where tubes end at arc lengths
-    (..., n).
+    """(...) the tube, from 0, that a moment along the arm twists at arc lengths (...), m, where tubes end at (..., n).
 
     It is the outermost tube there, and at the tip the tube that ends last. A moment changes its tube where it passes an
     end: of the last two, the shape jumps there by what their twists differ.
