@@ -33,7 +33,6 @@ PENDING = (
         f"docs/{page}.md"
         for page in (
             "benchmark",
-            "files",
         )
     ),
 )

@@ -41,7 +41,7 @@ AROUND = 0.25
 
 @dataclass(frozen=True)
 class Corridor(Displayed):
-    """Everything but the points within `radius` of a polyline: a vessel, in which the arm must stay.
+    """Everything outside a tube of `radius` around a polyline: a vessel in which the arm must stay.
 
     With a radius for every point it goes linearly between them: the vessel is the union of such balls. It is closed at
     both ends by half balls: let the centreline begin behind the plate and go on beyond the target. Inside, the distance

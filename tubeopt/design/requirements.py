@@ -1,4 +1,4 @@
-"""What a design must keep. Every requirement is data; `design.statements` turns it into constraints."""
+"""Requirements of a design. Every requirement is data; `design.statements` turns it into constraints."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class SnapFree(Displayed):
 
 @dataclass(frozen=True)
 class SnapFreeInUse:
-    """No snap where the robot works: at every task pose and, with `paths`, on the way between them."""
+    """No snap at every task pose and, with `paths`, on the straight paths between them."""
 
     margin: Annotated[float, POSITIVE, "smallest allowed margin at poses and on paths"] = 0.05
     paths: Annotated[bool, "check the straight joint path from each pose to the next"] = True
@@ -205,9 +205,9 @@ class StrokeForce:
 
 @dataclass(frozen=True)
 class Target:
-    """Where the tip must get, and along which direction it must point there."""
+    """Target position and direction of the tip."""
 
-    position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0)]
+    position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0), "position in the base frame"]
     tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance between tip and target"] = (
         1e-4
     )
@@ -247,8 +247,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The tip reaches every point of a box: the corners, and of Sobol points within those that exchange finds to be out
-    of reach."""
+    """The tip reaches every point of a box, checked at its corners and at Sobol points."""
 
     lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the smallest coordinates"]
     upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the largest coordinates"]

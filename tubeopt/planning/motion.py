@@ -31,7 +31,6 @@ SLACK = 1e-6
 """Of a rate, and of a range, that is round-off."""
 
 Rates = float | tuple[float, ...]
-EACH = "for all tubes, or one per tube"
 
 
 @dataclass(frozen=True)
@@ -42,18 +41,26 @@ class RateLimits(Displayed):
         InputError: a limit that is not a finite number greater than 0.
     """
 
-    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, Usual(0.03, 4 * np.pi), EACH] = np.pi / 2
+    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, Usual(0.03, 4 * np.pi), "largest rotation rate"] = (
+        np.pi / 2
+    )
     """Rotation rate, rad/s."""
-    translation: Annotated[Rates, key("translation_mm_per_s"), POSITIVE, Usual(1e-4, 0.2), EACH] = 0.02
+    translation: Annotated[
+        Rates, key("translation_mm_per_s"), POSITIVE, Usual(1e-4, 0.2), "largest translation rate"
+    ] = 0.02
     """Translation rate, m/s."""
-    rotation_acceleration: Annotated[Rates, key("rotation_deg_per_s2"), POSITIVE, Usual(0.03, 20 * np.pi), EACH] = np.pi
+    rotation_acceleration: Annotated[
+        Rates, key("rotation_deg_per_s2"), POSITIVE, Usual(0.03, 20 * np.pi), "largest rotation acceleration"
+    ] = np.pi
     """Acceleration of the rotations, rad/s^2."""
-    translation_acceleration: Annotated[Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), EACH] = 0.04
+    translation_acceleration: Annotated[
+        Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), "largest translation acceleration"
+    ] = 0.04
     """Acceleration of the translations, m/s^2."""
     tip: Annotated[
         float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "largest tip speed; default no limit"
     ] = None
-    """m/s; None where it does not matter."""
+    """Speed of the tip, m/s; None for no limit."""
 
     def __post_init__(self) -> None:
         if self.tip is not None:

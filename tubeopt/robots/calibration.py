@@ -30,7 +30,7 @@ NONE3, NONE2 = (0.0,) * 3, (0.0,) * 2
 
 @dataclass(frozen=True)
 class SavedRegistration:
-    """The frame of a measuring device, as a fit to one recording found it.
+    """Frame of a measuring device, fitted to one recording.
 
     Raises:
         InputError: a rotation that is no rotation matrix, or a translation that is not three finite numbers.

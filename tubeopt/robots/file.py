@@ -76,7 +76,7 @@ def material_of(choice: MaterialChoice) -> Material:
 
 @asking(Tube)
 class TubeEntry(Part):
-    """A tube: a straight part, then a curved part whose curvature or radius is given, or pieces."""
+    """A tube: a straight part, then a curved part with a curvature or radius, or pieces."""
 
     pieces: list[PieceEntry] | None = Field(
         None, min_length=1, description="pieces of the tube after its straight part, in order"
@@ -149,7 +149,7 @@ Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 @asking(Calibration)
 class CalibrationEntry(Part):
-    """How joint readings become joint values of the model: gain times reading plus offset, one number per tube."""
+    """Conversion of joint readings to joint values: gain times reading plus offset, one number per tube."""
 
     def build(self) -> Calibration:
         """The calibration in SI; tables that are left out are those of drives that read true."""

@@ -35,7 +35,7 @@ MOST_TURN = 1e3
 @typed
 @dataclass(frozen=True)
 class JointLimits(Displayed):
-    """Least and greatest value of every joint, one pair per tube.
+    """Smallest and largest value of every joint, one pair per tube.
 
     Raises:
         InputError: a range is not two finite numbers in order, or the two tables differ in length.

@@ -32,7 +32,7 @@ class Stretch:
 
     start: Annotated[float, key("from_mm"), NOT_NEGATIVE, "arc length from the base plate"]
     end: Annotated[float, key("to_mm"), "arc length from the base plate"]
-    force: Annotated[Vector, unit("mN_per_m")] = ZERO
+    force: Annotated[Vector, unit("mN_per_m"), "force per length"] = ZERO
     moment: Annotated[
         Vector, unit("mN_m_per_m"), "moment per length; its axial component acts on the outermost tube"
     ] = ZERO
@@ -40,10 +40,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class PointLoad:
-    """A force and a moment at one place of the arm, in world axes."""
+    """Force and moment at one point of the arm, in world axes."""
 
     at: Annotated[float, unit("mm"), NOT_NEGATIVE, "arc length from the base plate"]
-    force: Annotated[Vector, unit("mN")] = ZERO
+    force: Annotated[Vector, unit("mN"), "force at the point"] = ZERO
     moment: Annotated[
         Vector,
         unit("mN_m"),

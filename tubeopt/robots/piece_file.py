@@ -37,7 +37,7 @@ COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
 
 
 class SeriesEntry(Entry):
-    """A quantity that varies along the piece: Chebyshev coefficients on panels, as `save_robot` writes it."""
+    """A quantity along the piece, as Chebyshev coefficients on panels; `save_robot` writes this form."""
 
     breaks_mm: list[Number] = Field(min_length=2, description="arc lengths of the panel boundaries, starting at 0")
     coefficients: list[list[Number]] = Field(min_length=1, description="Chebyshev coefficients of every panel")
@@ -80,7 +80,7 @@ Factor = Annotated[Positive, Field(le=1)]
 
 
 class PatternEntry(Entry):
-    """Slots cut into the wall: what they leave of the stiffnesses of the tube."""
+    """Slots in the wall: remaining fractions of the tube's stiffnesses."""
 
     bending_factor: Factor
     torsion_factor: Factor
@@ -127,7 +127,7 @@ Table = Annotated[
 
 
 class PieceEntry(Entry):
-    """A piece of a tube: its length, its precurvature in one of several ways, and stiffnesses of its own."""
+    """A piece of a tube: length, precurvature in one of several forms, and optional stiffnesses."""
 
     length_mm: Annotated[Positive | None, LENGTH] = Field(
         None, description="length of the piece; optional with a table"
@@ -138,7 +138,7 @@ class PieceEntry(Entry):
         None, description="natural twist: rotation of the bending direction per length"
     )
     helix: HelixEntry | None = None
-    table: Table | None = None
+    table: Table | None = Field(None, description="CSV file of the precurvature along the piece")
     plane_deg: Number | None = Field(None, description="rotation of the bending direction about the tube axis")
     bending_stiffness_N_mm2: Stiffness | None = None
     torsional_stiffness_N_mm2: Stiffness | None = None

@@ -124,16 +124,18 @@ def read_structure(path: str | PathLike[str], axes: str | None = None) -> LabelI
     return replace(image, values=voxels)
 
 
-OF_FILE = "of the patient that the file is written in; needed where it does not state them itself"
-OF_VOXELS = "along which the voxels lie; needed where the header does not say how the image lies in the patient"
+OF_FILE = "axes of the coordinates; required if the file does not state them"
+OF_VOXELS = "axes of the voxels; required if the header does not state them"
 """What axes are of."""
 
 
 class StructurePart(Entry):
-    """An image of one structure: all of its voxels but those of value 0."""
+    """Image of one structure: all voxels other than 0."""
 
     axes: Axes | None = Field(None, description=OF_VOXELS)
-    file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file", of="axes")]
+    file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file", of="axes")] = Field(
+        description="path of the NIfTI or NRRD file"
+    )
     keep: Literal["in", "out", "target"] = Field(
         "out", description="in: the arm stays inside; out: the arm stays outside; target: region for the tip"
     )
@@ -148,7 +150,7 @@ class StructurePart(Entry):
 class MeshPart(Entry):
     """A surface in an STL, PLY, OBJ or legacy VTK file."""
 
-    file: Annotated[Path, in_file(Path, "a mesh file")]
+    file: Annotated[Path, in_file(Path, "a mesh file")] = Field(description="path of the mesh file")
     keep: Literal["in", "out"] = Field(
         "out",
         description="in: the arm stays inside the closed surface; out: the arm stays "
@@ -169,9 +171,9 @@ class MeshPart(Entry):
 
 
 class PointsPart(Entry):
-    """Points in a PLY, VTK or CSV file, each the centre of a ball; of a file with faces all that is near these."""
+    """Points in a PLY, VTK or CSV file, as balls. A file with faces bounds a layer around them."""
 
-    file: Annotated[Path, in_file(Path, "a PLY or CSV file")]
+    file: Annotated[Path, in_file(Path, "a PLY or CSV file")] = Field(description="path of the file")
     radius_mm: Positive = Field(
         description="radius of the balls, at least half the distance between points; for "
         "faces, their thickness on each side"
@@ -191,10 +193,12 @@ class PointsPart(Entry):
 
 
 class LandmarksPart(Entry):
-    """Named places in the patient."""
+    """Landmarks of the patient."""
 
     axes: Axes | None = Field(None, description=OF_FILE)
-    file: Annotated[Any, in_file(load_landmarks, "a file of landmarks: .csv, .fcsv, .mrk.json or .txt", of="axes")]
+    file: Annotated[Any, in_file(load_landmarks, "a file of landmarks: .csv, .fcsv, .mrk.json or .txt", of="axes")] = (
+        Field(description="path of the file: .csv, .fcsv, .mrk.json or .txt")
+    )
 
     def build(self) -> dict[str, Array]:
         """The places in RAS, m."""
@@ -203,7 +207,7 @@ class LandmarksPart(Entry):
 
 
 class BasePart(Entry):
-    """Where the plate stands in the patient, and along what the arm leaves it."""
+    """Pose of the base plate in the patient."""
 
     position_mm: Triple | None = Field(None, description="position in the patient")
     direction: Triple | None = Field(None, description="direction of the arm at the base plate, any length")
@@ -241,19 +245,19 @@ class BasePart(Entry):
 
 
 class RegistrationPart(Entry):
-    """Landmarks as they are measured from the plate, by which the plate is found in the patient."""
+    """Landmarks measured from the base plate; they locate the plate in the patient."""
 
     landmarks_mm: dict[str, Triple] = Field(description="landmark names and their positions in the base frame")
     most_error_mm: Annotated[Positive, Usual(1e-5, 0.05)] = Field(Decimal(3), description="largest allowed RMS error")
 
 
 class AnatomyPart(Entry):
-    """What is around the robot in a patient."""
+    """Surroundings of the robot in a patient."""
 
     image_axes: Axes | None = Field(None, description=OF_VOXELS)
     image: (
         Annotated[LabelImage, in_file(read_image, "a NIfTI or NRRD file", kind=LabelImage, of="image_axes")] | None
-    ) = None
+    ) = Field(None, description="path of the label image, NIfTI or NRRD")
     lumen: list[Whole] = Field([], description="image labels that the arm must stay inside")
     lumen_between: Pair | None = Field(None, description="smallest and largest voxel value, instead of labels")
     forbidden: list[Whole] = Field([], description="image labels that the arm must avoid")

@@ -42,7 +42,7 @@ def shared(anatomy: Anatomy | None) -> Anatomy:
 
 
 class ArmPart(Aimed, PlacedPart):
-    """One of the robots, and its goal; without one it stays where it is."""
+    """One of the robots and its goal; without a goal it does not move."""
 
     tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
 
@@ -56,7 +56,7 @@ class ArmPart(Aimed, PlacedPart):
 
 @asking(PlanOptions, "objective", "seed")
 class ArmsStudy(Surrounded, Study):
-    """Motions of several robots on one plate or endoscope, each on one stable branch, none touching another."""
+    """Motions of several robots on one plate or endoscope, without snap and without contact between them."""
 
     doing = "planning"
     assuming = "Results assume no friction, load or weight."

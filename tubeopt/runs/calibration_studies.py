@@ -26,7 +26,7 @@ CameraView = tuple[Array, Array, Array]
 
 
 class HeatingCalibrationStudy(TubeOnRig):
-    """What a rig loses and how its contacts are, from a logged heating or from trials without a thermometer."""
+    """Heat loss and contacts of a rig, from a heating log or from trials without a thermometer."""
 
     doing = "calibrating the rig"
 
@@ -92,7 +92,7 @@ class HeatingCalibrationStudy(TubeOnRig):
 
 
 class MoldCalibrationStudy(Study):
-    """How much of a mold's curvature tubes lose, from trials."""
+    """Spring-back of tubes, from trials."""
 
     kind: Literal["mold_calibration"]
     trials: Annotated[Trials, in_file(load_trials, "a CSV file")] = Field(

@@ -60,22 +60,24 @@ class Ranged:
 
 
 OF_PIECES = (
-    Ranged("piece_curvature", "per_m", "largest curvature; what varies is bent in proportion"),
-    Ranged(
-        "piece_shape", "per_m", "coefficients of the Chebyshev polynomials of the curvature about x along the piece"
-    ),
-    Ranged("piece_plane", "deg", "turn of the bend plane from that of the robot"),
-    Ranged("piece_twist", "deg_per_mm", "natural twist"),
-    Ranged("piece_bending_factor", "", "what slots leave of the bending stiffness"),
-    Ranged("piece_torsion_factor", "", "what slots leave of the torsional stiffness"),
+    Ranged("piece_curvature", "per_m", "range of the largest curvature; a varying curvature is scaled"),
+    Ranged("piece_shape", "per_m", "range of the Chebyshev coefficients of the curvature about x along the piece"),
+    Ranged("piece_plane", "deg", "range of the rotation of the bend plane, from that of the robot"),
+    Ranged("piece_twist", "deg_per_mm", "range of the natural twist"),
+    Ranged("piece_bending_factor", "", "range of the remaining fraction of the bending stiffness"),
+    Ranged("piece_torsion_factor", "", "range of the remaining fraction of the torsional stiffness"),
 )
 
 SCALED = ("curvature", "straight_length", "curved_length")
 """Dimensions that one factor may scale."""
 
 RANGES = {
-    **{one.key: Ranged(one.name, unit_of(one.key), "") for one in described(Tube) if one.name in TUBE_FIELDS},
-    **{f"{name}_factor": Ranged(name, "", "one factor for all these tubes", scaled=True) for name in SCALED},
+    **{
+        one.key: Ranged(one.name, unit_of(one.key), "range of this dimension")
+        for one in described(Tube)
+        if one.name in TUBE_FIELDS
+    },
+    **{f"{name}_factor": Ranged(name, "", "range of one factor for all these tubes", scaled=True) for name in SCALED},
     **{f"{one.field}_{one.unit}" if one.unit else one.field: one for one in OF_PIECES},
 }
 """Keys of a free dimension."""
@@ -83,9 +85,9 @@ RANGES = {
 
 @extended({key: (Range | None, Field(None, description=one.about or None)) for key, one in RANGES.items()})
 class FreeEntry(Part):
-    """One free dimension of some tubes: the key of the dimension holds its least and greatest value."""
+    """One free dimension of some tubes; the value of its key is the allowed range."""
 
-    tubes: Annotated[list[Whole], Field(min_length=1)]
+    tubes: Annotated[list[Whole], Field(min_length=1)] = Field(description="numbers of the tubes, 1 for the innermost")
     equal: bool = Field(False, description="one common value for all these tubes or pieces, instead of one each")
     pieces: list[Whole] = Field(
         [],
@@ -126,10 +128,10 @@ class FreeEntry(Part):
 class LengthEntry(Part):
     """A bound on a length of one tube."""
 
-    length: Literal["overall", "straight", "curved"]
-    tube: Whole
-    at_most_mm: Positive | None = None
-    at_least_mm: Positive | None = None
+    length: Literal["overall", "straight", "curved"] = Field(description="the length: overall, straight or curved")
+    tube: Whole = Field(description="number of the tube, 1 for the innermost")
+    at_most_mm: Positive | None = Field(None, description="upper bound")
+    at_least_mm: Positive | None = Field(None, description="lower bound")
 
     def build(self) -> Length:
         """The requirement in SI."""
@@ -147,11 +149,11 @@ class PoseEntry(Entry):
     translations_mm: Row
 
 
-DEPLOYED = "whether it holds for arms on their way out to the poses too, their tubes drawn back straight"
+DEPLOYED = "also for the arm during deployment to each pose, with its tubes retracted straight"
 
 
 @asking(Corridor)
-class CorridorEntry(Part):
+class CorridorRequirementEntry(Part):
     """A tube around a polyline in which the whole arm must stay."""
 
     deployed: bool = Field(False, description=DEPLOYED)
@@ -165,7 +167,7 @@ class AvoidEntry(Part):
     """Bodies that the whole arm must keep away from."""
 
     obstacles: Bodies
-    clearance_mm: NotNegative = Decimal(0)
+    clearance_mm: NotNegative = Field(Decimal(0), description="smallest allowed distance between arm and bodies")
     deployed: bool = Field(False, description=DEPLOYED)
 
     def build(self) -> Avoid:
@@ -179,7 +181,7 @@ NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeFor
 
 @extended({one.key: (one.annotation | None, Field(None, description=one.about)) for _, one in NUMBERS})
 class Requirements(Part):
-    """What a design must keep."""
+    """Requirements of a design."""
 
     snap_free: EntryOf[SnapFree] | None = None
     snap_free_in_use: EntryOf[SnapFreeInUse] | None = None
@@ -188,7 +190,7 @@ class Requirements(Part):
     reach: list[EntryOf[Target]] = Field([])
     coverage: EntryOf[Coverage] | None = None
     poses: list[PoseEntry] = Field([])
-    corridor: CorridorEntry | None = None
+    corridor: CorridorRequirementEntry | None = None
     avoid: AvoidEntry | None = None
 
     def build(self) -> tuple[Requirement, ...]:
@@ -239,6 +241,6 @@ class Tried(Entry):
 
 @asking(Tolerances)
 class TolerancesEntry(Part):
-    """Errors of manufacture: standard deviations, or half widths where uniform."""
+    """Manufacturing errors: standard deviations, or half widths of uniform distributions."""
 
-    samples: Annotated[Whole, Field(ge=2)] = 500
+    samples: Annotated[Whole, Field(ge=2)] = Field(500, description="number of random robots")

@@ -58,7 +58,7 @@ Aims = Annotated[
 
 
 class StockStudy(Entry):
-    """Sizes to choose from."""
+    """Tube sizes from stock."""
 
     file: StockPath
     clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
@@ -90,7 +90,7 @@ class DesignAnswer(Displayed):
 
 
 class DesignStudy(Designed, Tried, Timed):
-    """The best robot that keeps a list of requirements."""
+    """The best robot that satisfies a list of requirements."""
 
     doing = "designing"
     assuming = f"Statements about snaps are valid {ASSUMING}, except the force max_tip_force_mN."

@@ -38,7 +38,7 @@ class LedHeating(Displayed):
 
 @asking(HeatingSpec)
 class LedHeatingStudy(HeatedTube):
-    """A heating that a sensor leads: the law, how likely uncertain rigs keep the window, and the sketch of a board."""
+    """Feedback control of a heating: gains, success probability on uncertain rigs, and firmware."""
 
     doing = "planning the heating and its law"
 

@@ -19,7 +19,7 @@ LOGGER = logging.getLogger(__name__)
 
 
 class ForwardKinematicsStudy(Posed, LoadedStudy):
-    """The equilibrium of a robot at given joint values: readings, where the robot has a calibration."""
+    """The equilibrium of a robot at given joint values. A calibrated robot takes readings."""
 
     doing = "solving the shape"
 

@@ -91,7 +91,7 @@ class HeatingRun(Displayed):
 
 
 class HeatingRunStudy(Study):
-    """A heating on a rig that a board leads, or on a simulated one."""
+    """A heating run, controlled by a board or simulated."""
 
     doing = "heating"
 

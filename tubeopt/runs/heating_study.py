@@ -203,7 +203,7 @@ class HeatedTube(TubeOnRig):
 
 @asking(HeatingSpec)
 class HeatingStudy(HeatedTube):
-    """The schedule that holds the curved part of a tube within a window of temperature."""
+    """Schedule that keeps the curved part of a tube within a temperature window."""
 
     doing = "planning the heating"
 

@@ -76,7 +76,7 @@ class TargetTable(Displayed):
 
 @asking(InverseOptions)
 class InverseStudy(Surrounded, LoadedStudy):
-    """Joint values that bring the tip to a target in a stable equilibrium; of one target, or of a table of them."""
+    """Joint values that bring the tip to a target in a stable equilibrium, for one target or a table."""
 
     doing = "solving targets"
     assuming = f"Snap-free paths are valid {ASSUMING}."

@@ -18,7 +18,7 @@ from .base import Study
 
 @asking(Load)
 class LoadEntry(Part):
-    """What pushes on the robot."""
+    """External load on the robot."""
 
     distributed_mN_per_m: Triple | list[EntryOf[Stretch]] | None = Field(
         None, description="load per length in the base frame, along the whole arm or on parts of it"

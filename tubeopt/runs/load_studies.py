@@ -43,7 +43,7 @@ class Bearing(Displayed):
 
 
 class LoadLimitStudy(Posed, LoadedStudy, Timed):
-    """How many times a load can be put on a robot before its equilibrium is lost."""
+    """Load factor at which a robot loses stability."""
 
     doing = "putting the load on"
 

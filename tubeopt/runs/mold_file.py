@@ -23,7 +23,7 @@ NOTE = "note"
 
 @asking(Springback)
 class SpringbackEntry(Part):
-    """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold)."""
+    """Fraction of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold)."""
 
     radius_range_mm: Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = Field(
         default=None, description="smallest and largest mold radius of the trials"
@@ -40,7 +40,7 @@ class SpringbackEntry(Part):
 
 @asking(MoldSpec)
 class MoldEntry(Part):
-    """What is asked of a mold; every key may be left out."""
+    """Material, fit, plates and tools of a mold; every key has a default."""
 
     kind: Literal["mold"]
     springback: SpringbackEntry = Field(default_factory=SpringbackEntry)

@@ -108,7 +108,7 @@ class MandrelStudy(Study):
 
 
 class PegStudy(Study):
-    """Pegs on a drilled board that set one tube: an adjustable mold."""
+    """Peg board for one tube: an adjustable mold."""
 
     doing = "setting the pegs"
 
@@ -128,7 +128,7 @@ class PegStudy(Study):
 
 
 class MaterialsStudy(Timed):
-    """What the mold for a tube should be made of: a tube of a robot, or one of these sizes."""
+    """Mold materials for a tube of a robot, or for a tube of given sizes, compared."""
 
     kind: Literal["mold_materials"]
     robot: RobotPath | None = Field(None, description="robot file with the tube; default a tube with the sizes below")

@@ -44,11 +44,14 @@ TipPlace = Annotated[Place, AfterValidator(_near_the_robot)]
 
 
 class MeshEntry(Part):
-    """The surface in a mesh file, in mm and in axes of the plate: a closed one bounds a body, an open one is avoided by
-    its triangles. Of a file that states SPACE=LPS, as 3D Slicer writes it, x and y change their signs."""
+    """Surface from a mesh file, in mm and plate axes. A closed surface bounds a body; of an open one the arm avoids the
+    triangles. For a file with SPACE=LPS, as 3D Slicer writes it, x and y change sign.
+    """
 
     kind: Literal["mesh"]
-    file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")]
+    file: Annotated[MeshObstacle, in_file(load_mesh, "a mesh file in mm")] = Field(
+        description="path of the mesh file, mm"
+    )
 
     def build(self) -> MeshObstacle:
         """The obstacle in SI."""
@@ -56,10 +59,12 @@ class MeshEntry(Part):
 
 
 class AnatomyEntry(Entry):
-    """All bodies of the anatomy in a file."""
+    """All bodies of an anatomy file."""
 
     kind: Literal["anatomy"]
-    file: Annotated[Anatomy, in_file(load_anatomy, "a YAML file of an anatomy", kind=Anatomy)]
+    file: Annotated[Anatomy, in_file(load_anatomy, "a YAML file of an anatomy", kind=Anatomy)] = Field(
+        description="path of the YAML file of the anatomy"
+    )
 
     def build(self) -> tuple[Obstacle, ...]:
         """The bodies in SI, as the plate has them."""

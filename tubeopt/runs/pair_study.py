@@ -64,7 +64,7 @@ class PairAnswer(Displayed):
 
 
 class PairPart(Designed, PlacedPart):
-    """One of the two robots: where it stands, from where it begins, what may change, and what must hold."""
+    """One of the two robots: base, start, free dimensions and requirements."""
 
     name: str = Field("", description="name in messages and plots; default the name of the robot")
     base: BasePart = Field(description="base plate in the common frame")
@@ -77,8 +77,8 @@ class PairPart(Designed, PlacedPart):
 class BallPart(Entry):
     """A ball."""
 
-    centre_mm: Place
-    radius_mm: Positive
+    centre_mm: Place = Field(description="centre in the common frame")
+    radius_mm: Positive = Field(description="radius of the ball")
 
     def places(self, count: int, seed: int) -> Array:
         """(count, 3) random places in it, as thick everywhere, m."""
@@ -89,7 +89,7 @@ class BallPart(Entry):
 
 
 class PairStudy(Timed, SearchPart, Tried):
-    """The two robots, sized together, whose tips hold the most pairs of places of a region without touching."""
+    """Two robots, designed together to hold as many pairs of places of a region as possible without contact."""
 
     doing = "designing"
     assuming = f"Statements about snaps are valid {ASSUMING}."

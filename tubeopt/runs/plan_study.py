@@ -38,8 +38,7 @@ def check_rates(rates: RatesEntry | None, *robots: Robot) -> None:
 
 
 class EntryPart(Entry):
-    """Where the plate may stand, and how it may point, in the frame of the plate as it is given: one is chosen from
-    which the goal is reached."""
+    """Allowed poses of the base plate, in the given base frame. The plan chooses one."""
 
     radius_mm: Positive | None = Field(
         None, description="radius of the disc of entry points, perpendicular to the direction"
@@ -64,7 +63,7 @@ class EntryPart(Entry):
 
 
 class CutPart(Entry):
-    """A plane along which a picture cuts the bodies open: by a place and what it is square to, or by landmarks."""
+    """Section plane for figures: a point and a normal, or landmarks."""
 
     at_mm: Place | None = Field(None, description="a point of the plane, in the given base frame")
     normal: Triple | None = Field(None, description="normal of the plane, any length")
@@ -120,7 +119,7 @@ class Aimed(Started):
 
 @asking(PlanOptions)
 class PlanStudy(Aimed, Surrounded, LoadedStudy):
-    """A motion on one stable branch: to joint values, to a pose of the tip, along a curve, or following the leader."""
+    """A snap-free motion: to joint values, to a pose of the tip, along a curve, or follow-the-leader."""
 
     doing = "planning"
     assuming = "Results assume no friction, and no load or weight except the given ones."

@@ -133,7 +133,7 @@ def hurried(judge: Searched) -> Searched:
 
 
 class RegionEntry(SearchPart):
-    """The share of the anatomy's target that the tip reaches by ways that keep margin and clearance, from a start."""
+    """Fraction of the anatomy's target that the tip reaches from a start, with margin and clearance."""
 
     kind: Literal["reach_share"]
     anatomy: AnatomyKey = Field(

@@ -6,6 +6,7 @@ import functools
 import json
 import operator
 import re
+from collections import Counter
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
@@ -70,11 +71,11 @@ PAGE = "docs/files.md"
 
 INTRODUCTION = """# Files
 
-What the keys of a file may be. A key ends in the unit of its number. The second column has its default, or says that it
-is required; where that is empty the key may be left out. Editors complete the keys by the schemas in `configs/schema/`;
-messages name a wrong key with the one that was probably meant.
+All keys of all files. A key ends in the unit of its number. A key without a default may be left out, unless it is
+required. Editors complete the keys with the schemas in `configs/schema/`. A message about a wrong key suggests the
+nearest one.
 
-A whole robot, whose tubes are listed inner to outer; `configs/robots/` has twenty more:
+A whole robot, tubes inner to outer (`configs/robots/` has twenty more):
 
 ```yaml
 kind: concentric
@@ -84,8 +85,13 @@ tubes:
   - {outer_diameter_mm: 1.6, inner_diameter_mm: 1.3, straight_length_mm: 80, curved_length_mm: 50, curvature_per_m: 9}
 ```
 
-This page is written by `python -m tubeopt.runs.schema` from the models that files are checked against.
+`python -m tubeopt.runs.schema` writes this page from the models that check the files.
 """
+
+HEAD = ["| key | default | meaning |", "|---|---|---|"]
+
+SHARED = 3
+"""Number of tables with the same row that moves it into a table of shared keys."""
 
 
 def page() -> str:
@@ -94,18 +100,39 @@ def page() -> str:
     told: set[str] = set()
     for name, text in schemas().items():
         schema = json.loads(text)
-        lines += [f"## {schema['title'].removeprefix('tubeopt ').capitalize()} (`{name}`)", ""]
-        parts = [("", schema)] if "properties" in schema else []
-        for title, part in [*parts, *schema.get("$defs", {}).items()]:
-            if "properties" in part and title not in told:
-                told |= {title} if title else set()
-                lines += [f"### {_title(title)}", ""] if title else []
-                lines += [part.get("description", "").split("\n\n")[0].replace("\n", " "), ""]
-                lines += ["| key | by default | |", "|---|---|---|"]
-                required = part.get("required", ())
-                lines += [_row(key, value, key in required) for key, value in part["properties"].items()]
-                lines.append("")
+        title = schema["title"].removeprefix("tubeopt ").capitalize()
+        lines += [f"## {title} (`{name}`)", ""]
+        own = [("", schema)] if "properties" in schema else []
+        parts = [part for part in (*own, *schema.get("$defs", {}).items()) if "properties" in part[1]]
+        parts = [part for part in parts if part[0] not in told]
+        told |= {part for part, _ in parts if part}
+        tables = {part: _rows(keys) for part, keys in parts}
+        count = Counter(row for rows in tables.values() for row in rows.items())
+        shared = {key: row for (key, row), n in sorted(count.items(), key=lambda one: one[1]) if n >= SHARED}
+        if shared:
+            lines += [f"### {title}: shared keys", "", *HEAD, *shared.values(), ""]
+        for part, keys in parts:
+            lines += [f"### {_title(part)}", ""] if part else []
+            about = " ".join(keys.get("description", "").partition("\n\n")[0].split())
+            lines += [f"{_kind(keys)}{about}", ""]
+            rows = {key: words for key, words in tables[part].items() if shared.get(key) != words}
+            lines += [*HEAD, *rows.values(), ""] if rows else []
+            if others := [f"`{key}`" for key in tables[part] if key not in rows]:
+                lines += [f"And the [shared keys](#{title.lower()}-shared-keys) {', '.join(others)}.", ""]
     return "\n".join(lines)
+
+
+def _rows(part: Mapping[str, Any]) -> dict[str, str]:
+    """The row of every key of a mapping but of that which tells its kind."""
+    required = part.get("required", ())
+    keys: Mapping[str, Any] = part["properties"]
+    return {key: _row(key, value, key in required) for key, value in keys.items() if "const" not in value}
+
+
+def _kind(part: Mapping[str, Any]) -> str:
+    """What the key `kind` of a mapping must be, as it is written; "" where it has none."""
+    kinds = [value["const"] for value in part["properties"].values() if "const" in value]
+    return f"`kind: {kinds[0]}`. " if kinds else ""
 
 
 def _title(name: str) -> str:
@@ -132,11 +159,13 @@ def _allowed(value: dict[str, Any]) -> str:
         return " or ".join(str(word) for word in value["enum"])
     if "$ref" in value:
         title = _title(value["$ref"].rpartition("/")[2])
-        return f"{'an' if title[0] in 'AEIO' else 'a'} {title}"
-    signs = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
+        return f"[{title}](#{title.lower()})"
+    signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
     inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]
     inner += [_allowed(value["items"])] if isinstance(value.get("items"), dict) else []
+    if len([word for word in inner if word.startswith("[")]) > 2:
+        return "[obstacles](#obstacles-obstaclesschemajson)"
     return ", ".join(found) or " or ".join(dict.fromkeys(word for word in inner if word))
 
 

@@ -80,7 +80,7 @@ class Way(Displayed):
 
 
 class SnapStudy(LoadedStudy, Timed):
-    """The first snap on the straight way between two sets of joint values."""
+    """First snap on the straight path between two sets of joint values."""
 
     doing = "looking for the snap"
 
@@ -117,7 +117,7 @@ class SnapStudy(LoadedStudy, Timed):
 
 
 class FollowStudy(LoadedStudy, Timed):
-    """Slow motion through waypoints of joint values (readings, where the robot has a calibration), with the snaps."""
+    """Slow motion through waypoints of joint values, and its snaps. A calibrated robot takes readings."""
 
     doing = "following the path"
 

@@ -55,12 +55,14 @@ def _value(value: object) -> Value:
 
 
 class VaryEntry(Entry):
-    """Keys, and the values that they take together: a list, or a range."""
+    """One or several keys with common values: a list or a range."""
 
     key: str | list[str] = Field(
         description="path of the key, such as rotations_deg[0], or a list of keys with equal values"
     )
-    values: list[Annotated[Value, BeforeValidator(_value)]] | None = Field(None, min_length=1)
+    values: list[Annotated[Value, BeforeValidator(_value)]] | None = Field(
+        None, min_length=1, description="list of values, instead of a range"
+    )
     lowest: Number | None = Field(None, alias="from", description="one end of a range")
     highest: Number | None = Field(None, alias="to", description="the other end")
     count: Annotated[Whole, Field(ge=1)] | None = Field(None, description="number of values in the range, for a grid")
@@ -85,11 +87,13 @@ class VaryEntry(Entry):
 
 
 class SampleEntry(Entry):
-    """Points drawn from the ranges, in place of their grid."""
+    """Random points within the ranges, instead of a grid."""
 
-    method: Literal["random", "sobol", "latin_hypercube"] = "sobol"
-    count: Annotated[Whole, Field(ge=1)]
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    method: Literal["random", "sobol", "latin_hypercube"] = Field(
+        "sobol", description="sampling method: random, sobol or latin_hypercube"
+    )
+    count: Annotated[Whole, Field(ge=1)] = Field(description="number of points")
+    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="random seed")
 
 
 class SweepEntry(Entry):

@@ -53,8 +53,10 @@ def load_targets(path: str | PathLike[str]) -> Targets:
 class JointsFile(Entry):
     """One configuration of a robot."""
 
-    rotations_deg: list[Number]
-    translations_mm: list[Number] | None = Field(None, description=f"default {HOME}")
+    rotations_deg: list[Number] = Field(description="rotation of every tube, inner to outer")
+    translations_mm: list[Number] | None = Field(
+        None, description=f"translation of every tube, inner to outer; default {HOME}"
+    )
 
 
 def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:

@@ -66,7 +66,7 @@ def _not_one(folds: int) -> int:
 
 @asking(FitOptions)
 class ValidationStudy(Timed):
-    """How far measured tips are from the model's, and which parameters bring them closest."""
+    """Errors of the model against measured tips, and fit of its parameters."""
 
     doing = "solving shapes"
 
@@ -148,7 +148,7 @@ class ValidationStudy(Timed):
 
 
 class MeasureStudy(Timed):
-    """Configurations that determine chosen parameters of a robot best, joined without a snap."""
+    """Best configurations to measure for estimating parameters, in a sequence without a snap."""
 
     doing = "choosing configurations"
 

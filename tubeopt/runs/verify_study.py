@@ -43,7 +43,7 @@ def _plan_study(path: str | PathLike[str]) -> PlanStudy:
 
 
 class VerifyStudy(Surrounded, LoadedStudy, Timed):
-    """Whether a trajectory of whatever origin snaps, collides or is too fast."""
+    """Check of any trajectory for snaps, collisions and rates."""
 
     doing = "following the trajectory"
     assuming = "Results assume no friction, and no load or weight except the given ones."

@@ -21,7 +21,7 @@ PRICE_CLASSES = ("low", "moderate", "high")
 
 @dataclass(frozen=True)
 class MoldMaterial:
-    """What a mold is made of, with constants at the temperatures of shape setting where the sources give them.
+    """Mold material, with constants at shape-setting temperatures where the sources give them.
 
     Raises:
         InputError: a constant is not positive, or the price class is unknown.

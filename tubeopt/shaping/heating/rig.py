@@ -141,7 +141,7 @@ class Battery:
 
 @dataclass(frozen=True)
 class Circuit:
-    """What lies between battery and tube, and what it bears."""
+    """Resistances between battery and tube, and current limits."""
 
     cable_resistance: Annotated[
         float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total resistance of the cables"
@@ -184,7 +184,7 @@ class Circuit:
 
 @dataclass(frozen=True)
 class Clamps:
-    """The two equal clamps, each a lump of metal that warms up."""
+    """The two equal clamps, as lumped heat capacities."""
 
     mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Usual(5e-4, 5.0), "mass of one clamp"] = 0.05
     heat_capacity: Annotated[

@@ -35,7 +35,7 @@ OTHER_TIME = 2.0
 
 @dataclass(frozen=True)
 class Colour:
-    """Temperatures at which a colour comes.
+    """Temperature range of a colour.
 
     Raises:
         InputError: a number is out of its range, or the range is empty.

@@ -37,7 +37,7 @@ Transform = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class HeatSpec:
-    """The heating that a mold is laid out for.
+    """Heating conditions for the design of a mold.
 
     Raises:
         InputError: a number is out of its range, or the set temperature is not above ambient and clamps.

@@ -34,7 +34,7 @@ FEED, SPEED = Range(least=2e-5, most=1.0), Range(above=0.0, most=2000.0)
 
 @dataclass(frozen=True)
 class GrooveSpec:
-    """How the groove fits the tube (m)."""
+    """Fit of the groove around the tube."""
 
     clearance: Annotated[
         float, unit("mm"), ROOM, STEP, "smallest extra width and depth of the groove over the outer diameter"
@@ -64,7 +64,7 @@ class GrooveSpec:
 
 @dataclass(frozen=True)
 class PlateSpec:
-    """The two plates and how they are fastened (m)."""
+    """The two plates and their fasteners."""
 
     size: Annotated[
         tuple[float, float] | None,
@@ -100,7 +100,7 @@ class PlateSpec:
 
 @dataclass(frozen=True)
 class EndMill:
-    """An end mill at hand (m)."""
+    """An available end mill."""
 
     diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "cutting diameter"]
     flute_length: Annotated[float | None, unit("mm"), LENGTH, "flute length; default three diameters"] = None
@@ -116,7 +116,7 @@ class EndMill:
 
 @dataclass(frozen=True)
 class MillingSpec:
-    """The end mills at hand and how the groove is cut with them."""
+    """Available end mills and cutting parameters of the groove."""
 
     end_mills: Annotated[tuple[EndMill, ...], "available end mills; default common sizes from 0.4 to 3 mm"] = tuple(
         EndMill(d * 1e-3) for d in (0.4, 0.5, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)
@@ -140,7 +140,7 @@ class MillingSpec:
 
 @dataclass(frozen=True)
 class WorkshopSpec:
-    """The machine that cuts the plates out of their stock, and its programs."""
+    """Milling machine for the plates, and its programs."""
 
     dialect: Annotated[
         str, OneOf(DIALECTS), "dialect of the G-code; for grbl, drill cycles are written as single moves"
@@ -177,7 +177,7 @@ class WorkshopSpec:
 
 @dataclass(frozen=True)
 class PegSpec:
-    """An adjustable mold: a board drilled once, and pegs whose pins stand off their axes.
+    """Adjustable mold: a board with a grid of holes, and pegs with eccentric pins.
 
     Raises:
         InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
@@ -220,7 +220,7 @@ class PegSpec:
 
 @dataclass(frozen=True)
 class ClampSpec:
-    """The clamps that hold the tube and feed the current, outside the plate (m).
+    """The clamps that hold the tube and feed the current, outside the plate.
 
     The sliding clamp travels growth * travel_factor + travel_extra.
     """
@@ -246,7 +246,7 @@ class ClampSpec:
 
 @dataclass(frozen=True)
 class VentSpec:
-    """Holes through the top plate over the bend, which let heat out."""
+    """Vents: holes of the top plate over the bend."""
 
     diameter: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of a vent"] = 1.5e-3
     profile: Annotated[

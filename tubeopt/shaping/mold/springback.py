@@ -27,7 +27,7 @@ RADII = 1e-3, 10.0
 
 @dataclass(frozen=True)
 class Springback:
-    """The part of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold).
+    """Fraction of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold).
 
     The fraction holds all that happens between the mold and the bench: relaxation that was not complete, and the
     contraction when the tube cools, since that is how trials see it.
