@@ -29,12 +29,7 @@ LONGEST = 30
 
 PENDING = (
     "CONTRIBUTING.md",
-    *(
-        f"docs/{page}.md"
-        for page in (
-            "benchmark",
-        )
-    ),
+    *(f"docs/{page}.md" for page in ("benchmark",)),
 )
 """Parts that are not converted, as patterns of their names. Remove a name when its part is rewritten."""
 
