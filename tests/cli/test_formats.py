@@ -45,7 +45,6 @@ def test_every_command_that_asks_has_a_report_of_its_name() -> None:
         ),
         (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
         (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet"),
-        (("force", THESIS, "synthetic_forces", "--format", "pdf"), "--format is 'pdf'; `tubeopt force` has no formats"),
         (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; it must be one of png, pdf, svg, "),
     ],
 )
@@ -64,3 +63,10 @@ def test_the_help_groups_the_commands(run: Run) -> None:
     for heading in ("Ask", "Design", "Plan", "Build", "Measure", "Real time", "Files"):
         assert f"─ {heading} ─" in shown
     assert "─ Commands ─" not in shown
+
+
+@pytest.mark.parametrize("command", ["force", "measure", "export", "serve", "view", "heat run"])
+def test_a_command_without_plots_has_no_flags_for_them(run: Run, command: str) -> None:
+    shown = run(*command.split(), "--help").out
+    assert not any(flag in shown for flag in ("--plot", "--format", "--width-mm"))
+    assert formats_of(command) == ()

@@ -28,7 +28,9 @@ class Asked:
     defaults: Mapping[str, str] = field(default_factory=dict)
     """Keys whose default on the command line is not that of a study, as they would be typed."""
     from_file: bool = False
-    """The study is read from a file, whose keys the flags override."""
+    """The study is read from a file; flags override its keys."""
+    pictures: bool = True
+    """The answer has plots."""
 
 
 ROBOT = ("ROBOT.yaml", "Robot file, or the name of a built-in robot such as thesis_ctr.")
@@ -91,12 +93,15 @@ COMMANDS: dict[str, Asked | str] = {
     ),
     "force": Asked(
         "force",
-        "Estimate the tip force in every row of a recording, with its uncertainty and undetermined directions.",
+        """Estimate the tip force in every row of a recording, with its uncertainty and undetermined directions.
+
+        Load flags give known loads, such as the weight; the estimate is the tip force in addition to them.""",
         arguments={
             "robot": ROBOT,
             "measurements": ("MEASURED.csv", "Measured positions of the arm and joint readings (CSV or YAML)."),
         },
         example="tubeopt force configs/robots/thesis_ctr.yaml configs/experiments/synthetic_forces.csv --noise-mm 0.1",
+        pictures=False,
     ),
     "certify": Asked(
         "certify",
@@ -127,6 +132,7 @@ COMMANDS: dict[str, Asked | str] = {
         "Choose the configurations to measure that determine parameters best, and a snap-free path through them.",
         example="tubeopt measure configs/robots/crl_ctr.yaml --fit rotation_2,rotation_3,curvature_1 --count 12 "
         "--out results",
+        pictures=False,
     ),
     "design": Asked(
         "design",

@@ -11,7 +11,7 @@ from ..files.checked import Entry
 from ..runs.base import RobotPath
 from ..show.reports import report
 from .flags import asks
-from .output import Output, can_be_saved, present
+from .output import OF_PICTURES, Output, can_be_saved, present
 
 
 class ExportEntry(Entry):
@@ -33,6 +33,7 @@ class ExportEntry(Entry):
     ExportEntry,
     example="tubeopt export configs/robots/thesis_ctr.yaml --c thesis_in_c",
     note="Build and test it: cmake -B build -S thesis_in_c && cmake --build build && ctest --test-dir build",
+    without=OF_PICTURES,
 )
 def export(study: ExportEntry, output: Output, robot: str) -> None:
     """Write a C99 library of the robot: forward kinematics, derivatives, margin, compliance, servo, snap guard.

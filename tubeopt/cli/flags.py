@@ -42,7 +42,7 @@ from .commands import COMMANDS, ROBOT, Asked, flowing
 from .failures import told_by_flag
 from .interruption import keeping
 from .messages import LOGGER
-from .output import Output, can_be_saved, check_formats, present
+from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
 S = TypeVar("S", bound=Entry)
 F = TypeVar("F", bound=Study)
@@ -96,7 +96,8 @@ def asking(row: Asked) -> Made:
 
     _ask.__doc__ = row.help
     options: dict[str, Any] = {"arguments": row.arguments, "flags": row.flags, "defaults": row.defaults}
-    makes: Any = asks_file if row.from_file else functools.partial(asks, **options)
+    without = () if row.pictures else OF_PICTURES
+    makes: Any = asks_file if row.from_file else functools.partial(asks, without=without, **options)
     made: Made = makes(study, example=row.example, note=study.assuming)(_ask)
     return made
 

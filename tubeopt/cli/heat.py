@@ -7,13 +7,14 @@ from ..show.reports import report
 from ..show.rig_page import with_live_page
 from .flags import asks
 from .interruption import keeping
-from .output import Output, can_be_saved, present
+from .output import OF_PICTURES, Output, can_be_saved, present
 
 
 @asks(
     HeatingRunStudy,
     arguments={},
     example="tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results",
+    without=OF_PICTURES,
 )
 def run(study: HeatingRunStudy, output: Output) -> None:
     """Heat a tube on a rig or a simulated rig: start it, show it live, and log it for `tubeopt heat calibrate`.

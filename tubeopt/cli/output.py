@@ -41,13 +41,17 @@ class Output:
     plot: Annotated[
         bool,
         typer.Option(
-            "--plot", help="Save plots in DIR (default: current directory), and open them if there is a display."
+            "--plot",
+            help="Save plots in the current directory, or in DIR of --out, and open them if there is a display.",
         ),
     ] = False
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", help="Directory to save results in; created if missing.", show_default=False
+            "--out",
+            metavar="DIR",
+            help="Directory to save all results and plots in; created if missing.",
+            show_default=False,
         ),
     ] = None
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout instead of the table.")] = (
@@ -62,9 +66,8 @@ class Output:
         typer.Option(
             "--format",
             metavar="F,..",
-            help="File formats to save, separated by commas: "
-            "png, pdf or svg for plots; parquet for "
-            "tables; stl, glb, urdf or mjcf for the robot.",
+            help="File formats to save with --out, separated by commas: png, pdf or svg for plots; for some commands "
+            "also parquet (tables) and stl, glb, urdf or mjcf (the robot).",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[

@@ -24,7 +24,7 @@ from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served
 from .flags import asks
 from .interruption import left_alone
-from .output import Output, can_be_saved, told
+from .output import OF_PICTURES, Output, told
 
 
 class ServeEntry(Posed):
@@ -69,6 +69,7 @@ class ServeEntry(Posed):
 @asks(
     ServeEntry,
     example="tubeopt serve configs/robots/thesis_ctr.yaml --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
+    without=("out", *OF_PICTURES),
 )
 def serve(study: ServeEntry, output: Output) -> None:
     """Serve the robot over WebSocket on this machine, with CRTK commands (servo_cp, move_cp, servo_jp, ...).
@@ -77,7 +78,6 @@ def serve(study: ServeEntry, output: Output) -> None:
     commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with address and token. It needs the
     extra `control`.
     """
-    can_be_saved(output.out)
     robot = study.robot
     options = ServoOptions(
         **study.in_si(

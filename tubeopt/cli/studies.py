@@ -37,7 +37,7 @@ def run(
     answer(load_study(study), output)
 
 
-@command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results")
+@command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results", without=("plot", "width_mm"))
 def sweep(
     study: Annotated[
         str,

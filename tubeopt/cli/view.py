@@ -27,7 +27,7 @@ from ..typing import Array
 from .flags import asks
 from .interruption import left_alone
 from .messages import LOGGER
-from .output import Output, can_be_saved, has_display, told
+from .output import OF_PICTURES, Output, can_be_saved, has_display, told
 
 
 class ViewEntry(Pushed):
@@ -62,6 +62,7 @@ class ViewEntry(Pushed):
 @asks(
     ViewEntry,
     example="tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv",
+    without=OF_PICTURES,
 )
 def view(study: ViewEntry, output: Output, robot: str) -> None:
     """Move the robot in a browser: joints, tip, snaps, design changes, playback.

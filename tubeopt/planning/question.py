@@ -60,7 +60,7 @@ class PlanOptions(Displayed):
     ] = "length"
     """"length" (of the path in joint space), "time", "effort" (int of the squares of the accelerations),
     "margin" (largest least margin), or "none"."""
-    time_limit: Annotated[float, unit("s"), POSITIVE, "time limit for search and smoothing"] = 60.0
+    time_limit: Annotated[float, unit("s"), POSITIVE, "time limit of search, smoothing and proof"] = 60.0
     """Time limit of search, smoothing and proof, s."""
     search_seconds: float = 5.0
     """Duration of the search for a shorter path by "optimal", s."""

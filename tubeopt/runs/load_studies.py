@@ -49,7 +49,9 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
 
     kind: Literal["load_limit"]
     from_deg: OnePerTube | None = Field(
-        None, description="rotations of the unloaded start of the motion to these joint values; by default no motion"
+        None,
+        description="rotations of an unloaded start: the robot moves from there to its "
+        "rotations, then the load grows; default no motion",
     )
     axial: bool = Field(
         False,

@@ -134,9 +134,11 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     tip_path_mm: Annotated[list[Triple], Field(min_length=2)] | None = Field(
         None, description="points of a curve for the tip; the start configuration comes from inverse kinematics"
     )
-    spline: bool = Field(False, description="connect the points by a smooth spline instead of a polyline")
+    spline: bool = Field(
+        False, description="connect the points of tip_path_mm by a smooth spline instead of a polyline"
+    )
     tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
-        Decimal("0.5"), description="largest distance between tip and curve"
+        Decimal("0.5"), description="largest distance between the tip and the curve of tip_path_mm"
     )
     leader: bool = Field(False, description="follow-the-leader deployment: the arm stays close to the path of its tip")
     begin_percent: Positive = Field(

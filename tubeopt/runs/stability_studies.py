@@ -176,8 +176,12 @@ class CertifyStudy(Timed):
     _robot_file: str = PrivateAttr("ROBOT.yaml")
     translations_mm: OnePerTube | None = SHIFTED
     box: bool = Field(False, description="certify all translations within the limits of the robot")
-    lower_mm: OnePerTube | None = Field(None, description="smallest translations of the box; default the lower limits")
-    upper_mm: OnePerTube | None = Field(None, description="largest translations of the box; default the upper limits")
+    lower_mm: OnePerTube | None = Field(
+        None, description="smallest translations of a box to certify, as with box; default the lower limits"
+    )
+    upper_mm: OnePerTube | None = Field(
+        None, description="largest translations of a box to certify, as with box; default the upper limits"
+    )
     max_tip_force_mN: Annotated[Positive | None, Usual(1e-4, 20.0)] = Field(
         None, description="certify also under any dead tip force up to this size, in any direction"
     )

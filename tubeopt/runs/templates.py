@@ -70,7 +70,6 @@ class NewTubes(Entry):
 
     usual_count: ClassVar = USUAL_COUNT
 
-    tubes: Count | None = Field(None, le=6, description="number of tubes, at most 6")
     outer_diameter_mm: list[Number] | None = Field(None, description="outer diameter of every tube, inner to outer")
     inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter")
     straight_length_mm: list[Number] | None = Field(None, description="length of the straight part, from the held end")
@@ -94,12 +93,12 @@ class NewTubes(Entry):
     @property
     def count(self) -> int:
         """Number of tubes: as given, or as many as there are numbers, or two."""
-        return self.tubes or max(map(len, self.numbers.values()), default=self.usual_count)
+        return getattr(self, "tubes", None) or max(map(len, self.numbers.values()), default=self.usual_count)
 
     @property
     def single(self) -> Data:
         """What a file says of one tube; raises InputError where several are given."""
-        if any(len(values) != 1 for values in self.numbers.values()) or self.tubes not in (None, 1):
+        if any(len(values) != 1 for values in self.numbers.values()) or getattr(self, "tubes", 1) not in (None, 1):
             raise InputError("several tubes are given; give one number for each dimension of the one tube")
         return {key: values[0] for key, values in (USUAL_SINGLE | self.numbers).items()}
 
@@ -110,6 +109,7 @@ class NewRobot(NewTubes):
     asked: ClassVar = ("name", "tubes", *TUBE_KEYS, "material")
     """Keys for which a person is asked, in order."""
 
+    tubes: Count | None = Field(None, le=6, description="number of tubes, at most 6")
     name: str | None = Field(None, description="name of the robot")
     robot_kind: Literal["concentric", "eccentric"] | None = Field(
         None, description="kind of robot; concentric by default"

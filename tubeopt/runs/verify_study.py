@@ -73,7 +73,7 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
         None, description="rate and acceleration limits of the actuators; default not checked"
     )
     tip_mm_per_s: Annotated[Positive | None, Usual(1e-4, 2.0)] = Field(
-        None, description="largest tip speed, instead of that in rates; default no limit", examples=["V"]
+        None, description="largest tip speed; overrides the rates of the study; default no limit", examples=["V"]
     )
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
         None,

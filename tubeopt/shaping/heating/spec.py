@@ -54,7 +54,9 @@ class HeatingSpec(Displayed):
     slot: Annotated[float, key("slot_s"), POSITIVE, Usual(5e-3, 60.0), "duration of one duty-cycle value"] = 0.5
     quench: Annotated[str, OneOf(QUENCHES), "cooling after the hold time: water or air"] = "water"
     free: Annotated[
-        tuple[str, ...], OneOf(FREE), "rig parameters to optimise for an even temperature: clearance, lead, vents"
+        tuple[str, ...],
+        OneOf(FREE),
+        "rig parameters to optimise for an even temperature: clearance (between clamp and mold), lead, vents",
     ] = ()
     lead_range: Annotated[
         tuple[float, float], unit("mm"), POSITIVE, Usual(5e-4, 1.0), "bounds of the lead, with --free lead"
@@ -67,7 +69,7 @@ class HeatingSpec(Displayed):
         unit("mm"),
         POSITIVE,
         Usual(1e-4, 0.2),
-        "bounds of the side clearance, with --free clearance",
+        "bounds of the uncovered length between clamp and mold, with --free clearance",
     ] = (1e-3, 20e-3)
     most_vent: Annotated[
         float,
