@@ -27,7 +27,7 @@ from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
-from ..solvers.compiled.text import HERE, c_tables, numbers, with_included
+from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
@@ -36,6 +36,17 @@ from .command import MOST_NUMBER
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
+
+FOLLOWING = defined(
+    {
+        "LARGEST_RATIO": CONTINUATION.largest_ratio,
+        "LARGEST_TWIST": CONTINUATION.largest_twist,
+        "SOFT_TWIST": CONTINUATION.soft_twist,
+        "LARGEST_TURN": CONTINUATION.largest_turn,
+        "LARGEST_SHIFT": CONTINUATION.largest_shift,
+    }
+)
+"""By which steps along a branch are judged, as C."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,20 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     space, centred = joint_space(robot), not robot.assembly(robot.home_translations).eccentric
     extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
+    texts = {
+        "tubeopt_robot.h": header_text(name, robot.n_tubes, loads=loads, centred=centred),
+        "tubeopt_robot.c": _source(robot, space, name),
+        "CMakeLists.txt": _filled("CMakeLists.txt", name=name, load=" tubeopt_load.c" if loads else ""),
+        "README.md": _filled("README.md", name=name, version=__version__, load=" tubeopt_load.c" if loads else ""),
+        "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
+        "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
+    }
+    files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
+    return CLibrary(robot, name, prefix, files, loads)
+
+
+def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
+    """The header of a library for n tubes, which are all on the centreline or not."""
     told = {
         "loads": str(int(loads)),
         "compliance": str(int(centred)),
@@ -84,16 +109,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         "most_number": f"{MOST_NUMBER:g}",
         "how": "" if centred else ", by differences of equilibria side by side",
     }
-    texts = {
-        "tubeopt_robot.h": _filled("robot.h", name=name, version=__version__, n=str(robot.n_tubes), **told),
-        "tubeopt_robot.c": _source(robot, space, name),
-        "CMakeLists.txt": _filled("CMakeLists.txt", name=name, load=" tubeopt_load.c" if loads else ""),
-        "README.md": _filled("README.md", name=name, version=__version__, load=" tubeopt_load.c" if loads else ""),
-        "example.c": _filled("example.c", name=name, START=_joints(cases[0])),
-        "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
-    }
-    files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
-    return CLibrary(robot, name, prefix, files, loads)
+    return _filled("robot.h", name=name, version=__version__, n=str(n), **told)
 
 
 def save_c_library(library: CLibrary, folder: Path) -> list[Path]:
@@ -118,18 +134,23 @@ def _filled(file: str, **values: str) -> str:
 
 
 def _source(robot: Robot, space: JointSpace, name: str) -> str:
-    """The C text: what CasADi generates and the kernel, as they are for Python; the robot's numbers; the rest."""
     eccentric = robot.assembly(robot.home_translations).eccentric
+    kernel = kernel_text(robot.n_tubes, eccentric, _room(space))
+    return library_text(name, kernel, _data(robot, space), eccentric=eccentric)
+
+
+def library_text(name: str, kernel: str, numbers: str, *, eccentric: bool = False) -> str:
+    """The C text of a library: the kernel as it is for Python, the numbers of the robot as C, and what a loop asks."""
+    ends = ("robot", "differences" if eccentric else "slopes", "servo")
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
-        kernel_text(robot.n_tubes, eccentric, _room(space)),
-        _data(robot, space),
+        kernel,
+        "\n/* --- the numbers of the robot --- */\n",
+        FOLLOWING,
+        numbers,
         with_included(HERE / "quadratic.c"),
-        *(
-            with_included(C_FOLDER / f"{part}.c")
-            for part in ("robot", "differences" if eccentric else "slopes", "servo")
-        ),
+        *(with_included(C_FOLDER / f"{part}.c") for part in ends),
     ]
     return "".join(parts)
 
@@ -169,17 +190,8 @@ def _data(robot: Robot, space: JointSpace) -> str:
         if robot.assembly(robot.home_translations).eccentric
         else f"({2 * m + len(space.least) + 1} + TUBEOPT_MOST_CONTACTS)",
         "LONGEST_TUBE": space.length,
-        "LARGEST_RATIO": CONTINUATION.largest_ratio,
-        "LARGEST_TWIST": CONTINUATION.largest_twist,
-        "SOFT_TWIST": CONTINUATION.soft_twist,
-        "LARGEST_TURN": CONTINUATION.largest_turn,
-        "LARGEST_SHIFT": CONTINUATION.largest_shift,
     }
-    lines = [
-        "\n/* --- the numbers of the robot --- */\n",
-        *(f"#define {key} {value}" for key, value in defines.items()),
-    ]
-    lines += [c_tables(tables)]
+    lines = [*(f"#define {key} {value}" for key, value in defines.items()), c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
     lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};\n\n"]

@@ -41,6 +41,12 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         raise InputError("loads are requested; loads on eccentric robots are not supported")
     mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -GRAVITY))), robot.n_tubes
     pieces = _room(robot, shifts) if home.general else MOST_PIECES
+    data = f"{pieces_text(robot)}static const Tubes ROBOT = {tubes_text(robot)};\n"
+    return loads_text(name, n, f"{data}static const double MASS[] = {{{numbers(mass)}}};\n", pieces)
+
+
+def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
+    """The same of n tubes with room for so many pieces of mesh; `data` has PIECES, ROBOT and MASS as C."""
     generator = ca.CodeGenerator("mechanics_of_loads.c")
     generator.add(coupling_rate_function(n))
     defines = {
@@ -62,8 +68,7 @@ def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
         piece_constants(),
         with_included(HERE / "pieces.c"),
         with_included(HERE / "layout.c"),
-        pieces_text(robot),
-        f"static const Tubes ROBOT = {tubes_text(robot)};\nstatic const double MASS[] = {{{numbers(mass)}}};\n",
+        data,
         (C_FOLDER / "bear.c").read_text(),
     ]
     return "".join(parts)
