@@ -1,7 +1,7 @@
 """The robot in the page: the kernel as WebAssembly, and the page of `docs/page` with it.
 
-A hook of MkDocs, and a command: `python .ci/page.py FOLDER` writes the page with its kernel into a folder, from which any
-server of files shows it. The kernel is the text that Python compiles, with the numbers of the robot as variables
+A hook of MkDocs, and a command: `python .ci/page.py FOLDER` writes the page with its kernel into a folder, which any
+server of files can show. The kernel is the text that Python compiles, with the numbers of the robot as variables
 (`docs/page/kernel`). It is compiled by Zig (`pip install ziglang`), and kept in the cache of compiled kernels.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
 import shutil
 import subprocess
 import sys
@@ -17,15 +18,20 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from tubeopt import ConcentricRobot, load_robot
 from tubeopt.control.c_library import header_text, library_text
 from tubeopt.control.c_loads import loads_text
+from tubeopt.robots.materials import MATERIALS
+from tubeopt.robots.robot import is_general
 from tubeopt.solvers.compiled.library import cache_directory, kernel_text
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "page"
 KERNEL = PAGE / "kernel"
+ROBOTS = PAGE.parents[1] / "configs" / "robots"
+FIRST = "thesis_ctr"
 
 TUBES = 4
-"""Most tubes of a robot in the page: one kernel serves all robots, with tubes of no length in place of those that lack."""
+"""Most tubes of a robot in the page: one kernel serves all robots, with tubes of no length in place of missing ones."""
 
 COMPILER = (sys.executable, "-m", "ziglang", "cc", "--target=wasm32-wasi")
 FLAGS = ("-O2", "-msimd128", "-std=gnu99", "-w")
@@ -73,13 +79,26 @@ def kernel() -> Path | None:
     return kept
 
 
+def robots() -> dict[str, Any]:
+    """Robot files of `configs/robots` that the page shows, the thesis robot first, and its materials, in SI."""
+    shown = []
+    for path in sorted(ROBOTS.glob("*.yaml"), key=lambda path: (path.stem != FIRST, path.stem)):
+        robot = load_robot(path)
+        plain = not is_general(robot) and isinstance(robot, ConcentricRobot)
+        if plain and robot.n_tubes <= TUBES and robot.calibration is None:
+            shown.append({"name": robot.name, "text": path.read_text()})
+    materials = {name: {"youngs": m.youngs_modulus, "shear": m.shear_modulus} for name, m in MATERIALS.items()}
+    return {"robots": shown, "materials": materials}
+
+
 def on_post_build(config: Any) -> None:
-    """Put the kernel beside the page of the site that MkDocs has built."""
-    put_kernel(Path(config.site_dir) / "page")
+    """Add what is made to the page of the site that MkDocs has built."""
+    complete(Path(config.site_dir) / "page")
 
 
-def put_kernel(folder: Path) -> bool:
-    """Put the kernel into a page; whether there is one."""
+def complete(folder: Path) -> bool:
+    """Put kernel and robots into a page; whether there is a kernel."""
+    (folder / "robots.json").write_text(json.dumps(robots()))
     found = kernel()
     if found is None:
         print(MISSING, file=sys.stderr)
@@ -91,7 +110,7 @@ def put_kernel(folder: Path) -> bool:
 def main(folder: Path) -> None:
     """The whole page into a folder."""
     shutil.copytree(PAGE, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("kernel"))
-    if not put_kernel(folder):
+    if not complete(folder):
         sys.exit(1)
 
 

@@ -13,14 +13,18 @@ export class Kernel {
     this.n = tubes;
   }
 
-  /** From the bytes of kernel.wasm, or their promise of a response. */
-  static async load(source) {
-    const { instance } =
-      source instanceof ArrayBuffer || ArrayBuffer.isView(source)
-        ? await WebAssembly.instantiate(source, {})
-        : await WebAssembly.instantiateStreaming(source, {});
+  /** From the bytes of kernel.wasm. */
+  static async load(bytes) {
+    const { instance } = await WebAssembly.instantiate(bytes, {});
     instance.exports._initialize?.();
     return new Kernel(instance.exports, 0);
+  }
+
+  /** From kernel.wasm beside this file. */
+  static async fetch() {
+    const response = await fetch(new URL("kernel.wasm", import.meta.url));
+    if (!response.ok) throw new Error("The solver is missing: this site was built without kernel.wasm.");
+    return Kernel.load(await response.arrayBuffer());
   }
 
   #put(numbers, at = 0) {

@@ -1,0 +1,374 @@
+"""The robot in the page: the answers of Python, in a real browser, and what a hand does there."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.examples import THESIS
+from tubeopt import (
+    ConcentricRobot,
+    Load,
+    Material,
+    Tube,
+    energy_map,
+    find_snap,
+    follow,
+    forward_kinematics,
+    load_robot,
+    snap_free_certificate,
+)
+from tubeopt.inverse.joints import joint_space
+from tubeopt.robots.robot import Robot
+
+DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+
+MOST_BYTES = 3_000_000
+
+PATIENCE = 60_000
+"""Longest wait, ms."""
+
+KERNEL = "const { Kernel } = await import('./kernel.js'); const kernel = await Kernel.fetch();"
+
+
+@contextmanager
+def opened(browser: Any, address: str, size: dict[str, int] = DESKTOP, **options: Any) -> Iterator[Any]:
+    """The page in a new profile; an error in it, or a request to another server, fails the test."""
+    context = browser.new_context(viewport=size, **options)
+    page, wrong = context.new_page(), []
+    page.set_default_timeout(PATIENCE)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda line: wrong.append(line.text) if line.type == "error" else None)
+    own = (address.split("/index")[0], "data:", "blob:")
+    page.on("request", lambda request: None if request.url.startswith(own) else wrong.append(request.url))
+    page.goto(address)
+    page.wait_for_function("() => document.documentElement.dataset.ready")
+    yield page
+    context.close()
+    assert not wrong
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, address: str) -> Iterator[Any]:
+    """The page at the size of a desktop."""
+    with opened(browser, address) as page:
+        yield page
+
+
+def given(robot: Robot) -> list[dict[str, Any]]:
+    """Tubes as the kernel has them."""
+    space = joint_space(robot)
+    ranges = space.ranges.T.tolist()
+    return [
+        {
+            "kb": tube.bending_stiffness,
+            "kt": tube.torsional_stiffness,
+            "curvature": tube.curvature,
+            "straight": tube.straight_length,
+            "curved": tube.curved_length,
+            "mass": 0.0,
+            "turnRange": ranges[i],
+            "shiftRange": ranges[robot.n_tubes + i],
+        }
+        for i, tube in enumerate(robot.tubes)
+    ]
+
+
+def random_robot(random: np.random.Generator) -> ConcentricRobot:
+    """Of one to four tubes of some alloy, some straight, some bent to the other side."""
+    n = int(random.integers(1, 5))
+    tubes: list[Tube] = []
+    inside, straight, total = random.uniform(0.3e-3, 0.8e-3), random.uniform(0.1, 0.3), 0.0
+    for _ in range(n):
+        outer = inside + random.uniform(0.08e-3, 0.4e-3)
+        curved = random.uniform(0.02, 0.15)
+        if total:
+            curved = min(curved, total - straight)
+        curvature = random.choice([0.0, -1.0, 1.0, 1.0, 1.0]) * random.uniform(1.0, 15.0)
+        material = Material.from_poisson_ratio("alloy", random.uniform(30e9, 200e9), random.uniform(0.2, 0.45))
+        tubes.append(Tube(outer, inside, straight, curved, curvature, material))
+        total = straight + curved
+        inside = outer + random.uniform(0.02e-3, 0.2e-3)
+        straight *= random.uniform(0.3, 0.8)
+    return ConcentricRobot(tuple(tubes))
+
+
+def cases(count: int, seed: int) -> Iterator[tuple[ConcentricRobot, np.ndarray, np.ndarray]]:
+    """Random robots at random joint values that their order allows."""
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        robot = random_robot(random)
+        space = joint_space(robot)
+        q = random.choice(space.sample(16))
+        rotations, translations = space.split(q)
+        yield robot, np.asarray(rotations), np.asarray(translations)
+
+
+def as_joints(rotations: Any, translations: Any) -> dict[str, list[float]]:
+    return {"rotations": np.asarray(rotations).tolist(), "translations": np.asarray(translations).tolist()}
+
+
+ASK = f"""async (cases) => {{
+    {KERNEL}
+    return cases.map(({{ tubes, joints, force }}) => {{
+        kernel.use(tubes);
+        const solved = kernel.solve(joints), certificate = kernel.certificate(joints.translations);
+        const loaded = solved.pose && force ? kernel.bear(force) : null;
+        return {{ ...solved, certificate, loaded, points: Array.from(kernel.shape().points) }};
+    }});
+}}"""
+
+
+@pytest.mark.parametrize("count", [8, 200])
+def test_random_robots_have_the_answers_of_python(page: Any, count: int) -> None:
+    """Tips, margins, certificates and energies to 1e-9; where the kernel declines, Python has solved by other means."""
+    known = list(cases(count, seed=5))
+    asked = [{"tubes": given(robot), "joints": as_joints(q, d)} for robot, q, d in known]
+    declined = 0
+    for (robot, rotations, translations), answer in zip(known, page.evaluate(ASK, asked), strict=True):
+        certificate = snap_free_certificate(robot, translations)
+        assert answer["certificate"] == pytest.approx(certificate, rel=1e-9, abs=1e-9)
+        if answer["status"]:
+            declined += 1
+            continue
+        pose, expected = answer["pose"], forward_kinematics(robot, rotations, translations)
+        assert pose["position"] == pytest.approx(expected.tip_position, abs=1e-9)
+        assert np.reshape(pose["frame"], (3, 3)) == pytest.approx(expected.tip_rotation, abs=1e-9)
+        assert pose["tipRotations"] == pytest.approx(expected.tip_rotations, abs=1e-9)
+        assert pose["margin"] == pytest.approx(expected.margin, abs=1e-9)
+        assert pose["energy"] == pytest.approx(expected.energy, rel=1e-9, abs=1e-12)
+        assert answer["points"][-3:] == pytest.approx(expected.tip_position, abs=1e-9)
+    assert declined <= count / 20
+
+
+@pytest.mark.parametrize("count", [3, 50])
+def test_random_robots_under_a_force_have_the_answers_of_python(page: Any, count: int) -> None:
+    random, asked, known = np.random.default_rng(3), [], []
+    for robot, rotations, translations in cases(count, seed=9):
+        light = forward_kinematics(robot, rotations, translations)
+        if light.margin < 0.2 or light.arc_length[-1] < 0.02:
+            continue
+        loaded = forward_kinematics(robot, rotations, translations, load=Load(force=(1e-9, 0.0, 0.0)))
+        assert loaded.compliance is not None
+        push = random.normal(size=3)
+        push *= 0.02 * light.arc_length[-1] / np.linalg.norm(loaded.compliance[:3, :3] @ push)
+        known.append((robot, rotations, translations, push))
+        asked.append({"tubes": given(robot), "joints": as_joints(rotations, translations), "force": push.tolist()})
+    assert len(asked) >= count / 2
+    for (robot, rotations, translations, push), answer in zip(known, page.evaluate(ASK, asked), strict=True):
+        expected = forward_kinematics(robot, rotations, translations, load=Load(force=tuple(push)))
+        assert answer["loaded"]["status"] == 0
+        assert answer["loaded"]["pose"]["position"] == pytest.approx(expected.tip_position, abs=1e-9)
+        if expected.margin < 0.99:
+            assert answer["loaded"]["pose"]["margin"] == pytest.approx(expected.margin, abs=1e-5)
+
+
+def test_a_snap_and_its_landing_are_those_of_python(page: Any) -> None:
+    """The exact fold, where rotating only tube 1 from 0: 214.222427 deg (independent shooting)."""
+    found = page.evaluate(
+        f"""async (tubes) => {{
+            {KERNEL}
+            const {{ Arm }} = await import('./motion.js');
+            const at = (deg) => ({{ rotations: [deg * Math.PI / 180, 0, 0], translations: [0, 0, 0] }});
+            const arm = new Arm(kernel);
+            arm.assemble(tubes, at(0), true);
+            const there = arm.move(at(230)), landed = arm.pose, back = arm.move(at(100));
+            return {{ there, landed, back, last: arm.pose }};
+        }}""",
+        given(THESIS),
+    )
+    turn = np.radians([0.0, 230.0, 100.0])
+    known = follow(THESIS, turn[:, None] * [1.0, 0.0, 0.0], np.zeros((3, 3)))
+    assert len(found["there"]["snaps"]) == len(found["back"]["snaps"]) == 1
+    assert len(known.snaps) == 2
+    for snap, expected in zip([*found["there"]["snaps"], *found["back"]["snaps"]], known.snaps, strict=True):
+        assert math.degrees(snap["to"]["rotations"][0]) == pytest.approx(
+            math.degrees(expected.after.rotations[0]), abs=0.15
+        )
+        assert snap["released"] == pytest.approx(expected.energy_released, rel=0.02)
+        frames = snap["frames"]
+        assert frames[0][-3:] == pytest.approx(snap["from"]["position"], abs=2e-3)
+        assert frames[-1][-3:] == pytest.approx(snap["to"]["position"], abs=1e-3)
+    there = find_snap(THESIS, (np.zeros(3), np.zeros(3)), (turn[1] * np.eye(3)[0], np.zeros(3)))
+    assert there is not None
+    assert math.degrees(there.rotations[0]) == pytest.approx(214.222427, abs=1e-5)
+    assert math.degrees(found["there"]["snaps"][0]["from"]["rotations"][0]) == pytest.approx(214.2224, abs=0.1)
+    assert found["landed"]["position"] == pytest.approx(known.equilibria[-2].tip_position, abs=1e-9)
+    assert found["last"]["position"] == pytest.approx(known.equilibria[-1].tip_position, abs=1e-9)
+
+
+def test_the_energy_map_is_that_of_python(page: Any) -> None:
+    """To 1 % of its range: the page's is on coarser elements."""
+    robot, rotations = load_robot("configs/robots/two_tube.yaml"), np.array([2.5, 0.0])
+    window = [[-1.0, 5.0], [-3.0, 2.0]]
+    found = page.evaluate(
+        f"""async ([tubes, joints, window]) => {{
+            {KERNEL}
+            kernel.use(tubes);
+            return Array.from(kernel.energyMap(joints, [0, 1], window, 7));
+        }}""",
+        [given(robot), as_joints(rotations, np.zeros(2)), window],
+    )
+    known = energy_map(robot, rotations, samples=7, window=window).energy
+    assert np.reshape(found, (7, 7)) == pytest.approx(known, abs=0.01 * np.ptp(known))
+
+
+def test_robot_files_are_read_as_python_reads_them(page: Any, folder: Path) -> None:
+    shipped = json.loads((folder / "robots.json").read_text())
+    assert len(shipped["robots"]) >= 15
+    read = page.evaluate(
+        """async ({ robots, materials }) => {
+            const { readRobot, inSI, writeRobot } = await import('./robot.js');
+            return robots.map(({ text }) => {
+                const robot = readRobot(text, materials, 4), again = readRobot(writeRobot(robot), materials, 4);
+                return [inSI(robot, materials), inSI(again, materials), writeRobot(robot)];
+            });
+        }""",
+        shipped,
+    )
+    for robot, (found, again, text) in zip(shipped["robots"], read, strict=True):
+        known = load_robot_text(robot["text"], folder)
+        for own, expected in zip(found, given(known), strict=True):
+            for key in ("kb", "kt", "curvature", "straight", "curved"):
+                assert own[key] == pytest.approx(expected[key], rel=1e-12)
+            assert own["turnRange"] == pytest.approx(expected["turnRange"])
+        assert again == found
+        assert load_robot_text(text, folder).n_tubes == known.n_tubes
+
+
+def load_robot_text(text: str, folder: Path) -> Any:
+    path = folder / "read.yaml"
+    path.write_text(text)
+    return load_robot(path)
+
+
+SIZES = "straight_length_mm: {}, curved_length_mm: 1, radius_mm: 9"
+
+WRONG = {
+    "kind: eccentric\ntubes: []": "eccentric",
+    "kind: concentric\ntubes:\n  - {outer_diameter_mm: 1}": "inner_diameter_mm is missing",
+    f"kind: concentric\ntubes: [{{outer_diameter_mm: 1, inner_diameter_mm: 2, {SIZES.format(1)}}}]": "inner diameter",
+    f"kind: concentric\ntubes: [{{outer_diameter_mm: 1, inner_diameter_mm: 0, {SIZES.format('a')}}}]": "be a number",
+    "kind: concentric\nkind: concentric": "line 2",
+    "": "empty",
+}
+
+
+def test_files_that_are_no_robot_are_refused_in_a_sentence(page: Any) -> None:
+    said = page.evaluate(
+        """async (texts) => {
+            const { readRobot } = await import('./robot.js');
+            const known = { nitinol: { youngs: 58e9, shear: 21.5e9 } };
+            return texts.map((text) => {
+                try { return readRobot(text, known, 4).name; } catch (error) { return error.message; }
+            });
+        }""",
+        list(WRONG),
+    )
+    for words, expected in zip(said, WRONG.values(), strict=True):
+        assert expected in words
+
+
+def state(page: Any) -> dict[str, Any]:
+    found: dict[str, Any] = page.evaluate(
+        """({ pose: tubeoptPage.pose, tubes: tubeoptPage.tubes.length, force: tubeoptPage.arm.force,
+              message: document.getElementById('message').textContent, ahead: tubeoptPage.ahead?.snaps })"""
+    )
+    return found
+
+
+def slide(page: Any, label: str, value: float) -> None:
+    """A slider moved by its owner."""
+    slider = page.locator(f"input[type=range][aria-label^='{label}']")
+    slider.evaluate("(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", value)
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def tip_on_screen(page: Any) -> tuple[float, float]:
+    x, y = page.evaluate(
+        """(() => { const box = document.getElementById('scene').getBoundingClientRect();
+                    const at = tubeoptPage.scene.project(tubeoptPage.tip);
+                    return [at[0] + box.left, at[1] + box.top]; })()"""
+    )
+    return x, y
+
+
+def test_a_hand_snaps_the_robot_pushes_it_and_shares_it(browser: Any, address: str) -> None:
+    with opened(browser, address) as page:
+        page.locator("text=Home").click()
+        slide(page, "rotation of tube 1", 210)
+        assert state(page)["pose"]["margin"] == pytest.approx(0.5132, abs=1e-4)
+        page.wait_for_function(
+            "() => tubeoptPage.ahead && Math.abs(tubeoptPage.ahead.joints.rotations[0] - 3.665) < 1e-3"
+        )
+        assert math.degrees(state(page)["ahead"]["rotations"][0][1]) == pytest.approx(214.2224, abs=0.1)
+        slide(page, "rotation of tube 1", 220)
+        assert "Snap at rotation 214.2" in state(page)["message"] or "214.3" in state(page)["message"]
+        page.wait_for_function("() => !tubeoptPage.fall")
+        x, y = tip_on_screen(page)
+        before = state(page)["pose"]
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 20, y + 10, steps=4)
+        page.wait_for_function("() => tubeoptPage.drag.short < 1e-5")
+        page.mouse.up()
+        after = state(page)["pose"]
+        assert tip_on_screen(page) == pytest.approx((x + 20, y + 10), abs=1)
+        assert np.linalg.norm(np.subtract(after["position"], before["position"])) > 2e-3
+        known = forward_kinematics(THESIS, after["rotations"], after["translations"])
+        assert after["position"] == pytest.approx(known.tip_position, abs=1e-9)
+        slide(page, "force on the tip along x", 8)
+        assert state(page)["force"] == [pytest.approx(8e-3), 0, 0]
+        loaded = state(page)["pose"]
+        assert np.linalg.norm(np.subtract(loaded["position"], after["position"])) > 1e-4
+        page.locator("#share").click()
+        shared = page.url
+    with opened(browser, shared, PHONE, has_touch=True, is_mobile=True) as page:
+        again = state(page)
+        assert again["force"] == [pytest.approx(8e-3), 0, 0]
+        assert again["pose"]["rotations"] == pytest.approx(loaded["rotations"], abs=1e-9)
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        assert wide == PHONE["width"]
+        for name in ("stability", "tip", "tubes", "joints"):
+            page.locator(f"#tabs [data-part={name}]").tap()
+            assert page.locator(f"section[data-part={name}]").is_visible()
+
+
+def test_tubes_are_changed_added_removed_opened_and_saved(browser: Any, address: str, tmp_path: Path) -> None:
+    with opened(browser, address) as page:
+        slide(page, "outer ⌀ of tube 1", 1.3)
+        assert "does not fit into tube 2" in page.locator("p.fault").inner_text()
+        slide(page, "outer ⌀ of tube 1", 1.0)
+        assert page.locator("p.fault").inner_text() == ""
+        slide(page, "curvature of tube 1", 12)
+        page.locator("text=Add a tube").click()
+        assert state(page)["tubes"] == 4
+        page.locator("[aria-label='Remove tube 2']").click()
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        with page.expect_download() as download:
+            page.locator("#save").click()
+        download.value.save_as(tmp_path / "robot.yaml")
+        robot, pose = load_robot(tmp_path / "robot.yaml"), state(page)["pose"]
+        assert robot.tubes[0].curvature == 12
+        known = forward_kinematics(robot, pose["rotations"], pose["translations"])
+        assert pose["position"] == pytest.approx(known.tip_position, abs=1e-9)
+        page.set_input_files("#file", "configs/robots/crl_ctr.yaml")
+        page.wait_for_function("() => tubeoptPage.robot.name === 'CRL CTR'")
+        page.set_input_files("#file", "configs/robots/example_pieces.yaml")
+        page.wait_for_function("() => document.getElementById('message').textContent.includes('one curvature')")
+        assert page.evaluate("tubeoptPage.robot.name") == "CRL CTR"
+
+
+def test_the_page_is_small_and_fetches_nothing_else(page: Any, folder: Path) -> None:
+    assert sum(file.stat().st_size for file in folder.rglob("*")) < MOST_BYTES
+    text = "".join(file.read_text() for file in folder.iterdir() if file.suffix in (".html", ".css", ".js"))
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "default-src 'none'" in text
