@@ -228,5 +228,5 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
     weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
     points = sum(float(np.linalg.norm(part.force)) for part in load.points)
     force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length
-    moment = float(np.linalg.norm(load.moments, axis=1).sum())
+    moment = float(np.linalg.norm([load.moment, *(part.moment for part in load.points)], axis=1).sum())
     return float(force), moment + turning * assembly.total_length

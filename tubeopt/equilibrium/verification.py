@@ -21,7 +21,7 @@ import scipy
 
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
-from ..robots.order import last_tube, outermost, twisted_tube
+from ..robots.order import outermost, twisted_tube
 from ..robots.robot import Robot
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
@@ -51,7 +51,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
     for each in equilibria:
         refuse_friction(each)
     arms = _Arms.of(equilibria)
-    n, load, state = arms.robot.n_tubes, arms.load, arms.base()
+    n, state = arms.robot.n_tubes, arms.base()
     base = [
         own[:n] - arms.transmitted(assembly, own[n : 2 * n]) - each.rotations
         for each, assembly, own in zip(equilibria, arms.assemblies, state, strict=True)
@@ -66,14 +66,10 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
             each, assembly, stop = equilibria[b], arms.assemblies[b], section.stop[j]
             solved = each.rotation[:, np.argmin(np.abs(each.arc_length - stop))]
             worst[b] = max(worst[b], np.abs(state[b, :n] - solved).max())
-            torque = beyond[j, n : 2 * n].copy()
-            moment, tip = _frame(state[b], n).T @ _at_tip(each, load.moment), int(last_tube(assembly.end))
-            if abs(assembly.end[tip] - stop) < SAME_PLACE:
-                torque[tip] -= moment[2]
             if k == assembly.n_sections - 1:
-                bent[b] = np.abs(beyond[j, -5:-3] - moment[:2]).max() / kb[j].sum()
+                bent[b] = np.abs(beyond[j, -5:-3]).max() / kb[j].sum()
             ends = np.abs(assembly.end - stop) < SAME_PLACE
-            loose[b] = max(loose[b], np.abs(torque / kt[j])[ends].max(initial=0.0))
+            loose[b] = max(loose[b], np.abs(beyond[j, n : 2 * n] / kt[j])[ends].max(initial=0.0))
     out = []
     for b, each in enumerate(equilibria):
         turn = _frame(state[b], n) @ each.tip_rotation.T
@@ -109,21 +105,17 @@ def _frame(state: Array, n: int) -> Array:
     return state[2 * n : 2 * n + 9].reshape(3, 3)
 
 
-def _at_tip(equilibrium: Equilibrium, value: tuple[float, float, float]) -> Array:
-    """(3,) force or moment at the tip in axes of the plate."""
-    turning = equilibrium.load is not None and equilibrium.load.frame == "tip"
-    return np.asarray((equilibrium.tip_rotation if turning else np.eye(3)) @ value)
-
-
-def _past_points(assembly: Assembly, load: Load, s: float, state: Array) -> Array:
-    """The state beyond the forces and moments that act at an arc length."""
+def _past_points(equilibrium: Equilibrium, assembly: Assembly, load: Load, s: float, state: Array) -> Array:
+    """The state beyond the forces and moments that act at an arc length, also at the tip."""
     n, out = assembly.n_tubes, state.copy()
-    for part in load.points:
-        if abs(part.at - s) < SAME_PLACE:
-            moment = _frame(state, n).T @ part.moment
+    turned = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
+    acting = [(part.at, np.array(part.force), np.array(part.moment)) for part in load.points]
+    for place, force, given in (*acting, (assembly.end.max(), turned @ load.force, turned @ load.moment)):
+        if abs(place - s) < SAME_PLACE:
+            moment = _frame(state, n).T @ given
             out[n + twisted_tube(assembly.end, s)] -= moment[2]
             out[-5:-3] -= moment[:2]
-            out[-3:] -= part.force
+            out[-3:] -= force
     return out
 
 
@@ -166,10 +158,12 @@ class _Arms:
 
     def past_points(self, rows: Index, s: Array, state: Array) -> Array:
         """The states of some of them beyond the forces and moments that act at arc lengths (B,)."""
-        if not self.load.points:
+        if self.load == Load():
             return state
         each = zip(rows.tolist(), s.tolist(), state, strict=True)
-        return np.array([_past_points(self.assemblies[b], self.load, at, own) for b, at, own in each])
+        return np.array(
+            [_past_points(self.equilibria[b], self.assemblies[b], self.load, at, own) for b, at, own in each]
+        )
 
     def section(self, k: int) -> _Section:
         """The k-th from the plate, of arms that have so many."""

@@ -350,7 +350,10 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float, time
         a, b = passage.lost[0]
         for step in passage.steps:
             if a <= step.at <= b and (sure := follower.sure(step.equilibrium)) <= 0:
-                return faults, [*unproved, _not_sure(step, sure)]
+                at = f"{100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}"
+                least = f"the least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}"
+                why = f"not proved: at {at}, but {least}; a proof under moments needs it above 0"
+                return faults, [*unproved, why]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the trajectory"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
     if passage.measured < wanted:
@@ -360,15 +363,6 @@ def _branch_faults(follower: Follower, passage: Passage, min_margin: float, time
         shown = passage.clearance * 1e3
         unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
-
-
-def _not_sure(step: Step, sure: float) -> str:
-    """Why nothing is proved next to a step whose linearised equations have no positive symmetric part."""
-    return (
-        f"not proved: at {100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}, but the "
-        f"least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}; a proof under moments "
-        "needs it above 0"
-    )
 
 
 def _again(equilibria: Sequence[Equilibrium]) -> float:

@@ -99,13 +99,8 @@ class Load(Displayed):
     @property
     def has_energy(self) -> bool:
         """True if all forces keep their direction and there are no moments: equilibria are then minima of an energy."""
-        turning = _has_moment(self.distributed) or any(map(any, self.moments))
+        turning = any(self.moment) or any(any(part.moment) for part in self.points) or _has_moment(self.distributed)
         return not turning and (self.frame == "world" or not any(self.force))
-
-    @property
-    def moments(self) -> tuple[Vector, ...]:
-        """Moments at the tip and at the points, N m."""
-        return self.moment, *(part.moment for part in self.points)
 
     def require_energy(self, untold: str) -> None:
         """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""

@@ -32,7 +32,7 @@ class Couples:
     """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
 
     along: Array
-    """(N, 3) moment per length at the collocation points, N."""
+    """(N, n, 3) moments per length at the collocation points, on the tubes, N."""
     moment: Array
     """(C, 3) world axes, N m; that at the tip in the axes of the load."""
     joint: Index
@@ -43,6 +43,8 @@ class Couples:
     """(C,) on which each acts."""
     row: Array
     """(C, U) turn of the tube there by z."""
+    following: bool
+    """Whether the moment at the tip turns with it."""
     rest: Array
     """(J, C) turns of the tubes at the joints, by unit torques on all of them, that z does not see, rad/(N m)."""
 
@@ -50,16 +52,18 @@ class Couples:
         """(C, 4) where the moments act."""
         return np.concatenate([along.begin[self.joint], along.stage[self.point]])
 
-    def torques(self, along: Orientation, moment: Array) -> Array:
-        """(C,) tau = m.t of moments (C, 3)."""
-        return np.asarray((moment * tangents(self.quaternions(along))).sum(1))
+    def torques(self, along: Orientation) -> Array:
+        """(C,) tau = m.t."""
+        out = (self.moment * tangents(self.quaternions(along))).sum(1)
+        if self.following:
+            out[0] = self.moment[0, 2]
+        return np.asarray(out)
 
-    def torque_slopes(self, along: Orientation, moment: Array, turned: Array, *, following: bool) -> Array:
-        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature; a moment at the
-        tip that is `following` turns with the tangent."""
+    def torque_slopes(self, along: Orientation, turned: Array) -> Array:
+        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature."""
         slope = np.concatenate([along.begin_slope[self.joint], along.stage_slope[self.point]])
-        leaning = (moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
-        leaning[:1] *= not following
+        leaning = (self.moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
+        leaning[:1] *= not self.following
         return np.asarray((leaning[:, None] @ slope)[:, 0] @ turned)
 
 
@@ -72,7 +76,8 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     # The piece that begins there, at the tip the number of pieces.
     joint = np.searchsorted(mesh.start, [s - END for s, _ in at])
     on_joint, point = twisted_tube(assembly.end, [s for s, _ in at]), np.flatnonzero(per_length.any(1))
-    on_point = outermost(assembly.present[np.repeat(mesh.section, mesh.tableau.degree)[point]])
+    tube_there = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
+    on_point = tube_there[point]
     tube, lever = np.concatenate([on_joint, on_point]), np.concatenate([ends[joint, on_joint], ahead[point, on_point]])
     rows = [
         # A torque turns its tube up to where it acts, and no farther.
@@ -82,11 +87,12 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     row, count = np.concatenate([rows, spread[point, on_point]]), len(joint)
     whole = np.where(tube[:count, None] == tube, np.minimum(lever[:count, None], lever), 0.0)
     return Couples(
-        along=per_length,
+        along=np.where((tube_there[:, None] == np.arange(assembly.n_tubes))[..., None], per_length[:, None], 0.0),
         moment=np.concatenate([[m for _, m in at], (per_length.T * torsion.weight).T[point]]),
         joint=joint,
         point=point,
         tube=tube,
         row=row,
+        following=load.frame == "tip",
         rest=whole - row[:count] @ row.T,
     )

@@ -114,6 +114,7 @@ class LoadedState:
     gradient, hessian: of energy less work, or the equations and their Jacobian for loads without an energy.
     pull: (U + 2 N,) derivative of the gradient by the factor.
     torque: (N, n) torque per length on each tube, N.   joint_torques: (J,) of the moments at joints, N m.
+    twisted: (C, U + 2 N) derivative of the torques of all moments.
     base_moment: (2,) bending moment at the plate, N m.   turned: (2 N, U + 2 N) du/dx.
     """
 
@@ -128,6 +129,7 @@ class LoadedState:
     pull: Array
     torque: Array
     joint_torques: Array
+    twisted: Array
     base_moment: Array
     orientation: Orientation
     turned: Array
@@ -226,17 +228,19 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
     softened = stiff.copy()
     softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
-    pull, joint_torques = -(felt.ravel() @ turned), np.zeros(1)
+    pull, joint_torques, twisted = -(felt.ravel() @ turned), np.zeros(1), np.zeros((0, len(x)))
     if couples is not None:
-        joints, twisting = len(couples.joint), couples.torques(along, push.twisting)
+        joints, twisting = len(couples.joint), couples.torques(along)
         pull[:split] -= twisting @ couples.row
         torque[couples.point, couples.tube[joints:]] -= factor * twisting[joints:] / weight[couples.point]
-        joint_torques = factor * twisting[:joints]
+        joint_torques, twisted = factor * twisting[:joints], couples.torque_slopes(along, turned)
     gradient = x + factor * pull
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
     hessian = _hessian(problem, factor, turned[:, :split], softened, work)
     if couples is not None:
-        hessian -= factor * _turned_on(problem, along, push, turned)
+        hessian[:split] -= factor * (couples.row.T @ twisted)
+    if problem.load.frame == "tip":
+        hessian -= factor * _following(problem, along, push, turned)
     return LoadedState(
         x=x,
         factor=factor,
@@ -249,6 +253,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
         pull=pull,
         torque=torque,
         joint_torques=joint_torques,
+        twisted=twisted,
         base_moment=factor * (world_turns() @ along.begin[0] @ swept.base / 2 + push.base[MOMENT])[:2],
         orientation=along,
         turned=turned,
@@ -276,41 +281,25 @@ def _hessian(problem: LoadedProblem, factor: float, by_tubes: Array, softened: A
 @dataclass(frozen=True, eq=False)
 class _Push:
     """The whole load at an orientation of the tip, in world axes: force and moment beyond the points, `ahead` (N, 6),
-    and beyond the plate, `base` (6,); `turning` (6,) at the tip, which turns with it; `twisting` moments (C, 3)."""
+    and beyond the plate, `base` (6,); `turning` (6,) at the tip, which turns with it."""
 
     ahead: Array
     base: Array
     turning: Array
-    twisting: Array
 
 
 def _push(problem: LoadedProblem, along: Orientation) -> _Push:
-    twisting = np.zeros((0, 3)) if problem.couples is None else problem.couples.moment
     if problem.load.frame == "world":
-        return _Push(problem.ahead, problem.base, np.zeros(6), twisting)
+        return _Push(problem.ahead, problem.base, np.zeros(6))
     frame = tip_frame(along)
     turning = np.concatenate([frame @ problem.load.force, frame @ problem.load.moment])
-    twisting = np.concatenate([turning[None, MOMENT], twisting[1:]])
-    return _Push(problem.ahead + turning, problem.base + turning, turning, twisting)
+    return _Push(problem.ahead + turning, problem.base + turning, turning)
 
 
-def _torque_slopes(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
-    """(C, U + 2 N) derivative of the torques by which moments twist their tubes."""
-    assert problem.couples is not None
-    following = problem.load.frame == "tip"
-    return problem.couples.torque_slopes(along, push.twisting, turned, following=following)
-
-
-def _turned_on(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
-    """(U + 2 N, U + 2 N) what a load that turns with the tip, and the torques of moments, add to the derivative of what
-    the load does."""
-    assert problem.couples is not None
-    out = np.zeros((problem.size, problem.size))
-    if problem.load.frame == "tip":
-        reach, turn = _tip(problem, along, turned)
-        out -= (reach.T @ _cross(push.turning[FORCE]) + turn.T @ _cross(push.turning[MOMENT])) @ turn
-    out[: problem.torsion.size] += problem.couples.row.T @ _torque_slopes(problem, along, push, turned)
-    return out
+def _following(problem: LoadedProblem, along: Orientation, push: _Push, turned: Array) -> Array:
+    """(U + 2 N, U + 2 N) what a load that turns with the tip adds to the derivative of what the load does."""
+    reach, turn = _tip(problem, along, turned)
+    return -(reach.T @ _cross(push.turning[FORCE]) + turn.T @ _cross(push.turning[MOMENT])) @ turn
 
 
 def _cross(a: Array) -> Array:
@@ -353,9 +342,7 @@ def compliance(problem: LoadedProblem, state: LoadedState) -> Array:
     tangent = tip_frame(state.orientation)[:, 2]
     out[3:, 3:] += problem.tip_rest * np.outer(tangent, tangent)
     if problem.couples is not None:
-        push = _push(problem, state.orientation)
-        twisting = _torque_slopes(problem, state.orientation, push, state.turned)
-        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ twisting @ answer)
+        out[3:] += state.factor * np.outer(tangent, problem.couples.rest[0] @ state.twisted @ answer)
     return np.asarray(out)
 
 
@@ -367,8 +354,7 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     joints = len(couples.joint)
     size, vectors = np.linalg.eigh(couples.rest[:, :joints])
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
-    twisting = _torque_slopes(problem, state.orientation, _push(problem, state.orientation), state.turned)
-    across = -state.factor / 2 * root @ twisting[:joints]
+    across = -state.factor / 2 * root @ state.twisted[:joints]
     both = (state.hessian + state.hessian.T) / 2
     return np.block([[both, across.T], [across, np.eye(joints)]])
 

@@ -25,9 +25,7 @@ def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState)
 
 
 def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
-    """Of bending and torsion, J. Moments twist tubes as no z does: there torsion has half of int t^2 / kt."""
-    if problem.couples is None:
-        return state.energy
+    """Of bending and torsion, J. Moments twist tubes as no z does: torsion has half of int t^2 / kt."""
     torsion, mesh = problem.torsion, problem.mesh
     t, rate = mesh.tableau, torsion.here.rate
     torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)

@@ -150,7 +150,7 @@ class Responsive(Standing):
         by_moment = by_bent @ self.across
         np.matmul(by_moment, self.about_moment, out=out[..., n:])
         if self.along is not None:
-            out[..., :n, n:] -= self.felt[..., None] * cross(self.axis, self.along)[..., None, :]
+            out[..., :n, n:] -= cross(self.axis[..., None, :], self.along)
         return out, by_moment
 
     def _swept(self, matrix: Array, rates: Array) -> Array:

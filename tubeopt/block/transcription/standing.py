@@ -100,7 +100,7 @@ class Standing:
             self._torques(self.at.torque, self.at.stretch)
 
     def _load(self, burden: LoadedProblem | None) -> None:
-        """Forces, moments per length and on which tubes, moments at joints."""
+        """Forces, moments per length on the tubes, moments at joints."""
         points = self.pieces, self.degree
         self.load = None if burden is None else burden.load
         self.following = self.load is not None and self.load.frame == "tip"
@@ -118,8 +118,7 @@ class Standing:
             self.force = self.force + self.tip_force
         couples = burden.couples
         if couples is not None and len(couples.point):
-            self.along, self.felt = couples.along.reshape(*points, 3), np.zeros(self.phase.shape)
-            self.felt.reshape(-1, self.n)[couples.point, couples.tube[len(couples.joint) :]] = 1.0
+            self.along = couples.along.reshape(*points, self.n, 3)
         if couples is not None and len(couples.joint) > 1:
             self.joints = [*zip(couples.joint.tolist(), couples.tube.tolist(), couples.moment, strict=False)][1:]
             self.kicks = np.zeros((self.pieces + 1, self.own))
@@ -136,7 +135,7 @@ class Standing:
             return
         fall = (self.about_axis @ self.force[..., None])[..., 0]
         if self.along is not None:
-            fall += self.along
+            fall += self.along.sum(2)
         self.moment, self.moment_tip_side, self.moment_plate_side = self._inwards(
             fall, self.tip_moment, slice(self.n, None)
         )
@@ -180,7 +179,7 @@ class Standing:
         """(P, K, n) of phi' by the torque: g / kt."""
         fall = -gained.reshape(self.pieces, self.degree, self.n)
         if self.along is not None:
-            fall += self.felt * (self.along * self.axis).sum(2)[..., None]
+            fall += (self.along @ self.axis[..., None])[..., 0]
         tip = np.zeros(self.n)
         if self.load is not None:
             tip[self.tip_tube] = self.tip_moment @ self.end_frame[-1, :, 2]
