@@ -135,7 +135,7 @@ def _sources() -> Iterator[Text]:
                 for part in (one.value for one in node.keywords if one.arg == "description"):
                     if words := _words(part):
                         yield Text(f"key {module}", where, words, description=True)
-            elif isinstance(node, ast.ClassDef) and "Sentence" in {_name(base) for base in node.bases}:
+            elif isinstance(node, ast.ClassDef) and "StatusEnum" in {_name(base) for base in node.bases}:
                 for member in node.body:
                     if isinstance(member, ast.Assign) and (words := _words(member.value)):
                         yield Text(f"message {module}", f"{module}:{member.lineno}", words)

@@ -30,8 +30,8 @@ from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
 
 COUNTS, CLOUDS = (0, 1, 10, 100, 1000, 10000), (10, 100, 1000)
 """Spheres, and those of a cloud."""
@@ -76,7 +76,7 @@ def spheres(count: int) -> list[Obstacle]:
 
 def cloud(count: int, arms: Sequence[Equilibrium]) -> list[Obstacle]:
     """About arms, which have room."""
-    points = np.concatenate([Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], 200))[0] for arm in arms])
+    points = np.concatenate([ArmSurface(arm).at(np.linspace(0.0, arm.arc_length[-1], 200))[0] for arm in arms])
     tree, random, found = cKDTree(points), np.random.default_rng(1), list[Obstacle]()
     thick = max(tube.outer_diameter for tube in THESIS.tubes) / 2 + 2e-3
     while len(found) < count:

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from tests.shaping.firmware_host import TICK, built, run
-from tubeopt import HeatingSpec, Thermocouple, lead_by, load_rig, plan_heating
+from tubeopt import HeatingSpec, Thermocouple, design_feedback, load_rig, plan_heating
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
-from tubeopt.shaping.heating.law import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.leading import fleet_of
+from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
+from tubeopt.shaping.heating.feedback_design import fleet_of
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 from tubeopt.typing import Array
 
@@ -64,7 +64,7 @@ def measure(rigs: int, seed: int) -> list[Pair]:
     assert rig.tube is not None
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=BOARDS["uno"].frequencies[0]))
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
-    led = lead_by(plan, Thermocouple(), samples=20)
+    led = design_feedback(plan, Thermocouple(), samples=20)
     fleet, _ = fleet_of(plan, led.sensor, Uncertainty.of_a_workshop(), rigs - 1, seed)
     tables, model, found = schedules(plan, led), fleet.model, []
     with tempfile.TemporaryDirectory() as directory:

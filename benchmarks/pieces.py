@@ -32,7 +32,7 @@ GROWTH = 1.05
 
 
 @dataclass(frozen=True)
-class Outline:
+class ArmSurface:
     """What all robots of n tubes have: diameters, lengths of the straight and curved parts (m), curvature (1/m)."""
 
     diameters: tuple[float, float]
@@ -46,35 +46,35 @@ class Outline:
         return Tube(*self.diameters, self.straight, self.curved, self.bend)
 
 
-def outlines(n: int) -> list[Outline]:
+def outlines(n: int) -> list[ArmSurface]:
     """Of n tubes, inner to outer."""
-    return [Outline(DIAMETERS[i], 0.03 * (n - i), 0.04 + 0.015 * (n - 1 - i), 12.0 - 1.5 * i) for i in range(n)]
+    return [ArmSurface(DIAMETERS[i], 0.03 * (n - i), 0.04 + 0.015 * (n - 1 - i), 12.0 - 1.5 * i) for i in range(n)]
 
 
-def _helix(o: Outline, i: int) -> list[Piece]:
+def _helix(o: ArmSurface, i: int) -> list[Piece]:
     return [Piece(o.curved, (o.bend, 0.0, 40.0 - 10.0 * i))]
 
 
-def _twisted(o: Outline, i: int) -> list[Piece]:
+def _twisted(o: ArmSurface, i: int) -> list[Piece]:
     return [Piece(o.curved / 2, o.bend), Piece(o.curved / 2, (o.bend, 2.0, 25.0 - 8 * i))]
 
 
-def _table(o: Outline, i: int) -> list[Piece]:
+def _table(o: ArmSurface, i: int) -> list[Piece]:
     s = np.linspace(0, o.curved, 10)
     return [Piece.table(s, np.stack([o.bend * np.cos(12 * s), 4 * np.sin(30 * s), 0 * s], axis=1))]
 
 
-def _s_shape(o: Outline, i: int) -> list[Piece]:
+def _s_shape(o: ArmSurface, i: int) -> list[Piece]:
     return [Piece(o.curved / 2, o.bend), Piece(o.curved / 2, -o.bend)]
 
 
-def _patterned(o: Outline, i: int) -> list[Piece]:
+def _patterned(o: ArmSurface, i: int) -> list[Piece]:
     kb, kt = float(o.planar.bending_stiffness), float(o.planar.torsional_stiffness)
     slotted = Piece(o.curved / 2, o.bend, bending_stiffness=0.4 * kb, torsional_stiffness=0.8 * kt)
     return [Piece(o.curved / 2, o.bend), slotted]
 
 
-KINDS: dict[str, Callable[[Outline, int], list[Piece]]] = {
+KINDS: dict[str, Callable[[ArmSurface, int], list[Piece]]] = {
     "helix": _helix,
     "twisted": _twisted,
     "table": _table,

@@ -30,19 +30,19 @@ from tubeopt import (
     Thermocouple,
     Tube,
     TubeResistance,
-    lead_by,
+    design_feedback,
     load_rig,
     load_robot,
     plan_heating,
 )
-from tubeopt.shaping.heating.law import HeatingLaw
+from tubeopt.shaping.heating.controller import HeatingLaw
 from tubeopt.shaping.heating.sensors import Sensor
 
 from .rig_thermal import KELVIN, Bench
 from .timing import ROOT, show, table
 
 SAMPLES = 20
-"""Uncertain rigs of `lead_by`, which tell a likelihood that is not asked for here."""
+"""Uncertain rigs of `design_feedback`, which tell a likelihood that is not asked for here."""
 
 METAL = 5e9
 """Young's modulus, Pa, below which no current heats a tube."""
@@ -187,7 +187,7 @@ def room(plan: HeatingPlan, low: float, high: float, top: float) -> float:
 def measure(case: Case, objective: str) -> Found:
     """Plan it, find its law, and lead it here."""
     plan = plan_heating(case.tube, case.rig, HeatingSpec(objective=objective))
-    feedback: Feedback = lead_by(plan, case.sensor, samples=SAMPLES)
+    feedback: Feedback = design_feedback(plan, case.sensor, samples=SAMPLES)
     law, off = feedback.law, case.sensor.bias
     low, high = feedback.history.extremes(law)
     said = room(plan, float(low[0]), float(high[0]), float(feedback.history.top[:, 0].max()))

@@ -14,9 +14,9 @@ import json
 import math
 from dataclasses import asdict, dataclass, replace
 
-from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, lead_by, load_rig, plan_heating
+from tubeopt import Camera, HeatingSpec, Thermocouple, TubeResistance, design_feedback, load_rig, plan_heating
 from tubeopt.shaping.firmware.boards import BOARDS
-from tubeopt.shaping.heating.law import wilson
+from tubeopt.shaping.heating.controller import wilson
 
 from .timing import ROOT
 
@@ -41,7 +41,7 @@ def measure(rigs: int, seed: int, objective: str) -> list[Kept]:
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective=objective))
     found = []
     for sensor in (Thermocouple(), Camera(), TubeResistance()):
-        led = lead_by(plan, sensor, samples=rigs, seed=seed)
+        led = design_feedback(plan, sensor, samples=rigs, seed=seed)
         found.append(Kept(sensor.name, led.probability, led.interval, float(led.top.max() - led.limit)))
     return [*found, Kept("none", led.open_loop, wilson(round(rigs * led.open_loop), rigs), float("nan"))]
 

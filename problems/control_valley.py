@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import tubeopt
-from tubeopt.control.ahead import PredictiveServo
 from tubeopt.control.command import Command, ServoOptions
+from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
 from tubeopt.show.colours import tube_colour
 from tubeopt.show.plots.style import new_figure, picture

@@ -26,7 +26,7 @@ def main(out: Path, samples: int = 100) -> list[Path]:
     assert rig.tube is not None
     plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(objective="margin"))
     sensors = {"thermocouple": tubeopt.Thermocouple(), "resistance": tubeopt.TubeResistance()}
-    laws = {name: tubeopt.lead_by(plan, sensor, samples=samples) for name, sensor in sensors.items()}
+    laws = {name: tubeopt.design_feedback(plan, sensor, samples=samples) for name, sensor in sensors.items()}
     for sensor, led in laws.items():
         low, high = led.interval
         print(

@@ -86,7 +86,16 @@ def test_nothing_is_refused_late_that_can_be_refused_at_once(call: object, words
 
 def test_every_public_function_is_among_them() -> None:
     functions = {name for name in tubeopt.__all__ if inspect.isfunction(getattr(tubeopt, name))}
-    left = {"sweep", "show_in_3d", "to_dataframe", "to_xarray", "plan_heating", "predict_tube", "save_rig", "lead_by"}
+    left = {
+        "sweep",
+        "show_in_3d",
+        "to_dataframe",
+        "to_xarray",
+        "plan_heating",
+        "predict_tube",
+        "save_rig",
+        "design_feedback",
+    }
     assert functions - set(CALLS) <= left
 
 

@@ -56,7 +56,7 @@ def arrows() -> dict[str, set[tuple[str, str]]]:
 
 
 def test_what_methods_call_late_is_a_public_function_of_a_module_above(arrows: dict[str, set[tuple[str, str]]]) -> None:
-    called = re.compile(r'late\("tubeopt\.([\w.]+)\.(\w+)"\)')
+    called = re.compile(r'lazy_import\("tubeopt\.([\w.]+)\.(\w+)"\)')
     for name, path in modules().items():
         for module, function in called.findall(path.read_text(encoding="utf-8")):
             above = {source for source, _ in arrows[module]} | {f"{source}.{what}" for source, what in arrows[module]}
@@ -145,8 +145,8 @@ FORBIDDEN = {
     "physics/strain.py": ("from ..solvers import newton", "packages know only those below them"),
     "robots/tubes.py": ("from .assembly import Assembly", "no circles, of packages or of files"),
     "planning/motion.py": ("from ..design import task", "questions do not know each other"),
-    "inverse/extra.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
-    "show/words.py": ("from ..cli import output", "what is shown does not know the commands"),
+    "inverse/custom_terms.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
+    "show/formatting.py": ("from ..cli import output", "what is shown does not know the commands"),
     "equilibrium/along.py": ("import casadi", "CasADi is used where programs are stated"),
     "control/command.py": ("import yaml", "YAML is used where files are read and written"),
     "show/solids.py": ("import matplotlib", "Matplotlib is used where pictures are drawn"),

@@ -34,3 +34,9 @@ def test_the_answer_of_fk_is_told_without_the_questions() -> None:
 @pytest.mark.parametrize("name", sorted(tubeopt.__all__))
 def test_every_public_name_is_there(name: str) -> None:
     assert getattr(tubeopt, name) is not None
+
+
+@pytest.mark.parametrize("old", tubeopt.RENAMED)
+def test_an_old_name_still_works_and_names_the_new_one(old: str) -> None:
+    with pytest.warns(DeprecationWarning, match=f"is now tubeopt.{tubeopt.RENAMED[old]}"):
+        assert getattr(tubeopt, old) is getattr(tubeopt, tubeopt.RENAMED[old])

@@ -97,8 +97,8 @@ from .runs.rig_file import load_rig, save_rig
 from .runs.study_file import load_study
 from .runs.sweeping import Sweep, sweep
 from .shaping import HeatingSolver, Mold, MoldSolver, MoldSpec, RigSolver, plan_mold, predict_tube
-from .shaping.heating.law import Feedback
-from .shaping.heating.leading import lead_by
+from .shaping.heating.controller import Feedback
+from .shaping.heating.feedback_design import design_feedback
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
@@ -149,6 +149,7 @@ from .validation.force import ForceEstimate, ForceRecord, ForceSolver, estimate_
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
+RENAMED: dict[str, str]
 
 __all__ = [
     "NITINOL",
@@ -257,6 +258,7 @@ __all__ = [
     "certify",
     "clearance_correction",
     "deflection_bound",
+    "design_feedback",
     "energy_map",
     "estimate_force",
     "estimate_forces",
@@ -273,7 +275,6 @@ __all__ = [
     "friction_band",
     "inverse_kinematics",
     "judge",
-    "lead_by",
     "load_equilibrium",
     "load_measurements",
     "load_problem_solution",

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .typing import late
+from .typing import lazy_import
 
 LENGTH = 160
 """Characters that a line holds before what is left of an object is left out."""
@@ -33,11 +33,11 @@ class Displayed:
             cls.__repr__ = Displayed.__repr__  # type: ignore[method-assign]  # before dataclass would write its own
 
     def __repr__(self) -> str:
-        return in_a_line(self)
+        return short_repr(self)
 
     def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, Any]:
         """What a notebook shows, with the picture alone for a reader that takes no HTML: of one drawing."""
-        shown: dict[str, Any] = late("tubeopt.show.notebook.shown")(self)
+        shown: dict[str, Any] = lazy_import("tubeopt.show.notebook.shown")(self)
         return shown
 
     def _repr_html_(self) -> str:
@@ -47,11 +47,11 @@ class Displayed:
 
     def _repr_png_(self) -> bytes | None:
         """The picture alone; None for what has none."""
-        picture: bytes | None = late("tubeopt.show.notebook.png")(self)
+        picture: bytes | None = lazy_import("tubeopt.show.notebook.png")(self)
         return picture
 
 
-def in_a_line(answer: Displayed) -> str:
+def short_repr(answer: Displayed) -> str:
     """Class and what an object is, in about `LENGTH` characters."""
     told: list[str] = []
     for name, value in _fields(answer):

@@ -22,7 +22,7 @@ Progress = Callable[[int, int], object]
 
 
 @functools.lru_cache(maxsize=256)
-def late(name: str) -> Any:
+def lazy_import(name: str) -> Any:
     """A public function by its full name, for a method of plain data that is a shorthand for it.
 
     Data do not know what is done with them: what saves or differentiates an equilibrium knows the equilibrium, not the
@@ -32,8 +32,8 @@ def late(name: str) -> Any:
     return getattr(importlib.import_module(module), function)
 
 
-class Of(Generic[T]):
-    """A value of a part, read at the whole: with `lowest = Of[float]("outcome")`, `plan.outcome.lowest`."""
+class Delegate(Generic[T]):
+    """A value of a part, read at the whole: with `lowest = Delegate[float]("outcome")`, `plan.outcome.lowest`."""
 
     def __init__(self, part: str) -> None:
         self._part, self._name = part, ""
@@ -47,7 +47,7 @@ class Of(Generic[T]):
         return getattr(getattr(whole, self._part), self._name)  # type: ignore[no-any-return]
 
 
-class Sentence(Enum):
+class StatusEnum(Enum):
     """How a solve ended: members whose values are sentences, and who read as such."""
 
     def __str__(self) -> str:

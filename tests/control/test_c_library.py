@@ -34,8 +34,8 @@ from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import solve_compiled
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.library import compile_to, compiler, source
@@ -266,7 +266,7 @@ def test_a_call_follows_at_most_64_steps_of_ordinary_length(thesis: CRobot) -> N
 def test_the_shape_of_the_arm_is_that_of_python_from_the_plate_to_the_tip(thesis: CRobot) -> None:
     found, known = thesis.solve(*START), forward_kinematics(THESIS, *START)
     assert found.arc_length == pytest.approx(np.linspace(0, known.arc_length[-1], len(found.arc_length)), abs=1e-12)
-    assert found.position == pytest.approx(Outline(known).centreline(found.arc_length), abs=1e-7)
+    assert found.position == pytest.approx(ArmSurface(known).centreline(found.arc_length), abs=1e-7)
     assert found.position[-1] == pytest.approx(found.tip_position, abs=1e-15)
 
 
@@ -322,7 +322,7 @@ def test_the_tip_turns_into_a_direction_as_by_the_servo_of_python(thesis: CRobot
 
 def contacts_of(arm: Equilibrium, bodies: Sequence[Obstacle]) -> np.ndarray:
     scene = scene_of(tuple(bodies))
-    found = Outline(arm).contacts(scene, 4e-3)
+    found = ArmSurface(arm).contacts(scene, 4e-3)
     return np.column_stack([found.place, scene.gradients(found.body, found.point), found.distance])
 
 
@@ -334,7 +334,7 @@ def test_among_bodies_the_servo_does_what_that_of_python_does(which: str, reques
     start = START if which == "thesis" else space.split(0.5 * space.inside() + 0.5 * space.middle())
     pose = library.solve(*start)
     seed = forward_kinematics(robot, *start)
-    edge = Outline(seed).centreline(seed.tube_end[1:2])[0]
+    edge = ArmSurface(seed).centreline(seed.tube_end[1:2])[0]
     across = np.array([1.0, 0.0, 0.0]) if which == "thesis" else seed.tip_rotation[:, 0]
     bodies = [Sphere(tuple((seed.tip_position + 6e-3 * across).tolist()), 3e-3)]
     if which == "thesis":
@@ -349,7 +349,7 @@ def test_among_bodies_the_servo_does_what_that_of_python_does(which: str, reques
         assert pose.tip_position == pytest.approx(known.equilibrium.tip_position, abs=1e-9)
         assert why == known.why
         reasons |= why
-        assert min(Outline(known.equilibrium).clearance(scene_of((body,))) for body in bodies) >= 5e-4 - 1e-9
+        assert min(ArmSurface(known.equilibrium).clearance(scene_of((body,))) for body in bodies) >= 5e-4 - 1e-9
     assert Why.OBSTACLE in reasons
     with pytest.raises(InputError, match="more than it can take"):
         library.servo(command(target), np.zeros((100, 5)))

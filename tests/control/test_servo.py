@@ -22,8 +22,8 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
 from tubeopt.control.servo import Servo
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.quadratic import constrained_least_squares
 
@@ -106,7 +106,7 @@ def test_bodies_are_kept_clear_of(seed: Equilibrium) -> None:
 
 def surface(arm: Equilibrium, body: Sphere, count: int) -> float:
     """Least distance (m) of many places of the surface from a body."""
-    points, radius = Outline(arm).at(np.linspace(0.0, arm.arc_length[-1], count))
+    points, radius = ArmSurface(arm).at(np.linspace(0.0, arm.arc_length[-1], count))
     return float((body.signed_distance(points) - radius).min())
 
 

@@ -33,12 +33,12 @@ from tubeopt.design import (
     Target,
     attempt,
 )
+from tubeopt.design.infeasibility import shown_infeasible
 from tubeopt.design.multistart import multistart
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.design.program import Program, compile_task
 from tubeopt.design.relaxation import apply_changes, best_of
 from tubeopt.design.settings import COLLOCATION, OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
-from tubeopt.design.shown import shown_infeasible
 from tubeopt.solvers.time_limit import LateError, within
 from tubeopt.typing import Array
 

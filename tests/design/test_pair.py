@@ -18,7 +18,7 @@ from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOpti
 from tubeopt.bodies.frames import base_frame
 from tubeopt.design import Free, Strain
 from tubeopt.design.optimize import DesignStatus
-from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.typing import Array
 
 CRL = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
@@ -46,7 +46,7 @@ def test_arms_are_no_closer_than_is_told() -> None:
         for side, base, k in zip(found.reached, wanted.bases, (i, j), strict=True):
             e = side.arm(CRL, k)
             assert e is not None
-            line, radius = Outline(e).at(np.linspace(0, e.arc_length[-1], 700))
+            line, radius = ArmSurface(e).at(np.linspace(0, e.arc_length[-1], 700))
             assert base.placed(e.tip_position) == pytest.approx(wanted.targets[k], abs=1e-3)
             sides.append((base.placed(line), radius))
         (one, thick), (other, thin) = sides

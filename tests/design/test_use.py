@@ -25,7 +25,7 @@ from tubeopt.design import (
     Strain,
 )
 from tubeopt.design.attempt import state_at
-from tubeopt.design.drawn import SHARES, drawn_back
+from tubeopt.design.deployment import SHARES, retracted
 from tubeopt.design.program import compile_task
 from tubeopt.design.rechecks import numbers_of
 from tubeopt.design.remarks import remarks
@@ -138,12 +138,12 @@ def test_tubes_of_one_circle_deploy_along_it() -> None:
 
 
 def test_tubes_are_drawn_back_to_one_length() -> None:
-    shift, moved, last = drawn_back(CRL.tubes, np.array([-0.01, -0.05, -0.06]), 0.5)
+    shift, moved, last = retracted(CRL.tubes, np.array([-0.01, -0.05, -0.06]), 0.5)
     ends = shift + [tube.curved_length for tube in CRL.tubes]
     assert last == 1
     assert ends == pytest.approx([0.025, 0.025, 0.025])
     assert moved.tolist() == [True, True, True]
-    shift, moved, _ = drawn_back(CRL.tubes, np.array([0.05, -0.05, -0.06]), 0.5)
+    shift, moved, _ = retracted(CRL.tubes, np.array([0.05, -0.05, -0.06]), 0.5)
     assert moved.tolist() == [True, True, False]
     assert shift == pytest.approx([0.0455 - 0.041, 0.0455 - 0.1, -0.06])
 
@@ -168,7 +168,7 @@ def _off(robot: ConcentricRobot) -> float:
     whole = forward_kinematics(robot, POSES.rotations[1], POSES.translations[1])
     worst = 0.0
     for share in SHARES:
-        shift = drawn_back(robot.tubes, np.array(POSES.translations[1]), share)[0]
+        shift = retracted(robot.tubes, np.array(POSES.translations[1]), share)[0]
         arm = forward_kinematics(robot, POSES.rotations[1], shift)
         for s in arm.arc_length[-1] * np.array([0.5, 0.75, 1.0]):
             places = [CubicHermiteSpline(one.arc_length, one.position, one.frame[:, :, 2])(s) for one in (arm, whole)]

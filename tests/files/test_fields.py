@@ -14,8 +14,19 @@ from hypothesis import strategies as st
 from tubeopt import InputError
 from tubeopt.files.checked import Entry as PlainEntry
 from tubeopt.files.checked import Number, check
+from tubeopt.files.field_metadata import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    REQUIRED,
+    Absent,
+    Named,
+    OneOf,
+    Range,
+    check_fields,
+    key,
+    unit,
+)
 from tubeopt.files.fields import Part, asking, entry_of, to_data, values
-from tubeopt.files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Absent, Named, OneOf, Range, check_fields, key, unit
 from tubeopt.files.yaml_file import load_yaml, save_yaml
 
 

@@ -27,12 +27,12 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.batch import solved_batch
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.descent import reach
 from tubeopt.inverse.goal import pose_question, unit_vector
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
-from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.settings import Aiming, Descent, Programs, Starts
 from tubeopt.inverse.table import build_table, nearest_starts, start_table
@@ -264,7 +264,7 @@ class TestObstacles:
             k = int(np.searchsorted(s, place))
             body = Sphere(tuple(line[k] + 1.2 * MM * e.frame[0, :, 0]), 0.2 * MM)
             least = float((body.signed_distance(line) - reach).min())
-            assert Outline(e).clearance(Scene((body,))) == pytest.approx(least, abs=2e-6)
+            assert ArmSurface(e).clearance(Scene((body,))) == pytest.approx(least, abs=2e-6)
 
     def test_the_closest_pose_is_clear_too(self) -> None:
         body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
@@ -587,7 +587,7 @@ class TestWays:
                 assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("tubeopt.inverse.way.snap_free_way", lambda *_, **__: None)
+        monkeypatch.setattr("tubeopt.inverse.joint_path.snap_free_way", lambda *_, **__: None)
         for wanted in reachable(THESIS, 5, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
             assert answer.reachable is (answer.way is not None)

@@ -14,8 +14,8 @@ from tests.inverse_targets import inside
 from tubeopt import IkSession, InputError, InverseOptions, SolveError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse.goal import pose_question
+from tubeopt.inverse.joint_path import leap
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.way import leap
 from tubeopt.robots.robot import Robot
 from tubeopt.runs.target_file import load_targets
 from tubeopt.typing import Array

@@ -10,8 +10,8 @@ import pytest
 from tests.command_line import ROOT
 from tests.examples import CRL, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics, load_robot
-from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.tip_coordinates import TipCoordinates
 from tubeopt.robots.robot import Robot
 
 
@@ -20,7 +20,7 @@ from tubeopt.robots.robot import Robot
 )
 def test_tips_give_the_joints_the_shape_and_the_margin(robot: Robot) -> None:
     space = joint_space(robot)
-    chart = Chart(space)
+    chart = TipCoordinates(space)
     checked = 0
     for q in space.sample(12):
         rotations, shift = space.split(q)
@@ -40,7 +40,7 @@ def test_tips_give_the_joints_the_shape_and_the_margin(robot: Robot) -> None:
 
 
 def test_equal_joint_values_on_two_branches_are_two_points() -> None:
-    chart = Chart(joint_space(THESIS))
+    chart = TipCoordinates(joint_space(THESIS))
     found = [e for e in find_equilibria(THESIS, [np.radians(200.0), 0.0, 0.0]) if e.stable]
     assert len(found) == 2
     points = np.array([chart.of(e) for e in found])
@@ -51,7 +51,7 @@ def test_equal_joint_values_on_two_branches_are_two_points() -> None:
 
 
 def test_unstable_equilibria_are_told() -> None:
-    chart = Chart(joint_space(THESIS))
+    chart = TipCoordinates(joint_space(THESIS))
     (saddle,) = [e for e in find_equilibria(THESIS, [np.pi, 0.0, 0.0]) if e.margin < -0.9]
     assert not chart.arms(chart.of(saddle)[None], 0.0).stable[0]
     assert chart.arms(chart.of(saddle)[None], saddle.margin - 0.01).stable[0]
@@ -62,7 +62,7 @@ def test_a_robot_of_nine_tubes_is_ready_at_once() -> None:
     robot = load_robot(ROOT / "configs" / "robots" / "example_three_segment_etr.yaml")
     space = joint_space(robot)
     began = time.process_time()
-    chart = Chart(space)
+    chart = TipCoordinates(space)
     rotations, shift = space.split(space.inside())
     e = forward_kinematics(robot, rotations + np.linspace(-0.3, 0.3, 9), shift)
     arms = chart.arms(chart.of(e)[None], 0.0)

@@ -10,7 +10,7 @@ import pytest
 
 from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
-from tubeopt.planning.clearing import Sizes
+from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet
 from tubeopt.planning.loaded_branch import _Bounds
 from tubeopt.typing import Array

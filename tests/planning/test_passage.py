@@ -15,7 +15,7 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import passage
-from tubeopt.planning.clearing import Wanted
+from tubeopt.planning.clearance_bound import Wanted
 from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.passage import BranchEndsError, Follower, Link, Step, follow
 from tubeopt.planning.sections import Arms

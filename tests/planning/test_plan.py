@@ -36,8 +36,8 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere, nearest_distance
 from tubeopt.inverse import search
-from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.tip_coordinates import TipCoordinates
 from tubeopt.planning import plan
 from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.file import save_joint_trajectory
@@ -286,7 +286,7 @@ def test_a_place_out_of_reach_is_told_before_inverse_kinematics(
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE, eccentric_robot(0.05)], ids=lambda robot: robot.name or "etr")
 def test_tips_that_exist_are_not_refused(robot: Robot) -> None:
     """Also those of joint values at the ends of their ranges, where few starts are near."""
-    task = PlanTask(Chart(joint_space(robot)), (), 0.0, 0.0)
+    task = PlanTask(TipCoordinates(joint_space(robot)), (), 0.0, 0.0)
     space, n, random = task.chart.space, robot.n_tubes, np.random.default_rng(3)
     for _ in range(12):
         q = np.where(random.random(len(space.lower)) < 0.5, space.lower, space.upper)
@@ -314,7 +314,7 @@ def test_of_wide_ranges_the_nearest_turns_are_tried() -> None:
 def test_an_arm_can_be_withdrawn_where_two_tubes_end_together() -> None:
     """Tubes 1 and 2 end at the same place but for round-off on the way."""
     z = np.array([[0.0, 0.0, 0.0, -0.0574900243, -0.00749002431, 0.0168773203]])
-    chart = Chart(joint_space(THESIS))
+    chart = TipCoordinates(joint_space(THESIS))
     for gap in (0.0, 1e-17, -1e-17, 3e-17, 1e-16):
         z[0, 4] = z[0, 3] + 0.05 + gap
         assert np.isfinite(chart.arms(z, 0.0).tip).all()

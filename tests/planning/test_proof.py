@@ -13,9 +13,9 @@ from tubeopt import EccentricRobot, find_snap, forward_kinematics, load_robot, v
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
 from tubeopt.planning.branch import branch
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.effort import ProofSearch
@@ -44,7 +44,7 @@ def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
     s = np.linspace(0.0, e.arc_length[-1], int(e.arc_length[-1] / step) + 2)
     s = np.union1d(s, e.tube_end[(e.tube_end > 0) & (e.tube_end < s[-1])])
     arms = Arms.of(Constants.of(e.robot), [e])
-    return arms.points(np.zeros(len(s), dtype=np.intp), s), Outline(e).radius(s)
+    return arms.points(np.zeros(len(s), dtype=np.intp), s), ArmSurface(e).radius(s)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions
-from tubeopt.planning.clearing import Wanted
+from tubeopt.planning.clearance_bound import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
 from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
 from tubeopt.planning.passage import Follower, Link, Step

@@ -16,7 +16,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.guard import Guard
 from tubeopt.planning.branch import branch, least_root, whirled
-from tubeopt.planning.clearing import Sizes
+from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.cross_sections import part as part_of
 from tubeopt.planning.loaded_branch import SIXTH

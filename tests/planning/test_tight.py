@@ -33,15 +33,15 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.inverse import closed
-from tubeopt.inverse.chart import Chart
+from tubeopt.inverse import obstruction
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
-from tubeopt.inverse.closed import Wall, pocket, wall
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.obstruction import Wall, pocket, wall
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
-from tubeopt.planning import building
+from tubeopt.inverse.tip_coordinates import TipCoordinates
+from tubeopt.planning import trajectory_building
 from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.proof import proved
 from tubeopt.planning.question import asked
@@ -77,7 +77,7 @@ def body_at(goal: Equilibrium, start: Equilibrium, kind: str, spare: float) -> O
         low = tip + np.array([-0.01, -0.01, x])
         return Box(tuple(low.tolist()), tuple((low + np.array([0.02, 0.02, 5e-3])).tolist()))
 
-    return made(brentq(lambda x: Outline(goal).clearance(Scene((made(x),))) - 1e-3 - spare, 1e-3, 0.1, xtol=1e-12))
+    return made(brentq(lambda x: ArmSurface(goal).clearance(Scene((made(x),))) - 1e-3 - spare, 1e-3, 0.1, xtol=1e-12))
 
 
 @pytest.mark.parametrize("spare", [3e-4, 1e-4, 5e-5, 1e-5])
@@ -155,7 +155,7 @@ def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
         np.array([46.8460976408652, 19.99999931598615, 19.999999745138847]) / 1e3,
     )
     start = forward_kinematics(robot, np.zeros(3), [-0.9 * tube.curved_length for tube in tubes])
-    clear = Outline(goal).clearance(Scene((vessel,)))
+    clear = ArmSurface(goal).clearance(Scene((vessel,)))
     assert 1e-5 < clear < 5e-5
     options = PlanOptions(objective="none", clearance=clear - 1e-5, time_limit=60.0)
     found = plan_trajectory(robot, start, goal, obstacles=[vessel], options=options)
@@ -166,7 +166,7 @@ def test_a_design_that_touches_its_corridor_is_deployed_into_it() -> None:
 def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
     """Its clearance, too, is that of forward kinematics, from bodies much smaller than the points are apart."""
     space, random = joint_space(THESIS), np.random.default_rng(1)
-    chart = Chart(space)
+    chart = TipCoordinates(space)
     for q in space.sample(12):
         e = forward_kinematics(THESIS, *space.split(q))
         arms = chart.arms(chart.of(e)[None], 0.0)
@@ -197,7 +197,7 @@ def unproved(*arguments: Any) -> object:
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(building, "proved", unproved)
+    monkeypatch.setattr(trajectory_building, "proved", unproved)
     found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
     assert isinstance(found, Trajectory)
     assert not found.proved
@@ -209,7 +209,7 @@ def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.Mon
 def test_the_command_ends_with_4_where_the_proof_is_missing(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(building, "proved", unproved)
+    monkeypatch.setattr(trajectory_building, "proved", unproved)
     monkeypatch.setattr("tubeopt.show.plots.trajectory.animate_trajectory", lambda *_: None)
     study = tmp_path / "plan.yaml"
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")
@@ -251,7 +251,7 @@ def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
     start, goal = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
     body = Sphere((0.03, 0.03, 0.1), 4e-3)
     plan, ik = PlanOptions(time_limit=limit), InverseOptions(time_limit=limit)
-    Chart(space).arms(Chart(space).of(start)[None], 0.0)
+    TipCoordinates(space).arms(TipCoordinates(space).of(start)[None], 0.0)
     for ask in (
         lambda: plan_trajectory(robot, start, goal, options=plan),
         lambda: plan_trajectory(robot, start, (goal.rotations, goal.translations), obstacles=[body], options=plan),
@@ -297,8 +297,8 @@ def test_of_several_goals_all_must_be_proved_to_be_out_of_reach(monkeypatch: pyt
     z = np.zeros(6)
     for pair, told in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
         walls = iter(pair)
-        monkeypatch.setattr(closed, "_walls", lambda *_, walls=walls: [next(walls)])
-        assert wall(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is told
+        monkeypatch.setattr(obstruction, "_walls", lambda *_, walls=walls: [next(walls)])
+        assert wall(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is told
 
 
 def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -359,11 +359,11 @@ def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
 
 def test_a_closed_pocket_is_told_from_an_open_place() -> None:
     """A joint space that is a tiny box is filled by a few states; that of the robot is not."""
-    z = Chart(joint_space(THESIS)).of(forward_kinematics(THESIS, *HOME))
+    z = TipCoordinates(joint_space(THESIS)).of(forward_kinematics(THESIS, *HOME))
     tiny = JointLimits(((-0.02, 0.02),) * 3, ((0.0, 0.0),) * 3)
-    small = Task(Chart(joint_space(THESIS, tiny)), (), 0.05, 0.0)
+    small = Task(TipCoordinates(joint_space(THESIS, tiny)), (), 0.05, 0.0)
     assert pocket(small, z, Clock(60.0)) is not None
-    assert pocket(Task(Chart(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None
+    assert pocket(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, Clock(60.0)) is None
 
 
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)

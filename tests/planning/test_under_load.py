@@ -27,7 +27,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.inverse.outline import Outline
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
@@ -270,7 +270,7 @@ def test_the_clearance_is_that_of_the_loaded_arm() -> None:
     here, least = forward_kinematics(THESIS, joints[0, :3], joints[0, 3:], load=load), np.inf
     for x in np.linspace(0, 1, 61):
         here = forward_kinematics(THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, guess=here)
-        least = min(least, Outline(here).clearance(scene_of([body])))
+        least = min(least, ArmSurface(here).clearance(scene_of([body])))
     assert proof.holds
     assert least - 3e-5 <= proof.least_clearance <= least
     plain = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], obstacles=[body])

@@ -72,7 +72,7 @@ def test_limits_move_home_and_a_robot_that_has_nothing_in_order_has_the_home_of_
 def test_the_tip_is_the_tube_that_ends_farthest(
     robot: Robot, translations: tuple[float, ...], tip: int, words: str
 ) -> None:
-    from tubeopt.show.words import tip_in_words, tip_number
+    from tubeopt.show.formatting import tip_in_words, tip_number
 
     e = tubeopt.forward_kinematics(robot, np.zeros(robot.n_tubes), translations)
     assert tip_number(e) == tip

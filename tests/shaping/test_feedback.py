@@ -21,14 +21,14 @@ from tubeopt import (
     Thermocouple,
     Tube,
     TubeResistance,
-    lead_by,
+    design_feedback,
 )
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
-from tubeopt.shaping.heating.ideal import solve_ideal
-from tubeopt.shaping.heating.law import begin, decide, run_loop, wilson
-from tubeopt.shaping.heating.leading import RESET, Response, fleet_of, nominal_law, regulator
+from tubeopt.shaping.heating.controller import begin, decide, run_loop, wilson
+from tubeopt.shaping.heating.feedback_design import RESET, Response, fleet_of, nominal_law, regulator
+from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Leader, planner_for
 from tubeopt.shaping.heating.robust import ENSEMBLE
@@ -55,7 +55,7 @@ def on_few_rigs() -> HeatingPlan:
 @functools.lru_cache(maxsize=1)
 def led() -> Feedback:
     """It, led by a thermocouple."""
-    return lead_by(on_few_rigs(), Thermocouple(), samples=60)
+    return design_feedback(on_few_rigs(), Thermocouple(), samples=60)
 
 
 def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_not() -> None:
@@ -82,7 +82,7 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
 
 
 def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
-    told = lead_by(on_few_rigs(), TubeResistance(), samples=20)
+    told = design_feedback(on_few_rigs(), TubeResistance(), samples=20)
     assert told.probability < 0.5
     assert told.contributions[0].name == "resistivity_slope"
     assert told.contributions[0].deviation > 20
@@ -167,9 +167,9 @@ def test_intervals_of_probabilities() -> None:
 
 def test_nonsense_is_refused() -> None:
     with pytest.raises(InputError, match="samples is 3; it must be at least 20"):
-        lead_by(plan(), Thermocouple(), samples=3)
+        design_feedback(plan(), Thermocouple(), samples=3)
     with pytest.raises(InputError, match="position of the thermocouple is 400 mm"):
-        lead_by(plan(), Thermocouple(position=0.4), samples=20)
+        design_feedback(plan(), Thermocouple(position=0.4), samples=20)
     with pytest.raises(InputError, match="lag of the thermocouple is -1"):
         Thermocouple(lag=-1)
     with pytest.raises(InputError, match="lowest of the camera"):

@@ -31,8 +31,8 @@ from tubeopt.shaping.firmware.sketch_files import (
     tabled,
     write_sketch,
 )
-from tubeopt.shaping.heating.law import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.leading import fleet_of
+from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
+from tubeopt.shaping.heating.feedback_design import fleet_of
 from tubeopt.shaping.heating.robust import ENSEMBLE
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty

@@ -11,8 +11,8 @@ import scipy.sparse
 
 from tubeopt import HeatingSolver, HeatingSpec, InputError, load_rig, load_robot
 from tubeopt.shaping.heating.counts import soonest
-from tubeopt.shaping.heating.ideal import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
+from tubeopt.shaping.heating.optimal_schedule import Ideal, planned_ramp, solve_ideal
 from tubeopt.shaping.heating.program import WISHES, Structure, program
 from tubeopt.shaping.heating.settings import OPTIMAL_CONTROL, ProgramSolver
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model

@@ -13,7 +13,7 @@ import scipy
 
 from tubeopt import InputError, MoldSpec, Tube, load_robot
 from tubeopt.shaping import PegBoard, PegSpec, Springback, plan_pegs
-from tubeopt.shaping.mold.held import held_between
+from tubeopt.shaping.mold.beam import held_between
 from tubeopt.shaping.mold.peg_files import board_programs, write_pegs
 from tubeopt.shaping.mold.pegs import peg_heat, tube_in_air
 from tubeopt.shaping.mold.robot import chosen_tubes

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from ..display import Displayed
 from ..errors import InputError, extra, instance, positive, triple
 from ..files.csv_file import read_csv
+from ..files.field_metadata import POSITIVE, check_size, check_usual, unit
 from ..files.files import read_bytes
-from ..files.marks import POSITIVE, check_size, check_usual, unit
 from ..files.units import MM
 from ..typing import Array, Index
 from .axes import agreed

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, positive, triple
-from ..files.marks import POSITIVE, Usual, check_usual, unit
+from ..files.field_metadata import POSITIVE, Typical, check_usual, unit
 from ..typing import Array
 from .scene import scene_of
 
@@ -31,7 +31,7 @@ PIECES = 16
 
 Point3 = tuple[float, float, float]
 
-AWAY, THICK = Usual(1e-6, 10.0), Usual(1e-5, 2.0)
+AWAY, THICK = Typical(1e-6, 10.0), Typical(1e-5, 2.0)
 """Of positions and radii of bodies, m."""
 
 Balls = tuple[Array, Array]

@@ -18,7 +18,7 @@ import scipy
 
 from ..typing import Array, Index
 
-HANDFUL = 16
+BRUTE_FORCE_LIMIT = 16
 """Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do."""
 
 SIZES = 2.0
@@ -39,7 +39,7 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
+class ObstacleGroup:
     """The bodies of one kind, at least one, and their numbers in the scene."""
 
     bodies: tuple[Any, ...]
@@ -70,7 +70,7 @@ class Crowd:
 
     def nearest(self, points: Array, least: Array) -> Array:
         """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
-        if len(self.bodies) <= HANDFUL:
+        if len(self.bodies) <= BRUTE_FORCE_LIMIT:
             return np.asarray(np.minimum(least, self.kind.distances(points, self.table[:, None]).min(0)))
         out = least.copy()
         for layer in self.layers:
@@ -89,7 +89,7 @@ class Crowd:
     def pairs(self, points: Array, reach: Array) -> list[tuple[Index, Index]]:
         """Numbers of all bodies, and maybe of others, that come closer than `reach` (N,) to points (N, 3), and rows of
         these points."""
-        if len(self.bodies) <= HANDFUL:
+        if len(self.bodies) <= BRUTE_FORCE_LIMIT:
             body, row = np.nonzero(self.kind.distances(points, self.table[:, None]) < reach)
             return [(self.members[body], row)]
         found = []
@@ -188,7 +188,7 @@ class Scene:
         return crowd, place
 
     @cached_property
-    def _parts(self) -> tuple[list[Crowd], list[int]]:
+    def _parts(self) -> tuple[list[ObstacleGroup], list[int]]:
         """Crowds, and the numbers of all bodies that are in none."""
         kinds: dict[type, list[int]] = {}
         rest = []
@@ -197,7 +197,7 @@ class Scene:
                 kinds.setdefault(type(body), []).append(k)
             else:
                 rest.append(k)
-        return [Crowd(tuple(self.bodies[k] for k in same), np.array(same)) for same in kinds.values()], rest
+        return [ObstacleGroup(tuple(self.bodies[k] for k in same), np.array(same)) for same in kinds.values()], rest
 
     @cached_property
     def solid(self) -> bool:

@@ -18,7 +18,7 @@ from ..control.command import OBJECTIVES, ServoOptions
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..files.checked import NotNegative, Positive, Whole
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..runs.base import Posed, said_of
 from ..runs.obstacle_file import Bodies
 from ..show.served_report import Served
@@ -31,15 +31,15 @@ class ServeEntry(Posed):
     """A robot to be served, where it begins, and how it may move."""
 
     obstacles: Bodies = Field((), description="obstacles: a YAML file or a list of bodies", examples=["OBSTACLES.yaml"])
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal(0), description="smallest allowed distance between arm and obstacles"
     )
     min_margin: Positive = Field(Decimal("0.1"), description="smallest allowed stability margin")
-    speed_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(Decimal(50), description="largest tip speed")
-    turn_rate_deg_per_s: Annotated[Positive, Usual(0.03, 40.0)] = Field(
+    speed_mm_per_s: Annotated[Positive, Typical(1e-4, 2.0)] = Field(Decimal(50), description="largest tip speed")
+    turn_rate_deg_per_s: Annotated[Positive, Typical(0.03, 40.0)] = Field(
         Decimal(170), description="largest rotation speed of a tube"
     )
-    shift_rate_mm_per_s: Annotated[Positive, Usual(1e-4, 2.0)] = Field(
+    shift_rate_mm_per_s: Annotated[Positive, Typical(1e-4, 2.0)] = Field(
         Decimal(50), description="largest translation speed of a tube"
     )
     objective: str | None = Field(
@@ -57,10 +57,10 @@ class ServeEntry(Posed):
         description="password that clients must send; by default a new random one, which is printed",
         examples=["WORD"],
     )
-    watchdog_s: Annotated[Positive, Usual(2e-3, 10.0)] = Field(
+    watchdog_s: Annotated[Positive, Typical(2e-3, 10.0)] = Field(
         Decimal("0.1"), description="time without a command after which the robot stops"
     )
-    period_s: Annotated[Positive, Usual(1e-5, 0.2)] = Field(
+    period_s: Annotated[Positive, Typical(1e-5, 0.2)] = Field(
         Decimal("0.001"), le=1, description="period of the control loop"
     )
     publish_Hz: Positive = Field(Decimal(40), description="rate of published states")

@@ -1,9 +1,9 @@
 """In the loop at 1 kHz: a servo, its snap guard, an observer, and the ways in which a controller reaches them."""
 
-from .ahead import PredictiveServo
 from .c_library import CLibrary, c_library, save_c_library
 from .command import Command, ServoOptions, ServoStep, Why
 from .horizon import HorizonSolver
+from .lookahead import PredictiveServo
 from .observer import Correction, Observer, ObserverOptions
 from .servo import Servo
 

@@ -13,7 +13,7 @@ from ..errors import InputError, choice, finite, items, positive, vector
 from ..inverse.configurations import Configuration, parts
 from ..robots.limits import check_target
 from ..robots.robot import Robot
-from ..typing import Array, Of
+from ..typing import Array, Delegate
 
 TASKS = ("position", "velocity", "direction", "pivot", "joints")
 OBJECTIVES = ("margin", "centre", "compliance")
@@ -163,5 +163,5 @@ class ServoStep(Displayed, Generic[T]):
     angle: float
     """From its direction to the wanted one, before the step, rad; NaN where not asked."""
 
-    rotations, translations = Of[Array]("equilibrium"), Of[Array]("equilibrium")
+    rotations, translations = Delegate[Array]("equilibrium"), Delegate[Array]("equilibrium")
     """(n,) to be sent, rad and m."""

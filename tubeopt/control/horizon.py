@@ -22,7 +22,7 @@ from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import Kind, explicit_arm
 from ..bodies.scene import Scene
 from ..errors import Settings
-from ..inverse.chart import Chart
+from ..inverse.tip_coordinates import TipCoordinates
 from ..typing import Array, Mask
 
 SOLVER, QUIET = "ipqp", {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
@@ -93,7 +93,7 @@ def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
 class Knots:
     """K knots of a chart."""
 
-    chart: Chart
+    chart: TipCoordinates
     z: Array
     """(K, m)."""
     joints: Array
@@ -110,7 +110,7 @@ class Knots:
     """Of joints, fields, points and direction by z over the scales, with m columns behind."""
 
     @staticmethod
-    def at(chart: Chart, z: Array, floor: float) -> Knots:
+    def at(chart: TipCoordinates, z: Array, floor: float) -> Knots:
         """Those of points (K, m), with a floor of the margin."""
         n, (count, m) = chart.space.robot.n_tubes, z.shape
         function = _linearised(chart.kind, count, threading.get_ident())

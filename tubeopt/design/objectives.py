@@ -14,11 +14,11 @@ from ..block.own import OwnObjective
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from ..display import Displayed
 from ..errors import InputError, numbers, vector
-from ..files.marks import POSITIVE, OneOf, check_fields, unit
+from ..files.field_metadata import POSITIVE, OneOf, check_fields, unit
 from ..physics.torsion import cross_section
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import ZERO, Load
-from ..typing import Of
+from ..typing import Delegate
 from .requirements import ROUNDED, Rows, deviations
 
 
@@ -140,7 +140,12 @@ class Objective(Displayed):
                 raise InputError("translations are allowed for the objectives tip_curvature and turning_radius only")
             object.__setattr__(self, "translations", numbers("translations of the objective", self.translations))
 
-    words, unit, factor, sign = Of[str]("told"), Of[str]("told"), Of[float]("told"), Of[int]("told")
+    words, unit, factor, sign = (
+        Delegate[str]("told"),
+        Delegate[str]("told"),
+        Delegate[float]("told"),
+        Delegate[int]("told"),
+    )
 
     @property
     def told(self) -> Kind:

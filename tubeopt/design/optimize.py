@@ -18,7 +18,7 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
-from ..typing import Array, Progress, Sentence
+from ..typing import Array, Progress, StatusEnum
 from .attempt import Attempt, Report
 from .collocation import check_collocation
 from .exchange import carry, certified_at, violations
@@ -37,7 +37,7 @@ from .task import DesignTask
 from .verify import Verification, solve_again, verify
 
 
-class DesignStatus(Sentence):
+class DesignStatus(StatusEnum):
     """What became of a design; every value reads as a sentence."""
 
     KEPT = "the design satisfies all requirements"
@@ -224,7 +224,7 @@ def _searched(
     retries = task.solver.starts.retries
     if not ranking.designs and starts < retries and not ranking.late:
         ranking = search(compile_task(task, added), starts=retries)
-    best, rounds = settle(best_of(ranking), report, method)
+    best, rounds = add_worst_cases(best_of(ranking), report, method)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     late = ranking.late + best.late
     return replace(ranking, designs=(best, *(others or ranking.designs[1:])), late=late), rounds
@@ -262,7 +262,7 @@ def _bearing(
 
     try:
         with within(share):
-            floor, late = _raised(one, bears, task.solver), False
+            floor, late = _bisect_floor(one, bears, task.solver), False
     except LateError:
         kept = [floor for floor, (_, check) in known.items() if check.kept]
         if not kept:
@@ -290,7 +290,7 @@ def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tup
     return value, Check(words, f"{value:.5f}", value >= one.margin)
 
 
-def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
+def _bisect_floor(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
     """The least floor, to `force_accuracy`, whose design bears the force; `bears` tells the certificate under it."""
     low, high = one.margin, None
     floor = one.margin
@@ -313,7 +313,7 @@ def _raised(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver
     return high
 
 
-def settle(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
+def add_worst_cases(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
     """A design for which all cases hold, and how many rounds of adding the worst of them that took; where a time limit
     ends that, the last one."""
     rounds = 0

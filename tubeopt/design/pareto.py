@@ -13,7 +13,7 @@ from ..typing import Progress
 from .attempt import Attempt
 from .multistart import multistart, solve_from
 from .objectives import key_of
-from .optimize import settle
+from .optimize import add_worst_cases
 from .program import compile_task, recompiled
 from .relaxation import best_of
 from .requirements import SnapFree, SnapFreeInUse
@@ -94,7 +94,7 @@ def pareto_front(
         try:
             if not found.feasible:
                 raise SolveError(f"no design was found with a margin of at least {margin:g}")
-            found, _ = settle(found)
+            found, _ = add_worst_cases(found)
         except SolveError:
             if not points:
                 raise

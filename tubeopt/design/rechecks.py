@@ -22,7 +22,7 @@ from ..robots.series import Series
 from ..robots.tubes import Tube, piece_strain
 from ..stability import find_stroke_force, snap_free_certificate
 from ..typing import Array
-from .drawn import draw
+from .deployment import draw
 from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 from .state import STRONGEST
 

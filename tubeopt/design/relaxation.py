@@ -12,12 +12,12 @@ from ..errors import SolveError
 from ..solvers.time_limit import LateError
 from ..typing import Array
 from .attempt import FEASIBLE, Attempt, attempt, evaluate, evaluated_at, improve, to_feasibility, violation
+from .constraints import Limit, relaxed
+from .infeasibility import shown_infeasible
 from .multistart import Ranking
 from .program import Program, elastic, recompiled
 from .rows import Rows
-from .shown import shown_infeasible
 from .solve import best_from
-from .statements import Limit, relaxed
 from .task import DesignTask
 
 
@@ -66,7 +66,7 @@ class DesignNotFoundError(SolveError):
 
 
 class InfeasibleDesignError(DesignNotFoundError):
-    """It is shown that no design meets all requirements (`design.shown`); the message says how."""
+    """It is shown that no design meets all requirements (`design.infeasibility`); the message says how."""
 
 
 def best_of(ranking: Ranking) -> Attempt:

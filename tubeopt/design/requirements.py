@@ -1,4 +1,4 @@
-"""Requirements of a design. Every requirement is data; `design.statements` turns it into constraints."""
+"""Requirements of a design. Every requirement is data; `design.constraints` turns it into constraints."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..errors import InputError, choice, finite, finite_array, instance, items, numbers, positive, triple, vector, whole
-from ..files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Usual, check_fields, key, unit
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, key, unit
 from ..typing import Array
-from .drawn import ALONG, SHARES
+from .deployment import ALONG, SHARES
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -127,7 +127,12 @@ class Strain:
     """
 
     limits: Annotated[
-        tuple[float, ...], unit("percent"), REQUIRED, POSITIVE, Usual(1e-4, 1.0), "one limit per tube, or one for all"
+        tuple[float, ...],
+        unit("percent"),
+        REQUIRED,
+        POSITIVE,
+        Typical(1e-4, 1.0),
+        "one limit per tube, or one for all",
     ] = (0.01,)
     straightened: Annotated[bool, "limit the strain of straightened tubes"] = True
     in_poses: Annotated[bool, "limit the strain at every task pose"] = True
@@ -148,7 +153,7 @@ class Nesting(Checked):
         float,
         key("clearance_mm"),
         NOT_NEGATIVE,
-        Usual(1e-6, 0.01),
+        Typical(1e-6, 0.01),
         "smallest difference between the inner diameter of a tube and the outer diameter of the tube inside it",
     ] = 0.0
     _owner = "nested tubes"
@@ -158,7 +163,7 @@ class Nesting(Checked):
 class Wall(Checked):
     """Every tube has at least this wall thickness, m."""
 
-    thickness: Annotated[float, key("wall_mm"), POSITIVE, Usual(1e-5, 0.01), "smallest wall thickness"]
+    thickness: Annotated[float, key("wall_mm"), POSITIVE, Typical(1e-5, 0.01), "smallest wall thickness"]
     _owner = "a wall"
 
 
@@ -186,7 +191,7 @@ class Stroke(Checked):
     """No carriage travels more than this between any two task poses, m."""
 
     limit: Annotated[
-        float, key("stroke_mm"), POSITIVE, Usual(1e-4, 5.0), "largest travel of a carriage between task poses"
+        float, key("stroke_mm"), POSITIVE, Typical(1e-4, 5.0), "largest travel of a carriage between task poses"
     ]
     _owner = "a stroke"
 
@@ -207,8 +212,8 @@ class StrokeForce:
 class Target:
     """Target position and direction of the tip."""
 
-    position: Annotated[tuple[float, float, float], unit("mm"), Usual(1e-3, 10.0), "position in the base frame"]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance between tip and target"] = (
+    position: Annotated[tuple[float, float, float], unit("mm"), Typical(1e-3, 10.0), "position in the base frame"]
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Typical(1e-9, 0.1), "largest distance between tip and target"] = (
         1e-4
     )
     direction: Annotated[
@@ -251,7 +256,7 @@ class Coverage:
 
     lower: Annotated[tuple[float, float, float], unit("mm"), "corner with the smallest coordinates"]
     upper: Annotated[tuple[float, float, float], unit("mm"), "corner with the largest coordinates"]
-    tolerance: Annotated[float, unit("mm"), POSITIVE, Usual(1e-9, 0.1), "largest distance between tip and target"] = (
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Typical(1e-9, 0.1), "largest distance between tip and target"] = (
         1e-3
     )
     samples: Annotated[int, NOT_NEGATIVE, "number of Sobol points inside the box"] = 32
@@ -300,7 +305,7 @@ class Deployment(Checked, OwnRequirement):
         float,
         key("deployment_mm"),
         POSITIVE,
-        Usual(1e-6, 0.2),
+        Typical(1e-6, 0.2),
         "largest distance between the deploying arm and the fully deployed arm",
     ]
     words, unit, factor, size, most = "deviation of the deployment", "mm", 1e3, 1e-3, True

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..block.quantities import Quantity
 from ..typing import Array
+from .constraints import Limit, Statement
 from .layout import FreePose
 from .order import gaps_of, order_gaps
 from .program import BOUNDED, Program, slack_name
 from .state import State
-from .statements import Limit, Statement
 from .task import DesignTask
 
 HELD = 5e-8

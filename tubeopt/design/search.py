@@ -18,7 +18,7 @@ from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
-from ..typing import Array, Of, Progress
+from ..typing import Array, Delegate, Progress
 from .attempt import FEASIBLE, attempt, robot_at, to_feasibility, violation
 from .multistart import multistart, rank, start_values
 from .objectives import Objective
@@ -89,7 +89,7 @@ class SearchedDesign(Searched):
     solution: DesignSolution
     """The design, its requirements checked again by other code."""
 
-    status = Of[DesignStatus]("solution")
+    status = Delegate[DesignStatus]("solution")
 
     @property
     def value(self) -> ConcentricRobot:

@@ -10,8 +10,8 @@ import scipy
 from ..typing import Array
 from .attempt import Attempt, prices
 from .cells import cell_of, cell_rows
+from .constraints import Limit
 from .parameters import UNITS
-from .statements import Limit
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ..robots.tubes import Tube
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
 from .anatomy import arm_clearance
-from .drawn import drawn_back
+from .deployment import retracted
 from .layout import FixedPose, FreePose, Layout, Via
 from .pieces import change_of, given_of
 from .pose import Pose, Twist, moving, solve_pose, without_solving
@@ -94,7 +94,7 @@ class State:
         if isinstance(index, tuple):
             number, share = index
             turned, (shift, moved) = self._joints(number)
-            drawn, back, last = drawn_back(self.tubes, shift, share)
+            drawn, back, last = retracted(self.tubes, shift, share)
             ended = moved + self.slopes["curved_length"]
             return turned, (drawn, moved - back[:, None] * (ended - share * ended[last]))
         pose = self.layout.poses[index]

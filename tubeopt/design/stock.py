@@ -12,19 +12,19 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, TimeLimitError, instance, whole
-from ..files.marks import BETWEEN_TUBES, NOT_NEGATIVE, POSITIVE, Usual, check_fields, unit, usual_length
+from ..files.field_metadata import BETWEEN_TUBES, NOT_NEGATIVE, POSITIVE, Typical, check_fields, unit, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel.executors import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
+from .infeasibility import shown_infeasible
 from .multistart import multistart
 from .objectives import key_of
-from .optimize import settle
+from .optimize import add_worst_cases
 from .pieces import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
-from .shown import shown_infeasible
 from .task import DesignTask
 
 CHEAP = (Length, Nesting, Wall)
@@ -39,8 +39,8 @@ class StockTube:
     """A size that can be bought."""
 
     name: Annotated[str, "order number"]
-    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
-    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1)]
+    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Typical(1e-4, 0.1)]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Typical(2e-5, 0.1)]
     source: Annotated[str, "supplier or publication"] = ""
     material: Material = NITINOL
     """Of which it is."""
@@ -205,7 +205,7 @@ def _design(item: tuple[DesignTask, tuple[StockTube, ...], float], starts: int) 
         status = f"infeasible: {shown}" if shown else f"not found: {next(iter(ranking.failures))}"
         return Candidate(sizes, bound, None, None, "out of time" if ranking.late and not shown else status)
     try:
-        found, _ = settle(ranking.designs[0])
+        found, _ = add_worst_cases(ranking.designs[0])
     except SolveError as error:
         return Candidate(sizes, bound, None, None, f"not found: {error}")
     if found.late:

@@ -13,7 +13,7 @@ import scipy
 from ..arguments import typed
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, instance, vector, whole
-from ..files.marks import NOT_NEGATIVE, OneOf, Usual, check_fields, unit
+from ..files.field_metadata import NOT_NEGATIVE, OneOf, Typical, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.parallel.executors import executor, run_all
@@ -30,18 +30,18 @@ class Tolerances:
     transmission, and no longer arm. Of tubes made of pieces all are bent, stiffened and stretched alike.
     """
 
-    curvature: Annotated[float, unit("percent"), NOT_NEGATIVE, Usual(1e-4, 0.5), "relative error of the curvature"] = (
-        0.0
-    )
+    curvature: Annotated[
+        float, unit("percent"), NOT_NEGATIVE, Typical(1e-4, 0.5), "relative error of the curvature"
+    ] = 0.0
     stiffness: Annotated[
         float,
         unit("percent"),
         NOT_NEGATIVE,
-        Usual(1e-4, 0.5),
+        Typical(1e-4, 0.5),
         "relative error of bending and torsional stiffness, the same for both",
     ] = 0.0
-    straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-6, 0.05)] = 0.0
-    curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(1e-6, 0.05)] = 0.0
+    straight_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Typical(1e-6, 0.05)] = 0.0
+    curved_length: Annotated[float, unit("mm"), NOT_NEGATIVE, Typical(1e-6, 0.05)] = 0.0
     distribution: Annotated[str, OneOf(("normal", "uniform"))] = "normal"
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array
 from .attempt import state_at
-from .drawn import SHARES, draw
+from .deployment import SHARES, draw
 from .exchange import certified_at, motions
 from .order import SLACK as ORDER_SLACK
 from .order import pose_places, worst_order

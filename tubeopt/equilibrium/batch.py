@@ -22,7 +22,7 @@ from ..solvers.compiled.binding import solve_compiled, solve_many_compiled
 from ..solvers.compiled.loaded import solve_many_loaded_compiled
 from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
-from ..typing import Array, Index, Mask, Sentence
+from ..typing import Array, Index, Mask, StatusEnum
 from .answer import largest_error, sample_arms
 from .kinematics import forward_kinematics
 from .method import TOLERANCE
@@ -33,7 +33,7 @@ CHUNK = 2048
 """Configurations that one worker takes at a time: enough that its start costs nothing, few enough to share out."""
 
 
-class BatchStatus(Sentence):
+class BatchStatus(StatusEnum):
     """What became of many joint values; every value reads as a sentence."""
 
     SOLVED = "a stable equilibrium was found at all joint values"

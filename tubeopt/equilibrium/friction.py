@@ -38,8 +38,8 @@ from ..robots.friction import Friction, check_friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
+from ..solvers.friction_increment import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
-from ..solvers.rubbing import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
 from .answer import answered, at_points, sample_rotation

@@ -17,14 +17,14 @@ from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
-from ..typing import Array, Mask, Of, Sentence, late
+from ..typing import Array, Delegate, Mask, StatusEnum, lazy_import
 
 if TYPE_CHECKING:
     from ..block.transcription.arm import Profile
     from ..block.transcription.reduced import ReducedProblem
 
 
-class Status(Sentence):
+class Status(StatusEnum):
     """Result of a solve; every value reads as a sentence."""
 
     STABLE = "a stable equilibrium was found"
@@ -244,10 +244,18 @@ class Equilibrium(Displayed):
     friction: FrictionState | None = None
     """State of the friction, needed to continue a motion with friction; None without friction."""
 
-    arc_length, position, frame = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
-    curvature, rotation, torsion = Of[Array]("arm"), Of[Array]("arm"), Of[Array]("arm")
-    point, point_rotation, point_curvature = Of[Array]("points"), Of[Array]("points"), Of[Array]("points")
-    residual, mesh_error, tip_error = Of[float]("accuracy"), Of[float]("accuracy"), Of[float]("accuracy")
+    arc_length, position, frame = Delegate[Array]("arm"), Delegate[Array]("arm"), Delegate[Array]("arm")
+    curvature, rotation, torsion = Delegate[Array]("arm"), Delegate[Array]("arm"), Delegate[Array]("arm")
+    point, point_rotation, point_curvature = (
+        Delegate[Array]("points"),
+        Delegate[Array]("points"),
+        Delegate[Array]("points"),
+    )
+    residual, mesh_error, tip_error = (
+        Delegate[float]("accuracy"),
+        Delegate[float]("accuracy"),
+        Delegate[float]("accuracy"),
+    )
 
     @property
     def tip_position(self) -> Array:
@@ -268,7 +276,7 @@ class Equilibrium(Displayed):
 
     def plot(self, path: str | PathLike[str] | None = None) -> Any:
         """Figure of the shape, saved at `path`; see `tubeopt.plot_shape`."""
-        return late("tubeopt.show.plots.shape.plot_shape")(self, path)
+        return lazy_import("tubeopt.show.plots.shape.plot_shape")(self, path)
 
     @property
     def value(self) -> Array:
@@ -290,7 +298,7 @@ class Equilibrium(Displayed):
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
         several the innermost."""
-        found: Array = late("tubeopt.equilibrium.compliance.compliance_of")(self)
+        found: Array = lazy_import("tubeopt.equilibrium.compliance.compliance_of")(self)
         return found
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
@@ -306,24 +314,24 @@ class Equilibrium(Displayed):
         Raises:
             InputError: an arc length outside the arm, a tube that is not there, a load without an energy.
         """
-        found: Array = late("tubeopt.equilibrium.compliance.compliance_at")(self, arc_length, tube)
+        found: Array = lazy_import("tubeopt.equilibrium.compliance.compliance_at")(self, arc_length, tube)
         return found
 
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
-        found: Array = late("tubeopt.equilibrium.compliance.base_wrench_of")(self)
+        found: Array = lazy_import("tubeopt.equilibrium.compliance.base_wrench_of")(self)
         return found
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `equilibrium.jacobian`."""
-        found: Jacobian = late("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
+        found: Jacobian = lazy_import("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
         return found
 
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
         """(Q,) derivatives of the margin as those of `jacobian`, also under a load without an energy, where `jacobian`
         has NaN: they take a hundred times as long there. NaN where breakpoints meet, too."""
-        found: Array = late("tubeopt.equilibrium.margin_change.margin_slopes_of")(self, wrt)
+        found: Array = lazy_import("tubeopt.equilibrium.margin_change.margin_slopes_of")(self, wrt)
         return found
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
@@ -332,7 +340,7 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: Newton's method leaves the equilibrium: it is a fold.
         """
-        found: tuple[ReducedProblem, Profile] = late("tubeopt.equilibrium.answer.collocated")(self)
+        found: tuple[ReducedProblem, Profile] = lazy_import("tubeopt.equilibrium.answer.collocated")(self)
         return found
 
     def at(
@@ -355,19 +363,19 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: no equilibrium was found.
         """
-        found: Equilibrium = late("tubeopt.equilibrium.kinematics.equilibrium_at")(
+        found: Equilibrium = lazy_import("tubeopt.equilibrium.kinematics.equilibrium_at")(
             robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
         )
         return found
 
     def verified(self) -> Equilibrium:
         """This equilibrium with its `verification` by adaptive re-integration."""
-        found: Equilibrium = late("tubeopt.equilibrium.verification.verify_equilibrium")(self)
+        found: Equilibrium = lazy_import("tubeopt.equilibrium.verification.verify_equilibrium")(self)
         return found
 
     def save(self, directory: str | PathLike[str]) -> None:
         """Write `result.json` and `arrays.npz` into `directory`; `load_equilibrium` reads them back."""
-        late("tubeopt.equilibrium.file.save_equilibrium")(self, directory)
+        lazy_import("tubeopt.equilibrium.file.save_equilibrium")(self, directory)
 
 
 def refuse_load(equilibrium: Equilibrium) -> None:

@@ -24,7 +24,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, m
 
 from ..errors import InputError, undoubted
 from .checked import Entry, Whole, as_many, three
-from .marks import Absent, Key, Marked, Named, OneOf, Range, Usual, Written, marked
+from .field_metadata import Absent, FieldSpec, Key, Named, OneOf, Range, Typical, Written, marked
 from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, parted, plainest, to_si
 
 E = TypeVar("E", bound=Entry)
@@ -170,7 +170,7 @@ def described(what: Any) -> tuple[Described, ...]:
     return tuple(_described(field) for field in marked(what))
 
 
-def _described(said: Marked) -> Described:
+def _described(said: FieldSpec) -> Described:
     kind, field = said.kind, said.field
     named = said.first(Key) or Key("")
     annotation, read, write = _kind(kind, said.marks, named.unit)
@@ -247,7 +247,7 @@ def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
             return plainest(Decimal(repr(value)) - zero)
         return value if scale == 1 else in_unit(value, scale)
 
-    usual = [mark for mark in marks if isinstance(mark, Usual)]
+    usual = [mark for mark in marks if isinstance(mark, Typical)]
     whole: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
     annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *usual]
     return annotation, lambda number: to_si(number + zero, scale), _write

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from .marks import Usual
+from .field_metadata import Typical
 from .units import UNITS, ZERO_CELSIUS, in_words, others, to_si, unit_of
 
 
@@ -30,12 +30,12 @@ def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | Non
 
 
 @functools.lru_cache(maxsize=256)
-def _looked_at(model: type[BaseModel]) -> tuple[tuple[str, Usual | None], ...]:
+def _looked_at(model: type[BaseModel]) -> tuple[tuple[str, Typical | None], ...]:
     """Keys whose numbers have a usual range, and keys that may hold entries of their own, for which it is None."""
     found = []
     for key, field in model.model_fields.items():
         marks = (*field.metadata, *marks_in(field.annotation))
-        usual = next((mark for mark in marks if isinstance(mark, Usual)), None)
+        usual = next((mark for mark in marks if isinstance(mark, Typical)), None)
         if usual is not None or any(True for _ in models(field.annotation)):
             found.append((key, usual))
     return tuple(found)
@@ -63,7 +63,7 @@ def _parts(value: Any) -> Iterator[tuple[str, BaseModel]]:
         yield from ((f"[{k}]", part) for k, part in enumerate(value) if isinstance(part, BaseModel))
 
 
-def unusual(key: str, unit: str, value: Any, usual: Usual) -> Iterator[str]:
+def unusual(key: str, unit: str, value: Any, usual: Typical) -> Iterator[str]:
     """A sentence on a number, or on the largest of several: a position has coordinates that are small."""
     numbers: Sequence[Decimal] = value if isinstance(value, list) else [value]
     if not numbers or not all(isinstance(number, Decimal) for number in numbers):

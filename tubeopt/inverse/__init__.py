@@ -1,6 +1,6 @@
 """Inverse kinematics with stable answers only: which joint values put the tip here, pointing there?"""
 
-from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .session import IkSession
 from .settings import InverseOptions, InverseSolver
 from .solving import inverse_kinematics
@@ -12,6 +12,6 @@ __all__ = [
     "InverseSolver",
     "InverseStatistics",
     "InverseStatus",
-    "JointWay",
+    "JointPath",
     "inverse_kinematics",
 ]

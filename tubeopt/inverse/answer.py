@@ -9,11 +9,11 @@ from ..bodies.scene import Scene
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
-from ..typing import Array, Of, Sentence
-from .outline import Outline
+from ..typing import Array, Delegate, StatusEnum
+from .arm_surface import ArmSurface
 
 
-class InverseStatus(Sentence):
+class InverseStatus(StatusEnum):
     """Result for one target; every value reads as a sentence."""
 
     REACHED = "the target is reached in a stable equilibrium"
@@ -40,7 +40,7 @@ class InverseStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class JointWay:
+class JointPath:
     """Joint values on which the robot does not snap: slowly through W waypoints, straight from one to the next."""
 
     origin: str
@@ -87,7 +87,7 @@ class InverseSolution(Displayed):
     """True if a snap-free path from the seed, or else from home, is known: `way`. None if only the straight path was
     checked quickly. False if `reachable=True` was given and no path was found; one may still exist.
     """
-    way: JointWay | None = None
+    way: JointPath | None = None
     """Snap-free joint path to this solution, or None. It keeps the joint ranges; obstacles are left to
     `plan_trajectory`. Home means the nearest joint values within ranges and order of the tubes.
     """
@@ -96,15 +96,15 @@ class InverseSolution(Displayed):
     the line between the two targets.
     """
 
-    robot = Of[Robot]("equilibrium")
-    rotations, translations = Of[Array]("equilibrium"), Of[Array]("equilibrium")
+    robot = Delegate[Robot]("equilibrium")
+    rotations, translations = Delegate[Array]("equilibrium"), Delegate[Array]("equilibrium")
     """(n,) rad and (n,) m, not wrapped."""
-    margin = Of[float]("equilibrium")
+    margin = Delegate[float]("equilibrium")
 
     @cached_property
     def clearance(self) -> float:
         """Least distance of the surface of the arm from any obstacle, m; infinite without."""
-        return Outline(self.equilibrium).clearance(self.scene)
+        return ArmSurface(self.equilibrium).clearance(self.scene)
 
     @property
     def value(self) -> tuple[Array, Array]:

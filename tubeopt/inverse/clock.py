@@ -40,10 +40,10 @@ class Clock:
         return Clock(share * self.left, self)
 
     @property
-    def crowding(self) -> float:
+    def parallel_slowdown(self) -> float:
         """Seconds that pass per second of this process's work, at least 1: more where others use the processor."""
         if self.within is not None:
-            return self.within.crowding
+            return self.within.parallel_slowdown
         passed, worked = time.perf_counter() - self.began, time.process_time() - self.worked
         return max(1.0, passed / worked) if worked > 0 else 1.0
 

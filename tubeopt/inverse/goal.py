@@ -13,12 +13,12 @@ from ..bodies.scene import Scene, scene_of
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
-from ..typing import Array, Index, Of
+from ..typing import Array, Delegate, Index
+from .arm_surface import MOST_CONTACTS, Contacts
 from .clock import Clock
 from .configurations import Configuration, configuration, scaled_weights, shift_of
-from .extra import NOTHING, Extras, extras
+from .custom_terms import NOTHING, Extras, extras
 from .joints import JointSpace, joint_space
-from .outline import MOST_CONTACTS, Contacts
 from .posture import Posture
 from .settings import DEFAULT_OPTIONS, InverseOptions, InverseSolver
 
@@ -51,9 +51,9 @@ class Goal:
     touched: set[int] = field(default_factory=set, init=False)
     """Numbers of bodies that an arm was found too close to, which are looked at however many are closer."""
 
-    direction_weight = Of[float | None]("options")
-    clearance = Of[float]("options")
-    solver = Of[InverseSolver]("options")
+    direction_weight = Delegate[float | None]("options")
+    clearance = Delegate[float]("options")
+    solver = Delegate[InverseSolver]("options")
 
     @property
     def pointed(self) -> bool:

@@ -21,7 +21,7 @@ from ..arguments import typed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, positive, vector
-from ..files.marks import TOLERATED, usual_length
+from ..files.field_metadata import TOLERATED, usual_length
 from ..robots.eccentric import EccentricRobot
 from ..robots.robot import shifts
 from ..typing import Array

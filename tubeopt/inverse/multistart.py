@@ -11,30 +11,30 @@ import numpy as np
 
 from ..errors import SolveError
 from .answer import InverseSolution, InverseStatistics, InverseStatus
+from .arm_surface import ArmSurface
 from .clock import Clock
 from .closest import closest_of
 from .descent import correct, improve, millimetres, missed_by, reach
 from .gauss_newton import SLACK, Search
 from .goal import Goal
+from .joint_path import answer_at, straight_way
 from .joints import JointSpace
-from .outline import Outline
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
 from .table import StartTable, nearest_starts, spread_starts, start_table
-from .way import answer_at, straight_way
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
     """The table of configurations of a robot from which a search may begin, built or loaded once; where there is too
     little time as far as there is, and further the next time."""
-    shelf = _shelf(space)
+    shelf = _start_tables(space)
     if not (shelf and shelf[0].whole):
         shelf[:] = [start_table(space, clock=clock)]
     return shelf[0]
 
 
 @lru_cache(maxsize=32)
-def _shelf(space: JointSpace) -> list[StartTable]:
+def _start_tables(space: JointSpace) -> list[StartTable]:
     return []
 
 
@@ -328,6 +328,6 @@ class Multistart:
 def _difference(one: InverseSolution, other: InverseSolution) -> float:
     """Largest distance of two arms at equal shares of their lengths, over the longer of them."""
     arms = one.equilibrium, other.equilibrium
-    (a, _), (b, _) = (Outline(arm).line(33) for arm in arms)
+    (a, _), (b, _) = (ArmSurface(arm).line(33) for arm in arms)
     longest = max(float(arm.arc_length[-1]) for arm in arms)
     return float(np.linalg.norm(a - b, axis=1).max()) / max(longest, 1e-300)

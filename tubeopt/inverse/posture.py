@@ -20,10 +20,10 @@ from ..equilibrium.result import Equilibrium, refuse_load
 from ..equilibrium.unloaded import PlainPoint
 from ..errors import InputError, SolveError
 from ..solvers.settings import CONTINUATION
-from ..typing import Array, Of
+from ..typing import Array, Delegate
+from .arm_surface import ArmSurface, Contacts
 from .configurations import Configuration, configuration
 from .joints import JointSpace
-from .outline import Contacts, Outline
 
 _Slopes = tuple[tuple[Array, Array, Array], Array]
 """Of tip, turn vector and margin by the joints, and of the shape points by rotations and translations."""
@@ -43,7 +43,7 @@ class Posture:
     q: Array
     equilibrium: Equilibrium
 
-    margin = Of[float]("equilibrium")
+    margin = Delegate[float]("equilibrium")
 
     @cached_property
     def room(self) -> Array:
@@ -146,9 +146,9 @@ class Posture:
         return slope if known.all() else np.where(known, slope, 0.0)
 
     @cached_property
-    def outline(self) -> Outline:
+    def outline(self) -> ArmSurface:
         """The surface of the arm."""
-        return Outline(self.equilibrium)
+        return ArmSurface(self.equilibrium)
 
     def contact_slopes(self, scene: Scene, contacts: Contacts) -> Array:
         """(c, m) change of the distances of contacts with q. A contact at the edge where a tube ends moves along with

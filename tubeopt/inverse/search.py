@@ -15,7 +15,7 @@ from ..robots.robot import Robot
 from ..stability.certificate import snap_free_certificate
 from ..typing import Array
 from .clock import Clock
-from .closed import pocket, wall
+from .obstruction import pocket, wall
 from .task import Task
 
 SEARCHES = ("auto", "rrt_connect", "optimal")

@@ -16,18 +16,18 @@ from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
 from .configurations import Configuration
 from .descent import held_by, missed_by, moved, on_target, reach
 from .gauss_newton import Model
 from .goal import Goal, pose_question, unit_vector
+from .joint_path import answer_at, joint_way, leap
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture, posture_of, same_place, seed_posture
 from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import answers_of
-from .way import answer_at, joint_way, leap
 
 LAST = "last target"
 """Where the way to an answer begins."""
@@ -112,7 +112,7 @@ class IkSession:
         if len(known) == len(ways):
             table = [np.concatenate([way.rotations, way.translations], axis=1) for way in known]
             rows = np.concatenate([table[0], *(each[1:] for each in table[1:])])
-            whole = JointWay(LAST, *np.split(rows, 2, axis=1))
+            whole = JointPath(LAST, *np.split(rows, 2, axis=1))
         statistics = _summed([each.statistics for each in answers])
         leaps = next((each.leaps for each in answers if each.leaps), "")
         self._solution = replace(

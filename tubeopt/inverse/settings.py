@@ -10,7 +10,7 @@ from ..arguments import typed
 from ..block.own import OwnObjective, OwnRequirement
 from ..display import Displayed
 from ..errors import InputError, Settings, instance, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Range, Usual, check_fields, check_size, unit
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Range, Typical, check_fields, check_size, unit
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """What is best: joint values near a reference, the largest margin, the least int |u|^2 ds."""
@@ -260,7 +260,7 @@ class InverseOptions(Displayed):
     objective, with that weight.
     """
     clearance: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
+        float, unit("mm"), NOT_NEGATIVE, Typical(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
     """Smallest allowed distance between the surface of the arm and obstacles, m."""
     carriage_gap: float = 0.0
@@ -286,7 +286,7 @@ class InverseOptions(Displayed):
         check_fields(self)
         for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
-            check_size(name, getattr(self, name), Usual(1e-6, 0.5), "mm")
+            check_size(name, getattr(self, name), Typical(1e-6, 0.5), "mm")
         positive("distinct", self.distinct)
         if self.time_limit != math.inf:
             positive("time_limit", self.time_limit)

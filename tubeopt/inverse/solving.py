@@ -25,15 +25,15 @@ from ..robots.robot import Robot, check_robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
 from .answer import InverseSolution
+from .arm_surface import ArmSurface
 from .clock import Clock
 from .configurations import Configuration
 from .descent import broyden
 from .goal import Goal, angle, pose_question
+from .joint_path import with_a_way
 from .multistart import Multistart, known_home
-from .outline import Outline
 from .posture import posture_of, seed_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions
-from .way import with_a_way
 
 
 class Asked(TypedDict, total=False):
@@ -185,7 +185,7 @@ def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: boo
         last, e = _aim(wanted, last, load, held=held)
         answer = _loaded_answer(last, e, goal)
         short = goal.min_margin - e.margin
-        near = goal.clearance - Outline(e).clearance(goal.scene) if goal.scene.bodies else -1.0
+        near = goal.clearance - ArmSurface(e).clearance(goal.scene) if goal.scene.bodies else -1.0
         if short <= 0 and near <= 0:
             return answer
         floor = wanted.min_margin + max(short, 0.0) + (room if short > 0 else 0.0)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
-from .chart import BATCH, Arms, Chart
 from .clock import Clock, LateError
-from .way_settings import DEFAULT_WAY, WaySearch
+from .joint_path_settings import DEFAULT_WAY, PathSearch
+from .tip_coordinates import BATCH, Arms, TipCoordinates
 
 SAME = 1e-9
 """Distance (joints' scales) of points that are one."""
@@ -32,7 +32,7 @@ class Task:
     `margin_room` and one `clearance_room` at the longest steps, a quarter at half of these.
     """
 
-    chart: Chart
+    chart: TipCoordinates
     obstacles: tuple[Obstacle, ...]
     min_margin: float
     clearance: float
@@ -44,7 +44,7 @@ class Task:
     """Clearance (m) to spare at least, but for the neighbourhood of `ends`."""
     ends: Array | None = None
     """(k, m) points of the chart that were found to be allowed by other code."""
-    effort: WaySearch = DEFAULT_WAY
+    effort: PathSearch = DEFAULT_WAY
     """How hard a way is searched for."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
     """When it is over, looking at points raises LateError, and no further motion is found to hold."""

@@ -1,6 +1,6 @@
 """Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
 
-from .apart import PairProof
+from .arm_distance_bound import PairProof
 from .arms import ArmsProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
 from .effort import PlanEffort, ProofSearch

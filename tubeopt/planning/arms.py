@@ -21,13 +21,13 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, instance, vector
+from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
-from ..inverse.outline import Outline
 from ..robots.robot import Robot, check_robot
 from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..typing import Array
-from .apart import PairProof, apart, tracked
-from .clearing import Table, Wanted
+from .arm_distance_bound import PairProof, apart, tracked
+from .clearance_bound import Table, Wanted
 from .cross_sections import Constants
 from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import RateLimits
@@ -275,7 +275,7 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
     ends = equilibrium.tube_end
     length = float(equilibrium.arc_length[-1])
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
-    outline = Outline(equilibrium)
+    outline = ArmSurface(equilibrium)
     points = outline.centreline(s)
     places = base.placed(points)
     radius = outline.radius((s[:-1] + s[1:]) / 2) + outline.bend * np.diff(s) ** 2 / 8
@@ -296,7 +296,7 @@ class Lines(Table):
     @staticmethod
     def of(equilibria: Sequence[Equilibrium], count: int, base: Frame = PLATE) -> Lines:
         """Those of equilibria of a robot whose plate stands somewhere, with so many points along each."""
-        points, radius = zip(*(Outline(e).line(count) for e in equilibria), strict=True)
+        points, radius = zip(*(ArmSurface(e).line(count) for e in equilibria), strict=True)
         return Lines(np.array(points), np.array(radius)).placed(base)
 
     def placed(self, frame: Frame) -> Lines:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ..errors import Settings
-from ..inverse.way_settings import WaySearch
+from ..inverse.joint_path_settings import PathSearch
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class Timing(Settings):
     """Of the grid on which a curve is timed, evenly spaced at first."""
     fine_cells: int = 500
     """Then such that they take the same time."""
-    prudence: float = 0.9995
+    rate_safety_factor: float = 0.9995
     """Share of the rates that is used: the tip's speed is taken on the grid, and ends of the path are made exact."""
     samples: int = 100
     """At least."""
@@ -198,7 +198,7 @@ class Timing(Settings):
     """At most."""
     sample_step: float = 0.04
     """Largest change of a joint between samples, in units of its scale."""
-    hurry: float = 1.1
+    max_overspeed: float = 1.1
     """Over its limit, by which the tip may be too fast between samples of a motion that is then slowed down for it."""
 
 
@@ -234,9 +234,9 @@ class ProofSearch(Settings):
     agreement: float = 1e-6
     """Largest difference of a tip from its re-integration, over the length of the robot."""
     seconds: float = 0.1
-    """Usual upper limit of the time of a proof without `sample_seconds`, s."""
+    """Typical upper limit of the time of a proof without `sample_seconds`, s."""
     sample_seconds: float = 1e-3
-    """Usual upper limit of the time of a proof per sample of the motion, s."""
+    """Typical upper limit of the time of a proof per sample of the motion, s."""
 
     _none: ClassVar[tuple[str, ...]] = ("halvings",)
 
@@ -273,7 +273,7 @@ class ArmsSearch(Settings):
 
 
 @dataclass(frozen=True)
-class PlanEffort(WaySearch):
+class PlanEffort(PathSearch):
     """Settings of the search, smoothing, timing and proof of a plan; a field of `PlanOptions`."""
 
     shares: Shares = Shares()

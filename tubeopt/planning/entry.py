@@ -20,7 +20,7 @@ from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
-from ..files.marks import REGION, usual_length
+from ..files.field_metadata import REGION, usual_length
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol

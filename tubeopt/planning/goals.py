@@ -19,12 +19,12 @@ from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
+from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..inverse.configurations import joints_of
 from ..inverse.descent import reach
 from ..inverse.goal import Goal, unit_vector
 from ..inverse.joints import JointSpace
-from ..inverse.outline import Outline
 from ..inverse.posture import start_at
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -372,7 +372,7 @@ def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
     """Why no plan leads to an equilibrium: margin or clearance is too small; empty where they are not."""
     if e.margin < task.min_margin - FINISHED:
         return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
-    clear = Outline(e).clearance(task.scene)
+    clear = ArmSurface(e).clearance(task.scene)
     if clear >= task.clearance:
         return ""
     where = "is inside an obstacle" if clear < 0 else f"has clearance {clear * 1e3:.4g} mm"

@@ -24,7 +24,6 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
-from .building import passing
 from .goals import check_goal, ends, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
@@ -32,6 +31,7 @@ from .reach import damped_step, step_constraints
 from .timing import track
 from .tip_path import distance_from
 from .trajectory import Trajectory
+from .trajectory_building import passing
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from ..equilibrium.kinematics import equilibrium_at, forward_kinematics
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..inverse.chart import Arms, Chart
 from ..inverse.clock import Clock, LateError
+from ..inverse.tip_coordinates import Arms, TipCoordinates
 from ..robots.load import Load
 from ..stability.shooting import profiles
 from ..typing import Array
@@ -21,8 +21,8 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class LoadedChart(Chart):
-    """As `Chart`; every arm is that into which the stable equilibrium of its point grows with the load."""
+class LoadedChart(TipCoordinates):
+    """As `TipCoordinates`; every arm is that into which the stable equilibrium of its point grows with the load."""
 
     def of(self, equilibrium: Equilibrium) -> Array:
         """The point of an equilibrium: that of what is left of it without its load.
@@ -36,7 +36,7 @@ class LoadedChart(Chart):
         return super().of(known)
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
-        """As those of `Chart`, under the load."""
+        """As those of `TipCoordinates`, under the load."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
         floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():

@@ -12,7 +12,7 @@ from scipy.interpolate import PPoly
 
 from ..display import Displayed
 from ..errors import InputError, numbers, positive, undoubted
-from ..files.marks import POSITIVE, Usual, check_usual, key
+from ..files.field_metadata import POSITIVE, Typical, check_usual, key
 from ..files.units import TO_MM
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import MOST_TURN, JointLimits, default_limits
@@ -41,24 +41,24 @@ class RateLimits(Displayed):
         InputError: a limit that is not a finite number greater than 0.
     """
 
-    rotation: Annotated[Rates, key("rotation_deg_per_s"), POSITIVE, Usual(0.03, 4 * np.pi), "largest rotation rate"] = (
-        np.pi / 2
-    )
+    rotation: Annotated[
+        Rates, key("rotation_deg_per_s"), POSITIVE, Typical(0.03, 4 * np.pi), "largest rotation rate"
+    ] = np.pi / 2
     """Rotation rate, rad/s."""
     translation: Annotated[
-        Rates, key("translation_mm_per_s"), POSITIVE, Usual(1e-4, 0.2), "largest translation rate"
+        Rates, key("translation_mm_per_s"), POSITIVE, Typical(1e-4, 0.2), "largest translation rate"
     ] = 0.02
     """Translation rate, m/s."""
     rotation_acceleration: Annotated[
-        Rates, key("rotation_deg_per_s2"), POSITIVE, Usual(0.03, 20 * np.pi), "largest rotation acceleration"
+        Rates, key("rotation_deg_per_s2"), POSITIVE, Typical(0.03, 20 * np.pi), "largest rotation acceleration"
     ] = np.pi
     """Acceleration of the rotations, rad/s^2."""
     translation_acceleration: Annotated[
-        Rates, key("translation_mm_per_s2"), POSITIVE, Usual(1e-4, 5.0), "largest translation acceleration"
+        Rates, key("translation_mm_per_s2"), POSITIVE, Typical(1e-4, 5.0), "largest translation acceleration"
     ] = 0.04
     """Acceleration of the translations, m/s^2."""
     tip: Annotated[
-        float | None, key("tip_mm_per_s"), POSITIVE, Usual(1e-4, 2.0), "largest tip speed; default no limit"
+        float | None, key("tip_mm_per_s"), POSITIVE, Typical(1e-4, 2.0), "largest tip speed; default no limit"
     ] = None
     """Speed of the tip, m/s; None for no limit."""
 

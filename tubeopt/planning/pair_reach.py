@@ -17,7 +17,7 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive
-from ..inverse.outline import Outline
+from ..inverse.arm_surface import ArmSurface
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from .arms import PlacedRobot
@@ -173,7 +173,7 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[
         e = found.arm(robot, k)
         if e is None:
             continue
-        outline = Outline(e)
+        outline = ArmSurface(e)
         line, radius = outline.line(points)
         # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]

@@ -25,7 +25,7 @@ from ..robots.robot import Robot
 from ..stability.following import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
-from .clearing import Wanted, cleared
+from .clearance_bound import Wanted, cleared
 from .cross_sections import Constants
 from .effort import ProofSearch
 from .loaded_branch import loaded_branch

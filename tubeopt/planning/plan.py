@@ -21,12 +21,12 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import Faults, build, motions_near, no_time
 from .goals import End, asked_ends, check_goal, check_start, of_the_tip, other_ends, start_equilibrium
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
 from .timing import Limits, actuators, joint_curves, stopping_at
 from .trajectory import PlanStatistics, Trajectory
+from .trajectory_building import Faults, build, motions_near, no_time
 
 
 @typed

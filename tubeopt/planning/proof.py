@@ -25,7 +25,7 @@ from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, finite, instance, positive
-from ..files.marks import FAR_FROM_BODIES, usual_length
+from ..files.field_metadata import FAR_FROM_BODIES, usual_length
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
@@ -35,15 +35,15 @@ from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
-from ..typing import Array, Of, Sentence
-from .clearing import Wanted
+from ..typing import Array, Delegate, StatusEnum
+from .clearance_bound import Wanted
 from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
 from .passage import SHORTEST, Follower, Passage, Step, follow
 from .speed import Pace, paced
 
 
-class ProofStatus(Sentence):
+class ProofStatus(StatusEnum):
     """What is known of a trajectory that was followed once more; every value reads as a sentence."""
 
     PROVED = "the trajectory is proved from end to end"
@@ -124,11 +124,11 @@ class Proof(Displayed):
     clearance_from: tuple[str, ...] = ()
     """Reference of the clearance for obstacles that are points or open surfaces, as text."""
 
-    largest_rotation_rate, largest_translation_rate = Of[float]("paces"), Of[float]("paces")
-    largest_rotation_acceleration, largest_translation_acceleration = Of[float]("paces"), Of[float]("paces")
-    largest_tip_step, tip_length = Of[float]("paces"), Of[float]("paces")
-    largest_tip_rate, measured_tip_rate = Of[float]("paces"), Of[float]("paces")
-    equilibria, followed = Of[int]("statistics"), Of[float]("statistics")
+    largest_rotation_rate, largest_translation_rate = Delegate[float]("paces"), Delegate[float]("paces")
+    largest_rotation_acceleration, largest_translation_acceleration = Delegate[float]("paces"), Delegate[float]("paces")
+    largest_tip_step, tip_length = Delegate[float]("paces"), Delegate[float]("paces")
+    largest_tip_rate, measured_tip_rate = Delegate[float]("paces"), Delegate[float]("paces")
+    equilibria, followed = Delegate[int]("statistics"), Delegate[float]("statistics")
 
     @property
     def value(self) -> float:

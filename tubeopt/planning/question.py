@@ -14,13 +14,13 @@ from ..block.quantities import Expression
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite, instance, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, OneOf, Usual, check_fields, check_size, key, unit
-from ..inverse.chart import Chart
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
 from ..inverse.clock import Clock, LateError
 from ..inverse.configurations import shift_of
 from ..inverse.joints import JointSpace, joint_space
 from ..inverse.search import SEARCHES, Way
 from ..inverse.task import Task
+from ..inverse.tip_coordinates import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -65,7 +65,7 @@ class PlanOptions(Displayed):
     search_seconds: float = 5.0
     """Duration of the search for a shorter path by "optimal", s."""
     clearance: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
+        float, unit("mm"), NOT_NEGATIVE, Typical(1e-5, 0.1), "smallest allowed distance between arm and obstacles"
     ] = 0.0
     """Smallest allowed distance between the surface of the arm and obstacles, m."""
     max_force: Annotated[
@@ -102,7 +102,7 @@ class PlanOptions(Displayed):
         positive("search_seconds", self.search_seconds)
         for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
-            check_size(name, getattr(self, name), Usual(1e-6, 0.5), "mm")
+            check_size(name, getattr(self, name), Typical(1e-6, 0.5), "mm")
 
 
 DEFAULT_PLAN = PlanOptions()
@@ -168,7 +168,7 @@ def asked(
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
         raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")
-    chart = Chart(space) if load is None else _loaded(space, load, options)
+    chart = TipCoordinates(space) if load is None else _loaded(space, load, options)
     return PlanTask(
         chart,
         bodies,

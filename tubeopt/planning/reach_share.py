@@ -23,7 +23,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
-from ..files.marks import TOLERATED, usual_length
+from ..files.field_metadata import TOLERATED, usual_length
 from ..inverse.clock import LateError
 from ..robots.limits import check_target
 from ..robots.robot import Robot

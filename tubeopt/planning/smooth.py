@@ -9,8 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ..equilibrium.result import Equilibrium
-from ..inverse.chart import Arms
 from ..inverse.clock import Clock
+from ..inverse.tip_coordinates import Arms
 from ..typing import Array, Mask
 from .motion import Motion
 from .path_program import (
@@ -72,7 +72,7 @@ def smooth(
     for _ in range(task.effort.smoothing.refinements + 1):
         arms = task.chart.arms(z, 0.0)
         near = _near(task, arms)
-        if clock.left < clock.crowding * building(near):
+        if clock.left < clock.parallel_slowdown * building(near):
             return None
         found = _solve(near, (z, arms), share, limits, objective, room, clock)
         if found is None:

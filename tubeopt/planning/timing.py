@@ -28,8 +28,8 @@ from scipy.interpolate import PPoly
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
-from ..inverse.outline import Outline
 from ..typing import Array, Index, Mask
 from .effort import DEFAULT_EFFORT, Timing
 from .motion import INSTANT, Motion
@@ -172,19 +172,19 @@ class _Program:
         """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
         c1, c2, c3 = _terms(curve, s)
-        long, force = h[:, None], limits.timing.prudence * limits.acceleration
+        long, force = h[:, None], limits.timing.rate_safety_factor * limits.acceleration
         # Where s has grown by x, b has by 2 x u.
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
-        pace = (along / (limits.timing.prudence * limits.rate)).max(1)
+        pace = (along / (limits.timing.rate_safety_factor * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
             speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
             # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
             beside = 1 + 2 * math.ceil(len(h) / limits.timing.samples_of_tip)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
-            pace = np.maximum(pace, fastest / (limits.timing.prudence * limits.tip[0]))
+            pace = np.maximum(pace, fastest / (limits.timing.rate_safety_factor * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # What does not move there is at rest however fast s is.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6
@@ -333,7 +333,7 @@ def _short(task: PlanTask, found: Sequence[Equilibrium]) -> Array:
     most = task.effort.smoothing.left
     left = most * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / task.effort.timing.sample_step) ** 2
     margin = np.array([e.margin for e in found])
-    clear = np.array([Outline(e).clearance(task.scene, task.clearance + most) for e in found])
+    clear = np.array([ArmSurface(e).clearance(task.scene, task.clearance + most) for e in found])
     out = np.array([task.min_margin + left - margin, task.clearance + left - clear])
     for end in {0, len(q) - 1} if len(q) else ():
         out[:, end] = np.minimum(out[:, end], 0.0)

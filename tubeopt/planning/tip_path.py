@@ -16,18 +16,18 @@ from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, SolveError, instance
-from ..files.marks import TOLERATED, usual_length
+from ..files.field_metadata import TOLERATED, usual_length
 from ..inverse import IkSession, inverse_kinematics
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .building import passing
 from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import least_miss
 from .trajectory import Trajectory
+from .trajectory_building import passing
 
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""

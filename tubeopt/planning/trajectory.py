@@ -14,10 +14,10 @@ from ..bodies.plane import Plane
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
+from ..inverse.arm_surface import ArmSurface
 from ..inverse.joints import joint_space
-from ..inverse.outline import Outline
 from ..robots.robot import Robot
-from ..typing import Array, late
+from ..typing import Array, lazy_import
 from .motion import RateLimits
 from .proof import Proof
 
@@ -123,7 +123,7 @@ class Trajectory(Displayed):
     def clearance(self) -> Array:
         """(T,) least distances of the arm from obstacles, m; infinite without."""
         scene = scene_of(self.obstacles)
-        return np.array([Outline(e).clearance(scene) for e in self.arms])
+        return np.array([ArmSurface(e).clearance(scene) for e in self.arms])
 
     @property
     def value(self) -> tuple[Array, Array]:
@@ -153,4 +153,4 @@ class Trajectory(Displayed):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the joint values over time as CSV, with units in the header; `tubeopt verify` reads it."""
-        late("tubeopt.planning.file.save_trajectory")(self, path)
+        lazy_import("tubeopt.planning.file.save_trajectory")(self, path)

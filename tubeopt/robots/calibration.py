@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, finite, positive, vector
-from ..files.marks import Absent, unit
+from ..files.field_metadata import Absent, unit
 from ..typing import Array
 from .limits import JointLimits, default_limits
 from .tubes import Tube

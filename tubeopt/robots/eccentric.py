@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError
-from ..files.marks import NOT_NEGATIVE, check_fields, unit
+from ..files.field_metadata import NOT_NEGATIVE, check_fields, unit
 from ..typing import Array
 from .assembly import ROUND_OFF, Assembly, assemble
 from .calibration import Calibration

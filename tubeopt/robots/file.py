@@ -18,9 +18,9 @@ from pydantic_core import PydanticCustomError
 from ..arguments import typed
 from ..errors import InputError, undoubted
 from ..files.checked import NotNegative, Number, Positive, check_kind
+from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
 from ..files.files import write_text
-from ..files.marks import Usual
 from ..files.shipped import found
 from ..files.units import MM, in_unit, to_si
 from ..files.yaml_file import load_yaml, to_yaml
@@ -81,10 +81,10 @@ class TubeEntry(Part):
     pieces: list[PieceEntry] | None = Field(
         None, min_length=1, description="pieces of the tube after its straight part, in order"
     )
-    curved_length_mm: Annotated[NotNegative | None, Usual(1e-3, 10.0)] = Field(
+    curved_length_mm: Annotated[NotNegative | None, Typical(1e-3, 10.0)] = Field(
         None, validate_default=True, description="length of the curved part; optional with pieces"
     )
-    curvature_per_m: Annotated[Number | None, Usual(0.1, 2000.0)] = Field(
+    curvature_per_m: Annotated[Number | None, Typical(0.1, 2000.0)] = Field(
         None, description="precurvature; 0 for a straight tube, negative for the opposite direction"
     )
     radius_mm: Positive | None = Field(None, description="radius of the precurvature, instead of curvature_per_m")

@@ -9,7 +9,7 @@ from typing import Annotated
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, numbers, positive
-from ..files.marks import BETWEEN_TUBES, NOT_NEGATIVE, Range, Usual, check_size, check_usual, unit
+from ..files.field_metadata import BETWEEN_TUBES, NOT_NEGATIVE, Range, Typical, check_size, check_usual, unit
 
 PAIRWISE = ("torque", "plate", "jumps", "ends")
 """What a friction holds for every pair of neighbours."""
@@ -31,28 +31,28 @@ class Friction(Displayed):
         float | tuple[float, ...],
         unit("mN_m_per_m"),
         NOT_NEGATIVE,
-        Usual(1e-5, 1.0),
+        Typical(1e-5, 1.0),
         "friction torque per length, in front of the base plate where both tubes of a pair are present",
     ] = 0.0
     plate: Annotated[
         float | tuple[float, ...],
         unit("mN_m"),
         NOT_NEGATIVE,
-        Usual(1e-6, 0.1),
+        Typical(1e-6, 0.1),
         "friction torque at the base plate, for all friction behind it",
     ] = 0.0
     jumps: Annotated[
         float | tuple[float, ...],
         unit("mN_m"),
         NOT_NEGATIVE,
-        Usual(1e-6, 0.1),
+        Typical(1e-6, 0.1),
         "friction torque where the precurvature of one of the two tubes changes abruptly",
     ] = 0.0
     ends: Annotated[
         float | tuple[float, ...],
         unit("mN_m"),
         NOT_NEGATIVE,
-        Usual(1e-6, 0.1),
+        Typical(1e-6, 0.1),
         "friction torque at the end of the outer tube of a pair",
     ] = 0.0
     sliding: Annotated[

@@ -12,7 +12,7 @@ import numpy as np
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, implausible
-from ..files.marks import unit
+from ..files.field_metadata import unit
 from ..files.units import TO_MM
 from ..typing import Array
 from .tubes import Tube

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, called, choice, finite, items, positive, triple, vector
-from ..files.marks import NOT_NEGATIVE, OneOf, key, unit
+from ..files.field_metadata import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 from .tubes import Tube, mass_per_length
 

@@ -10,7 +10,7 @@ from typing import Annotated
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
 from ..errors import InputError, instance, undoubted
-from ..files.marks import POSITIVE, Named, Range, Usual, check_fields, check_size, key, unit
+from ..files.field_metadata import POSITIVE, Named, Range, Typical, check_fields, check_size, key, unit
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class ThermalData:
     density: Annotated[float, unit("kg_per_m3"), Range(least=100.0, most=23000.0)]
     heat_capacity: Annotated[float, unit("J_per_kg_K"), Range(above=0.0, most=10000.0)]
     conductivity: Annotated[float, unit("W_per_m_K"), Range(above=0.0, most=2500.0), "thermal conductivity"]
-    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Usual(1e-9, 1e-4), "electrical resistivity"]
-    expansion: Annotated[float, unit("per_K"), POSITIVE, Usual(1e-7, 1e-3), "coefficient of thermal expansion"]
+    resistivity: Annotated[float, unit("ohm_m"), POSITIVE, Typical(1e-9, 1e-4), "electrical resistivity"]
+    expansion: Annotated[float, unit("per_K"), POSITIVE, Typical(1e-7, 1e-3), "coefficient of thermal expansion"]
     emissivity: Annotated[float, Range(above=0.0, most=1.0), "total emissivity"]
     heat_capacity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
     conductivity_slope: Annotated[float, unit("per_K"), "relative change of the property per K"] = 0.0
@@ -86,7 +86,7 @@ USUAL_MODULUS = {"nitinol": (10e9, 90e9), "niti": (10e9, 90e9), "steel": (150e9,
 """Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from half of martensite's
 (20 to 50 GPa) to austenite's (up to 90 GPa), of steels by their handbooks."""
 
-STRAIN = Usual(5e-4, 0.5)
+STRAIN = Typical(5e-4, 0.5)
 """Of materials that are cycled, or spring back."""
 
 SOLID = (1e7, math.inf)
@@ -104,9 +104,9 @@ class Material(Displayed):
     """
 
     name: Annotated[str, "name of the material"]
-    youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Usual(1e8, 5e11), "E"]
+    youngs_modulus: Annotated[float, unit("GPa"), POSITIVE, Typical(1e8, 5e11), "E"]
     shear_modulus: Annotated[
-        float, unit("GPa"), POSITIVE, Usual(3e7, 2e11), "shear modulus G; alternatively Poisson's ratio"
+        float, unit("GPa"), POSITIVE, Typical(3e7, 2e11), "shear modulus G; alternatively Poisson's ratio"
     ]
     working_strain: Annotated[float, unit("percent"), POSITIVE, STRAIN, "strain limit for unlimited cycles"] = 0.01
     superelastic_strain: Annotated[float, unit("percent"), POSITIVE, STRAIN, "strain limit of superelasticity"] = 0.06

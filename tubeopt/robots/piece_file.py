@@ -13,8 +13,8 @@ from pydantic import Discriminator, Field, Tag
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, in_file
 from ..files.csv_file import read_csv
+from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, to_data
-from ..files.marks import Usual
 from ..files.plausible import unusual
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
 from ..typing import Array
@@ -26,7 +26,7 @@ DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
 LOGGER = logging.getLogger(__name__)
 
-RADIUS = PITCH = Usual(5e-4, 10.0)
+RADIUS = PITCH = Typical(5e-4, 10.0)
 """Of a piece or a helix, and what a helix advances per turn, m."""
 
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
-from ..files.marks import POSITIVE, REQUIRED, Usual
+from ..files.field_metadata import POSITIVE, REQUIRED, Typical
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
 from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, stretched, times, values
@@ -21,7 +21,7 @@ from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, st
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
 
-LENGTH, BEND, TWIST = Usual(3e-4, 10.0), Usual(0.1, 2000.0), Usual(0.0, 1000.0)
+LENGTH, BEND, TWIST = Typical(3e-4, 10.0), Typical(0.1, 2000.0), Typical(0.0, 1000.0)
 """Of a piece, m; its curvature, 1/m, and its natural twist, rad/m: a turn in 6 mm."""
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, undoubted, vector
-from ..typing import Array, late
+from ..typing import Array, lazy_import
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import FAR, MOST_TURN, JointLimits, check_reach, check_turn
@@ -118,7 +118,7 @@ class Robot(Displayed, ABC):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
-        late("tubeopt.robots.file.save_robot")(self, path)
+        lazy_import("tubeopt.robots.file.save_robot")(self, path)
 
     def fk(self, rotations: ArrayLike, translations: ArrayLike | None = None, **options: Any) -> Any:
         """Equilibrium at rotations (n,) rad and translations (n,) m, by default home.
@@ -141,14 +141,16 @@ class Robot(Displayed, ABC):
         )
         if translations is None and shape == (2 * self.n_tubes,):
             rotations, translations = known[: self.n_tubes], known[self.n_tubes :]
-        return late("tubeopt.equilibrium.kinematics.forward_kinematics")(self, rotations, translations, **options)
+        return lazy_import("tubeopt.equilibrium.kinematics.forward_kinematics")(
+            self, rotations, translations, **options
+        )
 
     def ik(self, position: ArrayLike, **options: Any) -> Any:
         """Joint values of a stable equilibrium with its tip at `position` (3,), m: a `tubeopt.InverseSolution`.
 
         `options` are those of `tubeopt.inverse_kinematics`, as `direction`.
         """
-        return late("tubeopt.inverse.solving.inverse_kinematics")(self, position, **options)
+        return lazy_import("tubeopt.inverse.solving.inverse_kinematics")(self, position, **options)
 
     def jacobian(self, rotations: ArrayLike, translations: ArrayLike | None = None, **options: Any) -> Any:
         """Derivatives of tip pose, margin and energy with respect to the joint values: a `tubeopt.Jacobian`.

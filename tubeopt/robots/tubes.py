@@ -11,7 +11,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, finite, implausible, instance, items, positive
-from ..files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_size, check_usual, unit
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_size, check_usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
 from .pieces import TWIST, Piece
@@ -47,18 +47,18 @@ class Tube(Displayed):
         InputError: a field is not finite or out of its range, or the curve is tighter than the tube is thick.
     """
 
-    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Usual(1e-4, 0.1)]
-    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Usual(2e-5, 0.1), "smaller than the outer diameter"]
+    outer_diameter: Annotated[float, unit("mm"), POSITIVE, Typical(1e-4, 0.1)]
+    inner_diameter: Annotated[float, unit("mm"), NOT_NEGATIVE, Typical(2e-5, 0.1), "smaller than the outer diameter"]
     straight_length: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "length of the straight part, from the clamped end"
+        float, unit("mm"), NOT_NEGATIVE, Typical(1e-3, 10.0), "length of the straight part, from the clamped end"
     ]
     curved_length: Annotated[
-        float, unit("mm"), NOT_NEGATIVE, Usual(1e-3, 10.0), "length of the curved part, after the straight part"
+        float, unit("mm"), NOT_NEGATIVE, Typical(1e-3, 10.0), "length of the curved part, after the straight part"
     ]
     curvature: Annotated[
         float,
         unit("per_m"),
-        Usual(0.1, 2000.0),
+        Typical(0.1, 2000.0),
         "precurvature; 0 for a straight tube, negative for the opposite direction",
     ]
     material: Material = NITINOL
@@ -73,7 +73,7 @@ class Tube(Displayed):
         kw_only=True,
     )
     mass_per_length: Annotated[
-        float | None, unit("g_per_m"), POSITIVE, Usual(1e-6, 1.0), "mass per length, for weight"
+        float | None, unit("g_per_m"), POSITIVE, Typical(1e-6, 1.0), "mass per length, for weight"
     ] = field(default=None, kw_only=True)
     pieces: tuple[Piece, ...] = field(default=(), kw_only=True)
     """Behind the straight part, from there to the tip; none of a tube of one radius."""

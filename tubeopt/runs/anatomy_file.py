@@ -24,8 +24,8 @@ from ..bodies.solids import field_of_mesh, field_of_points, field_of_surface
 from ..errors import InputError
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
+from ..files.field_metadata import Typical
 from ..files.files import read_text
-from ..files.marks import Usual
 from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
@@ -158,7 +158,7 @@ class MeshPart(Entry):
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
     axes: Axes | None = Field(None, description=OF_FILE)
-    cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
+    cell_mm: Annotated[Positive | None, Typical(1e-5, 0.05)] = Field(
         None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
@@ -180,7 +180,7 @@ class PointsPart(Entry):
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
     axes: Axes | None = Field(None, description=OF_FILE)
-    cell_mm: Annotated[Positive | None, Usual(1e-5, 0.05)] = Field(
+    cell_mm: Annotated[Positive | None, Typical(1e-5, 0.05)] = Field(
         None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
@@ -248,7 +248,7 @@ class RegistrationPart(Entry):
     """Landmarks measured from the base plate; they locate the plate in the patient."""
 
     landmarks_mm: dict[str, Triple] = Field(description="landmark names and their positions in the base frame")
-    most_error_mm: Annotated[Positive, Usual(1e-5, 0.05)] = Field(Decimal(3), description="largest allowed RMS error")
+    most_error_mm: Annotated[Positive, Typical(1e-5, 0.05)] = Field(Decimal(3), description="largest allowed RMS error")
 
 
 class AnatomyPart(Entry):

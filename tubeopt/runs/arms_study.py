@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame
 from ..files.checked import NotNegative, Positive
+from ..files.field_metadata import Typical
 from ..files.fields import asking, values
-from ..files.marks import Usual
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
 from ..typing import Progress
 from .anatomy_file import BasePart
@@ -66,7 +66,7 @@ class ArmsStudy(Surrounded, Study):
     obstacles: Bodies = Field(
         (), description="obstacles for all arms, in the common frame: a YAML file or a list of bodies"
     )
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="smallest allowed distance of every arm from obstacles and other arms"
     )
     min_margin: NotNegative = Field(

@@ -25,8 +25,8 @@ from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, in_file
+from ..files.field_metadata import Typical
 from ..files.fields import EntryOf
-from ..files.marks import Usual
 from ..stability import ASSUMING
 from ..typing import Progress
 from .base import Count, Timed
@@ -61,7 +61,7 @@ class StockStudy(Entry):
     """Tube sizes from stock."""
 
     file: StockPath
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         description="smallest difference between the inner diameter of a tube and the outer "
         "diameter of the tube inside it"
     )

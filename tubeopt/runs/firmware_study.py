@@ -12,8 +12,8 @@ from ..errors import choice
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.fields import asking
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
-from ..shaping.heating.law import Feedback
-from ..shaping.heating.leading import lead_by
+from ..shaping.heating.controller import Feedback
+from ..shaping.heating.feedback_design import design_feedback
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.sensors import SENSORS, Sensor
@@ -85,6 +85,6 @@ class LedHeatingStudy(HeatedTube):
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
         plan = plan_heating(self.heated(), rig, self.spec())
         tell(1, 2)
-        feedback = lead_by(plan, self._sensor(), samples=self.samples)
+        feedback = design_feedback(plan, self._sensor(), samples=self.samples)
         tell(2, 2)
         return LedHeating(plan, feedback, wiring, frequency)

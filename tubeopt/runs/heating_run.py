@@ -17,8 +17,8 @@ from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
-from ..shaping.heating.law import HeatingLaw
-from ..shaping.heating.leading import lead_by
+from ..shaping.heating.controller import HeatingLaw
+from ..shaping.heating.feedback_design import design_feedback
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import Leader, planner_for
@@ -153,7 +153,7 @@ def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
     name the tube."""
     assert rig.tube is not None
     plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
-    return plan, lead_by(plan, sensor, samples=20).law, sensor
+    return plan, design_feedback(plan, sensor, samples=20).law, sensor
 
 
 def run_heating(

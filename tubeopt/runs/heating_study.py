@@ -12,9 +12,9 @@ from ..errors import InputError, choice
 from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.fields import asking, made
 from ..robots.tubes import Tube
+from ..shaping.heating.controller import wilson
+from ..shaping.heating.feedback_design import design_feedback
 from ..shaping.heating.files import slot_milliseconds
-from ..shaping.heating.law import wilson
-from ..shaping.heating.leading import lead_by
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
@@ -105,7 +105,7 @@ def heating_of(
         tell(2 + k, steps)
     tell(steps, steps)
     if sensor is not None:
-        planned = replace(planned, feedback=lead_by(planned, sensor, uncertainty, samples=samples))
+        planned = replace(planned, feedback=design_feedback(planned, sensor, uncertainty, samples=samples))
     return Heating(planned, tuple(tables), band, uncertainty, scale)
 
 

@@ -12,7 +12,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError
 from ..files.checked import Positive
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability import LoadLimit, find_load_limit, find_stroke_force, follow
@@ -96,7 +96,7 @@ class ForceStudy(LoadedStudy, Timed):
     kind: Literal["force"]
     robot: RobotPath
     measurements: MeasurementsPath
-    noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
+    noise_mm: Annotated[Positive, Typical(1e-6, 0.02)] = Field(
         Decimal(1), description="standard deviation of a measured coordinate"
     )
     registration: Literal["none", "saved"] | None = Field(

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..robots.tubes import Tube
 from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
@@ -69,7 +69,7 @@ class MoldStudy(Study):
         "calcium_silicate; default that of the mold file",
     )
     springback: SpringbackPath | None = SPRINGBACK
-    cold_length_mm: Annotated[NotNegative | None, Usual(1e-4, 0.5)] = Field(
+    cold_length_mm: Annotated[NotNegative | None, Typical(1e-4, 0.5)] = Field(
         None, description="length of cold tube between clamp and heated part; default estimated"
     )
 
@@ -133,13 +133,13 @@ class MaterialsStudy(Timed):
     kind: Literal["mold_materials"]
     robot: RobotPath | None = Field(None, description="robot file with the tube; default a tube with the sizes below")
     tube: TubeNumber = 1
-    outer_diameter_mm: Annotated[Positive, Usual(1e-4, 0.1)] = Field(
+    outer_diameter_mm: Annotated[Positive, Typical(1e-4, 0.1)] = Field(
         Decimal("1.92"), description="outer diameter of the tube, without a robot file"
     )
-    inner_diameter_mm: Annotated[NotNegative, Usual(2e-5, 0.1)] = Field(
+    inner_diameter_mm: Annotated[NotNegative, Typical(2e-5, 0.1)] = Field(
         Decimal("1.57"), description="inner diameter of the tube, without a robot file"
     )
-    curved_length_mm: Annotated[Positive, Usual(1e-3, 10.0)] = Field(
+    curved_length_mm: Annotated[Positive, Typical(1e-3, 10.0)] = Field(
         Decimal(94), description="heated length of the tube, without a robot file"
     )
     set_degC: Number = Field(Decimal(525), description="set temperature of the tube")

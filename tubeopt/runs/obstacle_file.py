@@ -15,14 +15,14 @@ from ..bodies.corridors import Corridor, MeshObstacle, load_mesh
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..errors import nearest
 from ..files.checked import Entry, Triple, check, in_file
+from ..files.field_metadata import Typical
 from ..files.fields import Part, entry_of
-from ..files.marks import Usual
 from ..files.units import TO_MM, shown
 from ..files.yaml_file import load_yaml
 from ..robots.limits import FAR
 from .anatomy_file import AnatomyKey, load_anatomy
 
-Place = Annotated[Triple, Usual(1e-3, 10.0)]
+Place = Annotated[Triple, Typical(1e-3, 10.0)]
 """A position that is reached by a robot as long as a hand or an arm."""
 
 

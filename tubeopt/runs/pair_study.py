@@ -15,7 +15,7 @@ from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Entry, NotNegative, Positive, Whole
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
@@ -102,7 +102,7 @@ class PairStudy(Timed, SearchPart, Tried):
     anatomy: AnatomyKey | None = Field(
         None, description="anatomy of a patient (images, meshes, point clouds): a YAML file or its keys"
     )
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="smallest allowed distance of both arms from obstacles and from each other"
     )
     places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(

@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 from ..bodies.anatomy import Anatomy
 from ..bodies.plane import Plane
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
+from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, asking, values
-from ..files.marks import Usual
 from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
 from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
@@ -137,7 +137,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
     spline: bool = Field(
         False, description="connect the points of tip_path_mm by a smooth spline instead of a polyline"
     )
-    tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
+    tolerance_mm: Annotated[Positive, Typical(1e-6, 0.05)] = Field(
         Decimal("0.5"), description="largest distance between the tip and the curve of tip_path_mm"
     )
     leader: bool = Field(False, description="follow-the-leader deployment: the arm stays close to the path of its tip")

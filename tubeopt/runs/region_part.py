@@ -13,7 +13,7 @@ from ..bodies.frames import Frame
 from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
 from ..files.checked import Entry, NotNegative, Number, Positive, Whole
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array, Progress
@@ -82,11 +82,11 @@ class SearchPart(Entry):
     """What a search for designs that reach a region says, for one robot or for two."""
 
     obstacles: Bodies = Field((), description="further obstacles: a YAML file or a list of bodies")
-    clearance_mm: Annotated[NotNegative, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.2"), description="smallest allowed distance of an arm from obstacles, and between two arms"
     )
     min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1")
-    tolerance_mm: Annotated[Positive, Usual(1e-6, 0.05)] = Field(
+    tolerance_mm: Annotated[Positive, Typical(1e-6, 0.05)] = Field(
         Decimal("0.5"), description="largest distance between the tip and a reached point"
     )
     places: Annotated[Count, Field(le=MOST)] = Field(12, description="number of points of the region for the search")

@@ -12,7 +12,7 @@ from ..display import Displayed
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, Whole, in_file
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..robots.concentric import friction_of
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
@@ -182,7 +182,7 @@ class CertifyStudy(Timed):
     upper_mm: OnePerTube | None = Field(
         None, description="largest translations of a box to certify, as with box; default the upper limits"
     )
-    max_tip_force_mN: Annotated[Positive | None, Usual(1e-4, 20.0)] = Field(
+    max_tip_force_mN: Annotated[Positive | None, Typical(1e-4, 20.0)] = Field(
         None, description="certify also under any dead tip force up to this size, in any direction"
     )
 

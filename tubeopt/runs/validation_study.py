@@ -12,8 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from ..errors import InputError
 from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
+from ..files.field_metadata import Typical
 from ..files.fields import asking, values
-from ..files.marks import Usual
 from ..typing import Progress
 from ..validation import (
     BasePose,
@@ -97,10 +97,10 @@ class ValidationStudy(Timed):
         None, description="folds of the cross-validation; 0 for none; default 5, or 10 with compare"
     )
     confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence level of the intervals, 0 to 1")
-    noise_mm: Annotated[Positive | None, Usual(1e-6, 0.02)] = Field(
+    noise_mm: Annotated[Positive | None, Typical(1e-6, 0.02)] = Field(
         None, description="standard deviation of a measured coordinate; default estimated"
     )
-    axis_noise_deg: Annotated[Positive | None, Usual(1e-4, 0.5)] = Field(
+    axis_noise_deg: Annotated[Positive | None, Typical(1e-4, 0.5)] = Field(
         None, description="standard deviation of a measured direction; default estimated"
     )
 
@@ -159,7 +159,7 @@ class MeasureStudy(Timed):
     )
     count: Annotated[Whole, Field(ge=3)] = Field(30, description="number of configurations")
     min_margin: NotNegative = Field(Decimal("0.1"), lt=1, description="smallest allowed stability margin, below 1")
-    noise_mm: Annotated[Positive, Usual(1e-6, 0.02)] = Field(
+    noise_mm: Annotated[Positive, Typical(1e-6, 0.02)] = Field(
         Decimal("0.5"), description="standard deviation of a measured coordinate, for the expected errors"
     )
     registration: Literal["rigid", "base-axis", "none"] = Field(

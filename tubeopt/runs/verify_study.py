@@ -12,7 +12,7 @@ from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..errors import undoubted
 from ..files.checked import NotNegative, Positive, check_kind, in_file
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..files.yaml_file import load_yaml
 from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
@@ -61,10 +61,10 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
     min_margin: NotNegative | None = Field(
         None, lt=1, description="smallest allowed stability margin, below 1; default 0", examples=["MU"]
     )
-    clearance_mm: Annotated[NotNegative | None, Usual(1e-5, 0.1)] = Field(
+    clearance_mm: Annotated[NotNegative | None, Typical(1e-5, 0.1)] = Field(
         None, description="smallest allowed distance between arm and obstacles; default 0"
     )
-    max_tip_force_mN: Annotated[NotNegative | None, Usual(1e-4, 20.0)] = Field(
+    max_tip_force_mN: Annotated[NotNegative | None, Typical(1e-4, 20.0)] = Field(
         None,
         description="check margin and clearance under any tip force up to this size, in any direction; default 0",
         examples=["F"],
@@ -72,7 +72,7 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
     rates: RatesEntry | None = Field(
         None, description="rate and acceleration limits of the actuators; default not checked"
     )
-    tip_mm_per_s: Annotated[Positive | None, Usual(1e-4, 2.0)] = Field(
+    tip_mm_per_s: Annotated[Positive | None, Typical(1e-4, 2.0)] = Field(
         None, description="largest tip speed; overrides the rates of the study; default no limit", examples=["V"]
     )
     study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(

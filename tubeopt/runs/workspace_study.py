@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..files.checked import Number, Positive, Whole
-from ..files.marks import Usual
+from ..files.field_metadata import Typical
 from ..typing import Progress
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
@@ -29,7 +29,7 @@ class WorkspaceStudy(Timed):
     seed: Annotated[Whole, Field(ge=0)] = Field(
         0, description="random seed of random and Sobol samples", examples=["K"]
     )
-    voxel_mm: Annotated[Positive | None, Usual(1e-5, 0.1)] = Field(
+    voxel_mm: Annotated[Positive | None, Typical(1e-5, 0.1)] = Field(
         None, description="edge length of the voxels; by default about 50 samples per voxel"
     )
     min_margin: Annotated[Number, Field(le=1)] = Field(

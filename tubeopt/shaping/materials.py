@@ -7,7 +7,7 @@ from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..errors import choice
-from ..files.marks import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
+from ..files.field_metadata import POSITIVE, Absent, OneOf, Range, check_fields, key, unit
 
 INSULATING_RESISTIVITY = 1e3
 """Resistivity (ohm m) from which a mold counts as an electrical insulator: beside a tube of 1e-6 ohm m whose section is

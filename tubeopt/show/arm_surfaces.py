@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
-from ..inverse.outline import outer_radius
+from ..inverse.arm_surface import outer_radius
 from ..robots.series import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array

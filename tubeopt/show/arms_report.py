@@ -17,10 +17,10 @@ from ..files.units import TO_MM
 from ..planning import ArmsPlan, PairProof, Trajectory
 from ..planning.file import save_trajectory
 from ..robots.file import save_robot
+from .formatting import at_least
 from .plan_report import TRAJECTORY
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing
-from .words import at_least
 
 INSTANTS = 200
 """Instants at which the distances between arms are told in a file."""

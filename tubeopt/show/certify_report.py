@@ -15,10 +15,10 @@ from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
 from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
 from ..typing import Array
+from .formatting import degrees, flag
 from .quantities import Quantity, line
 from .report import Report, grid, two_columns
 from .snap_report import SNAP
-from .words import degrees, flag
 
 BOX_METHOD = "the DIRECT algorithm, L-BFGS-B from its best point and every corner, Nelder-Mead from the best of all"
 """How the least certificate in a box is found; see `stability.worst_certificate`."""

@@ -11,11 +11,11 @@ from ..equilibrium.result import Equilibrium, Verification
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..typing import Array
+from .formatting import counted, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
 from .load_words import LOADED
 from .quantities import Quantity, line
 from .readings import readings
 from .report import Report
-from .words import counted, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
 
 NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""

@@ -10,7 +10,7 @@ from ..errors import SolveError
 from ..runs.firmware_study import LedHeating
 from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
-from ..shaping.heating.law import Contribution, Feedback
+from ..shaping.heating.controller import Contribution, Feedback
 from .heat_report import missed
 from .quantities import Quantity, columns, line, within
 from .report import Report, grid, remarks

@@ -18,19 +18,19 @@ from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import MM, TO_MILLI, TO_MM, in_unit
-from ..inverse import InverseSolution, JointWay
+from ..inverse import InverseSolution, JointPath
 from ..robots.path_file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import Postures, Row, TargetTable
 from ..runs.target_file import DIRECTION, POSITION
+from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
 from .quantities import Quantity, line, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, two_columns
-from .words import counted, degrees, millimetres, row, tip_in_words, tip_number
 
 NOTES = 10
 """Targets about which something is said; the others are counted."""
 
-WAY: tuple[Quantity[JointWay], ...] = (
+WAY: tuple[Quantity[JointPath], ...] = (
     Quantity("from", "start of the path", lambda way: way.origin),
     Quantity("rotations_deg", "rotations at its waypoints"),
     Quantity("translations_mm", "translations at its waypoints"),

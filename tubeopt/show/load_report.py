@@ -14,11 +14,11 @@ from ..files.units import DEG, TO_MILLI, TO_MM, in_unit
 from ..runs.load_studies import Bearing
 from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
+from .formatting import counted, margin_in_words, millimetres, released, row
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .report import Drawing, Report, drawing, grid, remarks
 from .snap_report import JOINTS, STATE
-from .words import counted, margin_in_words, millimetres, released, row
 
 SHOWN = 20
 """Rows of a recording that a table shows."""

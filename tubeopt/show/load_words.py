@@ -7,8 +7,8 @@ import numpy as np
 from ..equilibrium.result import Equilibrium
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.load import Load
+from .formatting import row
 from .quantities import Quantity, within
-from .words import row
 
 
 def load_in_words(load: Load) -> str:

@@ -20,9 +20,9 @@ from ..robots.file import save_robot
 from ..runs.pair_study import PairAnswer
 from ..typing import Array
 from .design_report import CHECK, DIMENSION, before_after, checked_again, dimensions
+from .formatting import at_least
 from .quantities import Quantity, line
 from .report import Drawing, Report, drawing
-from .words import at_least
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,11 +25,11 @@ from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
 from ..typing import Array
 from .equilibrium_report import by_history
+from .formatting import at_least, tip_in_words, tip_number
 from .load_words import load_in_words
 from .quantities import Quantity, line, rows, within
 from .readings import joints_in_words, readings
 from .report import Drawing, Report, drawing, two_columns
-from .words import at_least, tip_in_words, tip_number
 
 BEYOND = "assuming no other load and no friction"
 

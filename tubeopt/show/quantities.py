@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ..files.units import SIGNS, per_si, unit_of
-from .words import row
+from .formatting import row
 
 A = TypeVar("A")
 B = TypeVar("B")

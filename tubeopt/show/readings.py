@@ -8,8 +8,8 @@ from typing import TypeVar
 from ..equilibrium.readings import to_readings
 from ..equilibrium.result import Equilibrium
 from ..typing import Array
+from .formatting import degrees, millimetres
 from .quantities import Quantity, within
-from .words import degrees, millimetres
 
 A = TypeVar("A")
 

@@ -12,9 +12,9 @@ from ..robots.fit import clearances, fit_warnings
 from ..robots.order import ends_inside
 from ..robots.robot import Robot
 from ..robots.tubes import OfCrossSection, Tube
+from .formatting import ends_in_words
 from .quantities import Quantity, within
 from .report import Report, grid, remarks
-from .words import ends_in_words
 
 
 def _poisson_ratio(tube: Tube) -> float | None:

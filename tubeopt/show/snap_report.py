@@ -21,10 +21,10 @@ from ..robots.path_file import joint_cells, joint_columns
 from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
+from .formatting import counted, degrees, in_a_word, margin_in_words, millimetres, released, row, tip_number
 from .quantities import Quantity, line, record, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
-from .words import counted, degrees, in_a_word, margin_in_words, millimetres, released, row, tip_number
 
 JOINTS: tuple[Quantity[Any], ...] = (
     Quantity("rotations_deg", "rotation of every tube"),

@@ -33,6 +33,7 @@ from ..stability import (
 from ..validation.force import ForceEstimate
 from ..workspaces import SnappingLoss, Workspace
 from .equilibrium_report import VERIFICATION
+from .formatting import counted, degrees, millimetres
 from .heat_report import PLAN
 from .inverse_report import SOLUTION
 from .load_report import FORCE, LIMIT
@@ -41,7 +42,6 @@ from .quantities import Quantity, line
 from .report import Drawing, drawing
 from .robot_report import TUBE
 from .snap_report import SNAP
-from .words import counted, degrees, millimetres
 from .workspace_report import LOSS
 
 

@@ -17,10 +17,10 @@ from ..block.violation import Violation
 from ..display import Displayed
 from ..errors import InputError, nearest
 from ..files.files import read_bytes, read_text, save_arrays, write_text
-from ..typing import Array, Sentence
+from ..typing import Array, StatusEnum
 
 
-class ProblemStatus(Sentence):
+class ProblemStatus(StatusEnum):
     """Result of the solve of a program; every value reads as a sentence."""
 
     SOLVED = "an optimum was found"

@@ -26,7 +26,7 @@ from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import check_time
-from ..typing import Array, Sentence
+from ..typing import Array, StatusEnum
 from .eccentric_certificate import proof, proof_gradient
 from .loaded_certificate import loaded_worst_case
 from .pair import least_margin_of_pair, margins, pair_of
@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 """A certificate is computed to some 1e-11; within this of 0 its sign proves nothing."""
 
 
-class CertificateStatus(Sentence):
+class CertificateStatus(StatusEnum):
     """What a certificate says; every value reads as a sentence."""
 
     SNAP_FREE = "it is proved that the robot cannot snap at any rotation"

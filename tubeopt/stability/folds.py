@@ -14,7 +14,7 @@ from ..equilibrium.member import Member, Place, Point
 from ..solvers.flow import downhill, flow
 from ..solvers.newton import NewtonResult
 from ..solvers.settings import CONTINUATION
-from ..typing import Array, Of
+from ..typing import Array, Delegate
 
 NEUTRAL = 1e-9
 """A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
@@ -98,7 +98,7 @@ class Loss:
     kind: str
     direction: Array
 
-    t = Of[float]("point")
+    t = Delegate[float]("point")
 
 
 def branch_end(family: Family, last: Place, goal: float) -> Loss | None:

@@ -26,14 +26,14 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
-from ..typing import Array, Sentence
+from ..typing import Array, StatusEnum
 from .motion import Event, Snap, family_between, leg, motion
 from .rubbing_following import rubbing_legs
 
 T = TypeVar("T")
 
 
-class PathStatus(Sentence):
+class PathStatus(StatusEnum):
     """What a robot did on its way; every value reads as a sentence."""
 
     SMOOTH = "the robot reached all waypoints without a snap"

@@ -23,11 +23,11 @@ from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
-from ..typing import Sentence
+from ..typing import StatusEnum
 from .folds import Loss, branch_end, fall
 
 
-class LoadLimitStatus(Sentence):
+class LoadLimitStatus(StatusEnum):
     """How a branch ends as a load grows; every value reads as a sentence."""
 
     FOLD = "the equilibrium vanishes in a fold, and the robot snaps"

@@ -19,7 +19,7 @@ from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.parallel.executors import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..typing import Array, Mask, Sentence
+from ..typing import Array, Mask, StatusEnum
 from .motion import Event, motion
 
 TURN = 2 * np.pi
@@ -39,7 +39,7 @@ JUMP, EDGE_ON = 0.1, 3.0
 rad, and by more than the second, the slope of a curve in polar coordinates, allows."""
 
 
-class MapStatus(Sentence):
+class MapStatus(StatusEnum):
     """What a robot did on the ways of a map; every value reads as a sentence."""
 
     SMOOTH = "the robot snaps on none of the paths"

@@ -20,11 +20,11 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import kernel_of
 from ..solvers.settings import CONTINUATION
-from ..typing import Array, Of, Sentence
+from ..typing import Array, Delegate, StatusEnum
 from .folds import Loss, branch_end, fall, fold_ahead
 
 
-class SnapStatus(Sentence):
+class SnapStatus(StatusEnum):
     """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
 
     LANDED = "the robot snapped to another equilibrium"
@@ -45,7 +45,7 @@ class Snap(Displayed):
     after: Equilibrium
     """Equilibrium after the snap."""
 
-    rotations, translations = Of[Array]("before"), Of[Array]("before")
+    rotations, translations = Delegate[Array]("before"), Delegate[Array]("before")
 
     @property
     def energy_released(self) -> float:

@@ -21,7 +21,7 @@ from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.rubbing import HONEST, slide, softest
+from ..solvers.friction_increment import HONEST, slide, softest
 from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .motion import Snap

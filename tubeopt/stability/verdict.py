@@ -14,7 +14,7 @@ from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
-from ..typing import Array, Sentence
+from ..typing import Array, StatusEnum
 from .certificate import Certificate, certify
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
 from .following import find_snap
@@ -28,7 +28,7 @@ ASSUMING = "assuming no external load, weight or friction"
 """What every statement about snapping leaves out, in a clause."""
 
 
-class Finding(Sentence):
+class Finding(StatusEnum):
     """What is known about snapping; every value reads as a sentence, and holds under what `ASSUMING` says.
 
     CAN_SNAP says that there is a snap; whether it is inside the joint limits says `Verdict.within_limits`.
@@ -39,7 +39,7 @@ class Finding(Sentence):
     OPEN = "it is not proved that the robot cannot snap, and search found no snap"
 
 
-class VerdictStatus(Sentence):
+class VerdictStatus(StatusEnum):
     """A finding as a sentence by itself."""
 
     SNAP_FREE = f"the robot {Finding.SNAP_FREE.value}"

@@ -21,7 +21,7 @@ from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
-from ..typing import Array, Index, Of
+from ..typing import Array, Delegate, Index
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from .pair import least_margin_of_pair, pair_of
@@ -47,7 +47,7 @@ class WorstMargin(Displayed):
     unstable: Array
     """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
 
-    margin = Of[float]("equilibrium")
+    margin = Delegate[float]("equilibrium")
 
 
 @typed

@@ -18,12 +18,12 @@ import scipy
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
-from ..files.marks import OneOf, check_fields
+from ..files.field_metadata import OneOf, check_fields
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, descend, normal_equations
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..typing import Array, Index, Progress, Sentence
+from ..typing import Array, Index, Progress, StatusEnum
 from .certainty import check_registration, registration_error
 from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances, validate
 from .descent import DEFAULT_SOLVER, LOSSES, FitSolver, bootstrap_errors, hold_out
@@ -96,7 +96,7 @@ class Estimate:
     block_high: float
 
 
-class FitStatus(Sentence):
+class FitStatus(StatusEnum):
     """What became of a fit; every value reads as a sentence."""
 
     ESTIMATED = "all parameters were estimated"

@@ -30,7 +30,7 @@ from ..errors import (
     vector,
     whole,
 )
-from ..files.marks import SEEN_WITHIN, usual_length
+from ..files.field_metadata import SEEN_WITHIN, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -39,7 +39,7 @@ from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
 from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, check_time, limited
-from ..typing import Array, Mask, Progress, Sentence
+from ..typing import Array, Mask, Progress, StatusEnum
 from .comparison import check_tubes
 from .measurements import Measurements
 from .poses import about_z
@@ -91,7 +91,7 @@ EVERYWHERE = np.eye(3)
 DEFAULT_FORCE = ForceSolver()
 
 
-class ForceStatus(Sentence):
+class ForceStatus(StatusEnum):
     """How far a force is told; every value reads as a sentence."""
 
     TOLD = "the force is determined in all directions"

@@ -17,7 +17,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
 from ..errors import InputError, Settings, SolveError, instance
-from ..files.marks import SEEN_WITHIN, usual_length
+from ..files.field_metadata import SEEN_WITHIN, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small

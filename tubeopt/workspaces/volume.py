@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, positive
-from ..files.marks import REGION, usual_length
+from ..files.field_metadata import REGION, usual_length
 from ..typing import Array
 from .table import Workspace, held
 from .voxels import Keys, Voxels, cells, default_size, of_first_half, on_surface, voxels

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from ...errors import InputError, choice
-from ...files.marks import POSITIVE, OneOf, check_fields, key, unit
+from ...files.field_metadata import POSITIVE, OneOf, check_fields, key, unit
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Battery, Circuit, Rig
 

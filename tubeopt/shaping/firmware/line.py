@@ -15,7 +15,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError, SolveError, extra
 from ...physics.heat import PROPERTIES
-from ..heating.law import HeatingLaw, begin, decide
+from ..heating.controller import HeatingLaw, begin, decide
 from ..heating.rig import COUNTS
 from ..heating.sensors import Felt, Sensor
 from ..heating.simulation import State, current

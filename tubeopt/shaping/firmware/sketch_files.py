@@ -13,10 +13,10 @@ import numpy as np
 
 from ...files.files import write_text
 from ...typing import Array
+from ..heating.controller import Feedback, HeatingLaw
 from ..heating.counts import full_current
+from ..heating.feedback_design import prolonged
 from ..heating.files import slot_milliseconds
-from ..heating.law import Feedback, HeatingLaw
-from ..heating.leading import prolonged
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Rig
 from ..heating.robust import at_charge

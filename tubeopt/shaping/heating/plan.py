@@ -14,12 +14,12 @@ from ...display import Displayed
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.tubes import Tube
-from ...typing import Array, Of, Sentence
+from ...typing import Array, Delegate, StatusEnum
+from .controller import Feedback
 from .counts import Counts, heating_rate
-from .cures import Cure
-from .law import Feedback
 from .outcome import Outcome, hold_slots, remarks
 from .reasons import reasons_of
+from .remedies import Cure
 from .rig import COUNTS, Rig
 from .schedule import Schedule
 from .simulation import stored
@@ -38,7 +38,7 @@ AGEING, SHORTEST = (400.0, 500.0), 120.0
 the shortest treatment, s, that the source tells of (ASME 2nd Frontiers in Biomedical Devices, BIOMED2007, p. 89)."""
 
 
-class HeatingStatus(Sentence):
+class HeatingStatus(StatusEnum):
     """What became of a plan; every value reads as a sentence."""
 
     HELD = "window, limits and ramp are satisfied"
@@ -135,18 +135,26 @@ class HeatingPlan(Displayed):
     feedback: Feedback | None = None
     """The law that leads the schedule by a sensor, where one was given."""
 
-    time, ideal_duty, ideal_temperature = Of[Array]("course"), Of[Array]("course"), Of[Array]("course")
-    temperature, position = Of[Array]("course"), Of[Array]("course")
-    duty = Of[Counts]("course")
-    curved = Of[NDArray[np.bool_]]("course")
-    zone = Of[NDArray[np.intp]]("course")
-    voltage, current, charge = Of[Array]("course"), Of[Array]("course"), Of[Array]("course")
-    clamp_temperature, mold_temperature = Of[Array]("course"), Of[Array]("course")
-    lowest, highest, hottest = Of[float]("outcome"), Of[float]("outcome"), Of[float]("outcome")
-    shortfall, ramp, steepest = Of[float]("outcome"), Of[float]("outcome"), Of[float]("outcome")
-    mean_current, peak_current = Of[float]("outcome"), Of[float]("outcome")
-    broken = Of[tuple[str, ...]]("outcome")
-    energy, tube_energy, energy_error = Of[float]("energies"), Of[float]("energies"), Of[float]("energies")
+    time, ideal_duty, ideal_temperature = (
+        Delegate[Array]("course"),
+        Delegate[Array]("course"),
+        Delegate[Array]("course"),
+    )
+    temperature, position = Delegate[Array]("course"), Delegate[Array]("course")
+    duty = Delegate[Counts]("course")
+    curved = Delegate[NDArray[np.bool_]]("course")
+    zone = Delegate[NDArray[np.intp]]("course")
+    voltage, current, charge = Delegate[Array]("course"), Delegate[Array]("course"), Delegate[Array]("course")
+    clamp_temperature, mold_temperature = Delegate[Array]("course"), Delegate[Array]("course")
+    lowest, highest, hottest = Delegate[float]("outcome"), Delegate[float]("outcome"), Delegate[float]("outcome")
+    shortfall, ramp, steepest = Delegate[float]("outcome"), Delegate[float]("outcome"), Delegate[float]("outcome")
+    mean_current, peak_current = Delegate[float]("outcome"), Delegate[float]("outcome")
+    broken = Delegate[tuple[str, ...]]("outcome")
+    energy, tube_energy, energy_error = (
+        Delegate[float]("energies"),
+        Delegate[float]("energies"),
+        Delegate[float]("energies"),
+    )
 
     @property
     def feasible(self) -> bool:

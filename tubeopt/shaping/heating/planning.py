@@ -10,9 +10,9 @@ from ...robots.tubes import Tube
 from ...solvers.parallel.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ..recipes import check_temperatures, warn_of_limit
-from .cures import find_cures
-from .leading import lead_by
+from .feedback_design import design_feedback
 from .plan import HeatingPlan
+from .remedies import find_cures
 from .rig import Rig
 from .schedule import best_schedule
 from .sensors import Sensor
@@ -41,7 +41,7 @@ def plan_heating(
         rig: battery, circuit, clamps, mold.
         spec: window, hold and limits; by default 500-550 degC for 60 s.
         sensor: a `Thermocouple`, `TubeResistance` or `Camera`. The plan's `feedback` is then the controller for it,
-            with the probability that uncertain rigs keep the window (see `lead_by`).
+            with the probability that uncertain rigs keep the window (see `design_feedback`).
         time_limit: maximum run time, s.
 
     Raises:
@@ -73,4 +73,4 @@ def plan_heating(
     cures = () if found.kept else find_cures(tube, rig, spec, found)
     iterations = 0 if found.program is None else found.program.ideal.iterations
     plan = HeatingPlan.of(tube, spec, found, iterations, cures=cures)
-    return plan if sensor is None else replace(plan, feedback=lead_by(plan, sensor))
+    return plan if sensor is None else replace(plan, feedback=design_feedback(plan, sensor))

@@ -15,9 +15,9 @@ import numpy as np
 import scipy
 
 from ...typing import Array
+from .controller import HeatingLaw
 from .counts import most_count
-from .law import HeatingLaw
-from .leading import Response, response
+from .feedback_design import Response, response
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .sensors import Felt, Sensor

@@ -16,7 +16,17 @@ import numpy as np
 from ...constants import GRAVITY, ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, finite, numbers
-from ...files.marks import NOT_NEGATIVE, POSITIVE, REQUIRED, Named, Range, Usual, Written, check_fields, unit
+from ...files.field_metadata import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    REQUIRED,
+    Named,
+    Range,
+    Typical,
+    Written,
+    check_fields,
+    unit,
+)
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, ROOM, MoldMaterial, mold_material
@@ -27,7 +37,7 @@ COUNTS = 255
 AMPERE_HOUR = 3600.0
 """1 A h in C."""
 
-OHMS = Usual(1e-5, 0.5)
+OHMS = Typical(1e-5, 0.5)
 """Of cables, contacts and batteries: more is that of a tube."""
 
 HOT = 500.0
@@ -72,7 +82,7 @@ class Battery:
         float,
         unit("Ah"),
         Range(above=0.0, most=1e6 * AMPERE_HOUR),
-        Usual(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
+        Typical(0.5 * AMPERE_HOUR, 1000 * AMPERE_HOUR),
         "capacity",
     ] = 60.0 * AMPERE_HOUR
     state_of_charge: Annotated[
@@ -150,7 +160,7 @@ class Circuit:
         float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "total contact resistance of both clamps"
     ] = 0.004
     mosfet_resistance: Annotated[float, unit("mohm"), Range(least=0.0, most=10.0), OHMS, "R_DS(on)"] = 0.002
-    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Usual(10.0, 1e5), "PWM frequency"] = 490.0
+    pwm_frequency: Annotated[float, unit("Hz"), Range(above=0.0, most=1e6), Typical(10.0, 1e5), "PWM frequency"] = 490.0
     lost_on_time: Annotated[
         float,
         unit("us"),
@@ -186,7 +196,7 @@ class Circuit:
 class Clamps:
     """The two equal clamps, as lumped heat capacities."""
 
-    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Usual(5e-4, 5.0), "mass of one clamp"] = 0.05
+    mass: Annotated[float, unit("g"), Range(above=0.0, most=50.0), Typical(5e-4, 5.0), "mass of one clamp"] = 0.05
     heat_capacity: Annotated[
         float, unit("J_per_kg_K"), Range(above=0.0, most=5000.0), "heat capacity of the clamp metal"
     ] = 896.0
@@ -214,17 +224,17 @@ class MoldBed:
         float,
         unit("mm"),
         Range(above=0.0, most=2.0),
-        Usual(2e-3, 2.0),
+        Typical(2e-3, 2.0),
         "width of the mold around the tube",
     ] = 0.1
     thickness: Annotated[
-        float, unit("mm"), Range(above=0.0, most=2.0), Usual(1e-3, 1.0), "thickness of both plates together"
+        float, unit("mm"), Range(above=0.0, most=2.0), Typical(1e-3, 1.0), "thickness of both plates together"
     ] = 25.4e-3
     lead: Annotated[
         float,
         unit("mm"),
         Range(above=0.0, most=2.0),
-        Usual(5e-4, 1.0),
+        Typical(5e-4, 1.0),
         "length of straight tube in the mold on each side of the curved part",
     ] = 20e-3
     side_clearance: Annotated[

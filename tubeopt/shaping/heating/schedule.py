@@ -20,8 +20,8 @@ from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import Counts, guarded_counts, ripple, soonest
-from .ideal import Ideal, Shift, planned_ramp, solve_ideal
 from .nearest import Nearest, capped, nearest_hold
+from .optimal_schedule import Ideal, Shift, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
 from .simulation import History, resimulate, simulate

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, numbers
-from ...files.marks import NOT_NEGATIVE, POSITIVE, Usual, check_fields, key, unit
+from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_fields, key, unit
 from ...physics.heat import PROPERTIES
 from ...typing import Array
 from .simulation import State, advance, at_rest, current
@@ -41,7 +41,7 @@ class Sensor(Displayed):
     name: ClassVar[str] = "sensor"
     """What it is called in files and words."""
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.0
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.0
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.0
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 0.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.0
@@ -112,12 +112,12 @@ class Thermocouple(Sensor):
 
     name: ClassVar[str] = "thermocouple"
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.3
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.3
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 0.5
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 2.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.25
     position: Annotated[
-        float, unit("mm"), Usual(1e-4, 0.5), "position on the tube, from the middle of the curved part"
+        float, unit("mm"), Typical(1e-4, 0.5), "position on the tube, from the middle of the curved part"
     ] = 0.0
 
     def target(self, model: ThermalModel, state: State) -> Array:
@@ -140,14 +140,14 @@ class Camera(Sensor):
 
     name: ClassVar[str] = "camera"
 
-    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Usual(1e-3, 30.0), "time constant of the sensor"] = 0.1
+    lag: Annotated[float, unit("s"), NOT_NEGATIVE, Typical(1e-3, 30.0), "time constant of the sensor"] = 0.1
     noise: Annotated[float, unit("K"), NOT_NEGATIVE, "standard deviation of one reading"] = 1.0
     bias: Annotated[float, unit("K"), NOT_NEGATIVE, "half-width of the constant error at the temperature window"] = 9.0
     quantum: Annotated[float, unit("K"), NOT_NEGATIVE, "resolution of the readings; 0 for none"] = 0.1
     positions: Annotated[
         tuple[float, ...],
         unit("mm"),
-        Usual(1e-4, 0.5),
+        Typical(1e-4, 0.5),
         "measured positions, from the middle of the curved part; the reading is their mean",
     ] = (-20e-3, 0.0, 20e-3)
 

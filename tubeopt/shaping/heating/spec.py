@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from ...display import Displayed
 from ...errors import InputError, choice, finite, instance, items, positive, vector
-from ...files.marks import POSITIVE, OneOf, Range, Usual, check_fields, key, unit
+from ...files.field_metadata import POSITIVE, OneOf, Range, Typical, check_fields, key, unit
 from .settings import DEFAULT_HEATING, HeatingSolver
 
 OBJECTIVES = ("time", "energy", "margin")
@@ -38,7 +38,7 @@ class HeatingSpec(Displayed):
         float,
         key("ramp_K_per_s"),
         POSITIVE,
-        Usual(0.05, 1000.0),
+        Typical(0.05, 1000.0),
         "largest heating rate of any point outside the clamps, for the mean power of a duty "
         "cycle. Feasible only if one duty step heats the cold tube more slowly",
     ] = 20.0
@@ -49,9 +49,9 @@ class HeatingSpec(Displayed):
         "the window's ends and to the limit)",
     ] = "time"
     longest_heating: Annotated[
-        float, key("longest_s"), POSITIVE, Usual(2.0, 7200.0), "largest heating time before the hold time"
+        float, key("longest_s"), POSITIVE, Typical(2.0, 7200.0), "largest heating time before the hold time"
     ] = 360.0
-    slot: Annotated[float, key("slot_s"), POSITIVE, Usual(5e-3, 60.0), "duration of one duty-cycle value"] = 0.5
+    slot: Annotated[float, key("slot_s"), POSITIVE, Typical(5e-3, 60.0), "duration of one duty-cycle value"] = 0.5
     quench: Annotated[str, OneOf(QUENCHES), "cooling after the hold time: water or air"] = "water"
     free: Annotated[
         tuple[str, ...],
@@ -59,7 +59,7 @@ class HeatingSpec(Displayed):
         "rig parameters to optimise for an even temperature: clearance (between clamp and mold), lead, vents",
     ] = ()
     lead_range: Annotated[
-        tuple[float, float], unit("mm"), POSITIVE, Usual(5e-4, 1.0), "bounds of the lead, with --free lead"
+        tuple[float, float], unit("mm"), POSITIVE, Typical(5e-4, 1.0), "bounds of the lead, with --free lead"
     ] = (
         3e-3,
         60e-3,
@@ -68,7 +68,7 @@ class HeatingSpec(Displayed):
         tuple[float, float],
         unit("mm"),
         POSITIVE,
-        Usual(1e-4, 0.2),
+        Typical(1e-4, 0.2),
         "bounds of the uncovered length between clamp and mold, with --free clearance",
     ] = (1e-3, 20e-3)
     most_vent: Annotated[

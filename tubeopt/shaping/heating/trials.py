@@ -16,7 +16,7 @@ import scipy
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, Settings, choice, positive
-from ...files.marks import POSITIVE, REQUIRED, check_fields, key, unit
+from ...files.field_metadata import POSITIVE, REQUIRED, check_fields, key, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array

@@ -11,7 +11,7 @@ import scipy
 
 from ...display import Displayed
 from ...errors import InputError, undoubted
-from ...files.marks import NOT_NEGATIVE, Range, Usual, check_fields, unit
+from ...files.field_metadata import NOT_NEGATIVE, Range, Typical, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
 from ...typing import Array
@@ -45,17 +45,17 @@ class Uncertainty(Displayed):
         float, unit("percent"), PART, "uncertainty of the heat capacity of the tube, latent heat included"
     ] = 0.0
     inner_diameter: Annotated[
-        float, unit("um"), NOT_NEGATIVE, Usual(1e-7, 1e-3), "uncertainty of the inner diameter of the tube"
+        float, unit("um"), NOT_NEGATIVE, Typical(1e-7, 1e-3), "uncertainty of the inner diameter of the tube"
     ] = 0.0
-    ambient: Annotated[float, unit("K"), NOT_NEGATIVE, Usual(1e-2, 50.0), "uncertainty of the ambient temperature"] = (
-        0.0
-    )
+    ambient: Annotated[
+        float, unit("K"), NOT_NEGATIVE, Typical(1e-2, 50.0), "uncertainty of the ambient temperature"
+    ] = 0.0
     charge: Annotated[float, unit("percent"), PART, "largest overestimate of the state of charge"] = 0.0
     lost_on_time: Annotated[
         float,
         unit("us"),
         NOT_NEGATIVE,
-        Usual(1e-8, 1e-3),
+        Typical(1e-8, 1e-3),
         "largest additional time loss per pulse, relative to the rig file",
     ] = 0.0
 

@@ -60,7 +60,7 @@ def groove_walls(groove: Groove, size: Point) -> tuple[Arc, ...]:
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
-    """Outline of a clamp's jaws (m), and of where its far side comes to when it slides."""
+    """ArmSurface of a clamp's jaws (m), and of where its far side comes to when it slides."""
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
     near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip

@@ -19,7 +19,7 @@ import scipy
 
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError
-from ...files.marks import POSITIVE, check_fields, key, unit
+from ...files.field_metadata import POSITIVE, check_fields, key, unit
 from ...robots.materials import NITINOL, ThermalData
 from ...robots.tubes import Tube
 from ...typing import Array

@@ -18,7 +18,7 @@ from ...errors import InputError, instance
 from ...robots.pieces import Piece
 from ...robots.series import breaks_of, values, vary
 from ...robots.tubes import Tube
-from ...typing import Array, Sentence
+from ...typing import Array, StatusEnum
 from ..recipes import mold_remarks
 from .checks import (
     Check,
@@ -140,7 +140,7 @@ class Block:
     size: tuple[float, float, float]
 
 
-class MandrelStatus(Sentence):
+class MandrelStatus(StatusEnum):
     """How a mandrel was planned; every value reads as a sentence. One that fails a check is refused."""
 
     TURNED = "the mandrel is turned, and passes all checks"

@@ -16,7 +16,7 @@ from ...arguments import typed
 from ...display import Displayed
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...typing import Array, Of, Sentence
+from ...typing import Array, Delegate, StatusEnum
 from ..recipes import mold_remarks
 from .arcs import bend_of
 from .checks import (
@@ -84,9 +84,9 @@ class Groove:
     vents: tuple[Hole, ...] = ()
     """Over the bend."""
 
-    number, mill, cold = Of[int]("blank"), Of[EndMill]("blank"), Of[ColdEnd]("blank")
-    tube, held = Of[Tube]("blank"), Of[Tube]("blank")
-    width, bend_angle = Of[float]("blank"), Of[float]("blank")
+    number, mill, cold = Delegate[int]("blank"), Delegate[EndMill]("blank"), Delegate[ColdEnd]("blank")
+    tube, held = Delegate[Tube]("blank"), Delegate[Tube]("blank")
+    width, bend_angle = Delegate[float]("blank"), Delegate[float]("blank")
 
     @property
     def curvature(self) -> float:
@@ -160,7 +160,7 @@ class Groove:
         return (self.width - self.tube.outer_diameter) / 2 * abs(self.curvature)
 
 
-class MoldStatus(Sentence):
+class MoldStatus(StatusEnum):
     """How a mold was planned; every value reads as a sentence. One that fails a check is refused."""
 
     CHECKED = "the mold passes all checks"

@@ -21,20 +21,20 @@ from ...display import Displayed
 from ...errors import InputError, instance
 from ...physics.heat import heat_to_air
 from ...robots.tubes import Tube
-from ...typing import Array, Sentence
+from ...typing import Array, StatusEnum
 from ..heating.groove_air import STANDOFF
 from ..heating.rig import air_conductivity, natural_convection
 from ..recipes import mold_remarks
 from .arcs import bend_of
+from .beam import Held, held_between
 from .checks import held_in_plane, refuse_failed, springback_remarks, strain_check
 from .groove import Arc, Centreline, Point, bounds, crosses_itself, with_leads
 from .heat import ColdEnd, HeatSpec, fin, thermal_data
-from .held import Held, held_between
 from .lattice import Lattice, Peg, Sampled
 from .spec import MoldSpec
 
 
-class PegStatus(Sentence):
+class PegStatus(StatusEnum):
     """Whether pegs hold a tube on its curve; every value reads as a sentence."""
 
     HELD = "the deviation of the tube from its curve is within the limit"

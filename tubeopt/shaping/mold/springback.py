@@ -13,7 +13,7 @@ import scipy
 
 from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
-from ...files.marks import check_fields, unit
+from ...files.field_metadata import check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path
 from ...typing import Array
-from ..words import released
+from ..formatting import released
 from .path import Value, draw_broken, place_of, stretches
 from .stage import note
 from .style import Axes, Figure, angle_ticks, new_figure, picture

@@ -11,7 +11,7 @@ from ...bodies.plane import Plane
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...inverse.outline import Outline
+from ...inverse.arm_surface import ArmSurface
 from ...planning import Trajectory
 from .style import FAINT, INK, Axes, Figure, headed, legend_beside, new_figure, number, picture
 from .trajectory import some_of
@@ -44,7 +44,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     if plane is None:
         raise InputError("there is no plane to cut along; give one, or a trajectory with a cut")
     arms = some_of(t.arms)
-    lines = [Outline(arm).line(ALONG)[0] for arm in arms]
+    lines = [ArmSurface(arm).line(ALONG)[0] for arm in arms]
     frame = plane.frame
     seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
     low, high = seen.min(0) - AROUND, seen.max(0) + AROUND
@@ -78,7 +78,7 @@ def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
     """An arm as the balls about its centreline: all of them as they are seen, and what the plane cuts of them."""
     from matplotlib.collections import EllipseCollection
 
-    line, radius = Outline(arm).line(ALONG)
+    line, radius = ArmSurface(arm).line(ALONG)
     at, height = plane.frame.seen(line)[:, :2] * TO_MM, plane.height(line)
     for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
         wide = 2 * TO_MM * half[half > 0]

@@ -7,7 +7,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Snap
-from ..words import released
+from ..formatting import released
 from .shape import draw_scenes
 from .stage import View, widest_view
 from .style import INK, Axes, Figure, headed, millimetres, new_figure, picture, rotations_in_words

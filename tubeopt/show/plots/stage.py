@@ -164,7 +164,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
 
 
 def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
-    """The rules along `axis` that may carry numbers without crowding, if its edge is seen as `edge` (2,).
+    """The rules along `axis` that may carry numbers without parallel_slowdown, if its edge is seen as `edge` (2,).
 
     `four_inches` of paper are so long in the scene; numbers are wider than high.
     """

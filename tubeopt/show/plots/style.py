@@ -17,9 +17,9 @@ from ...errors import InputError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
+from ..formatting import in_a_word, tip_in_words
 from ..load_words import load_in_words
 from ..page import WIDTH
-from ..words import in_a_word, tip_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes

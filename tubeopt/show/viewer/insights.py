@@ -11,9 +11,9 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...robots.robot import Robot
 from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
+from .external_load import bearing_words
 from .panel import Panel
 from .plots import map_plot, s_curve_plot
-from .pushing import bearing_words
 from .session import Session
 from .worker import Job
 

@@ -14,10 +14,10 @@ from ...files.units import TO_MM, parse_number
 from ...inverse.mirror import mirror_rotations
 from ...robots.eccentric import EccentricRobot
 from ...robots.robot import Robot
+from .commands import Wishes
 from .cut import ACROSS
 from .designs import Knob, knobs, with_knob
 from .given import BODIES, YAML
-from .hand import KEYS
 from .push_panel import PushPanel
 from .session import (
     Session,
@@ -29,8 +29,8 @@ from .session import (
     redesign,
     space_of,
 )
+from .teleoperation import KEYS
 from .view import View
-from .wishes import Wishes
 from .words import hand_words, legend, log_words, message_words, readout, typed
 
 STEP = 0.1

@@ -13,10 +13,10 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI
 from ...robots.load import Load
 from ...typing import Array
-from .pushing import DIRECTIONS, head_of, newtons_per_metre, push_on
+from .commands import Wishes
+from .external_load import DIRECTIONS, head_of, newtons_per_metre, push_on
 from .scene import Mark, Scene
 from .view import View
-from .wishes import Wishes
 from .words import typed
 
 GIVEN = "as given"

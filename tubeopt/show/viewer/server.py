@@ -11,10 +11,10 @@ from types import FrameType
 from typing import Any
 
 from .export import page_title
-from .hand import PATH, Hands
 from .host import LOCAL, Added, address_of, quiet_server
 from .scene import look_from
 from .tab import Tab
+from .teleoperation import PATH, Hands
 from .view import View
 
 PORT = 8080

@@ -21,7 +21,7 @@ from ...inverse.joints import JointSpace, joint_space
 from ...robots.robot import Robot
 from ...stability import Path, Snap, find_equilibria, follow
 from ...typing import Array
-from ..words import degrees, millimetres, released, row
+from ..formatting import degrees, millimetres, released, row
 
 CLOSE = 0.25
 """Margin below which a stable robot is said to be close to a snap: for the robot of the thesis that is 1 deg before."""

@@ -10,7 +10,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...inverse.outline import Outline
+from ...inverse.arm_surface import ArmSurface
 from ...typing import Array
 from ..arm_surfaces import Centreline
 from ..surfaces import Surface
@@ -91,5 +91,5 @@ def _rings(equilibrium: Equilibrium) -> Array:
     """(PIECES + 1, SIDES, 3) corners of cross-sections along the arm, as wide as the widest tube there, m."""
     line = Centreline(equilibrium)
     s = np.linspace(0.0, line.length, PIECES + 1)
-    radius = Outline(equilibrium).radius(s)[:, None, None]
+    radius = ArmSurface(equilibrium).radius(s)[:, None, None]
     return np.asarray(line.position(s)[:, None] + radius * line.ring(s, SIDES)[0])

@@ -15,11 +15,11 @@ from ...errors import InputError, SolveError
 from ...robots.file import load_robot
 from ...workspaces import workspace
 from ..arm_surfaces import Part
-from .beside import Beside, session_beside
+from .commands import Verb, Wishes
+from .comparison import Beside, session_beside
 from .cut import cut_parts, cut_words
 from .export import saved
 from .given import Given, load_bodies
-from .hand import Hand, Hands
 from .insights import Insights
 from .panel import Panel
 from .playback import load_waypoints
@@ -30,8 +30,8 @@ from .scene import Mark, Scene, animate, ghost_parts, look_from
 from .servo import pull
 from .session import Session, other_equilibria
 from .swept import COLOUR, OPACITY, swept_volume
+from .teleoperation import Hand, Hands
 from .view import View
-from .wishes import Verb, Wishes
 from .words import others_words
 from .worker import Worker
 

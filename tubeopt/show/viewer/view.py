@@ -10,8 +10,8 @@ from ...errors import InputError
 from ...robots.load import Load
 from ...robots.robot import Robot
 from ...typing import Array
+from .external_load import push_on
 from .playback import Waypoints
-from .pushing import push_on
 from .session import Session, open_session
 
 

@@ -7,8 +7,8 @@ from html import escape
 
 from ...equilibrium.result import Equilibrium
 from ..colours import margin_colour, tube_colour
+from ..formatting import counted
 from ..quantities import Quantity, record
-from ..words import counted
 from .session import Event, Session
 
 SHOWN_EVENTS = 12

@@ -12,9 +12,9 @@ from ...block.transcription.tableau import tableau
 from ...block.transcription.whole_arm import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
-from ..rubbing import HONEST
+from ..friction_increment import HONEST
 from ..settings import CONTINUATION
-from ..sticking import ROUND_OFF
+from ..stick_slip import ROUND_OFF
 from .text import c_tables, defined
 
 DEGREE, COARSE_DEGREE = 6, 3

@@ -1,4 +1,4 @@
-/* What sticks and what slips: what solvers/sticking.py does, by the same exchanges and the same descent.
+/* What sticks and what slips: what solvers/stick_slip.py does, by the same exchanges and the same descent.
 
    A (count, count) by rows is positive definite, `free` what would slip without friction, `most` the capacities. */
 

@@ -11,7 +11,7 @@ from ...errors import SolveError, undoubted
 from ...robots.tubes import Tube
 from ..materials import CALCIUM_SILICATE
 from .counts import count_rate, full_current
-from .ideal import Ideal, solve_ideal
+from .optimal_schedule import Ideal, solve_ideal
 from .outcome import Outcome, broken, hold_slots
 from .rig import Rig
 from .schedule import Programmed, Schedule, best_schedule, foreseen, programmed, realised

@@ -10,12 +10,12 @@ import pytest
 from tests.examples import CRL, PIECES, THESIS
 from tubeopt import ConcentricRobot, InputError, follow, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.control.ahead import PredictiveServo
 from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.horizon import Knots
+from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
-from tubeopt.inverse.chart import Chart
 from tubeopt.inverse.joints import joint_space
+from tubeopt.inverse.tip_coordinates import TipCoordinates
 
 PAIR = ConcentricRobot(PIECES.tubes[:2])
 DT = 0.02
@@ -72,7 +72,7 @@ def test_a_body_in_the_way_is_gone_around() -> None:
 @pytest.mark.parametrize("robot", [THESIS, PAIR], ids=["arcs", "pieces"])
 def test_knots_are_what_forward_kinematics_finds_and_change_as_differences_say(robot: object) -> None:
     assert robot in (THESIS, PAIR)
-    chart = Chart(joint_space(THESIS if robot is THESIS else PAIR))
+    chart = TipCoordinates(joint_space(THESIS if robot is THESIS else PAIR))
     space = chart.space
     random, n = np.random.default_rng(0), space.robot.n_tubes
     z = np.array([space.nearest(space.inside() + 0.1 * space.scale * random.normal(size=len(space.scale)))] * 3)

@@ -23,10 +23,10 @@ from ..errors import undoubted
 from ..physics.strain import surface_strain
 from ..stability import snap_free_certificate
 from ..typing import Array
+from .constraints import Limit
 from .parameters import TUBE_FIELDS, WHOLE
 from .program import Program, points_of
 from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
-from .statements import Limit
 from .task import extreme_lengths
 
 SURELY = 1e-6

@@ -12,7 +12,7 @@ from ...errors import InputError, instance
 from ...solvers.parallel.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
-from .law import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
+from .controller import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted
 from .plan import HeatingPlan
 from .rig import COUNTS
 from .robust import ENSEMBLE, assess
@@ -33,7 +33,7 @@ and are why the tube needs less and less power."""
 
 @small
 @limited
-def lead_by(
+def design_feedback(
     plan: HeatingPlan,
     sensor: Sensor,
     uncertainty: Uncertainty | None = None,
@@ -61,7 +61,7 @@ def lead_by(
         >>> import tubeopt
         >>> rig = tubeopt.load_rig("configs/rigs/thesis_calcium_silicate.yaml")
         >>> plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=5))
-        >>> led = tubeopt.lead_by(plan, tubeopt.Thermocouple(), samples=20)
+        >>> led = tubeopt.design_feedback(plan, tubeopt.Thermocouple(), samples=20)
         >>> led.probability > 0.8 > led.open_loop
         True
     """

@@ -18,8 +18,8 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Lookout, Scene
 from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.outline import Outline
 from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.settings import Closest, Starts
 from tubeopt.robots.robot import Robot
@@ -55,7 +55,7 @@ def bodies_near(e: Equilibrium, random: np.random.Generator) -> tuple[Obstacle, 
 def everywhere(e: Equilibrium, body: Obstacle, count: int = 4001) -> Array:
     """Distances of the surface from a body at many places."""
     s = np.linspace(0, e.arc_length[-1], count)
-    outline = Outline(e)
+    outline = ArmSurface(e)
     return np.asarray(body.signed_distance(outline.at(s)[0]) - outline.radius(s))
 
 
@@ -65,11 +65,11 @@ def test_the_clearance_is_that_of_a_dense_sampling() -> None:
         bodies = bodies_near(e, random)
         scene = Scene(bodies)
         exact = min(float(everywhere(e, body).min()) for body in bodies)
-        told = Outline(e).clearance(scene)
+        told = ArmSurface(e).clearance(scene)
         assert told == pytest.approx(exact, abs=1e-5 if exact > 0 else 5e-5)
         # What is enough is a bound that is enough, or the clearance itself.
         for enough in (exact - 1e-3, exact + 1e-3, 1e-5):
-            bound = Outline(e).clearance(scene, enough)
+            bound = ArmSurface(e).clearance(scene, enough)
             assert bound == told or enough <= bound <= told + 1e-12
 
 
@@ -78,14 +78,14 @@ def test_contacts_are_the_closest_places_of_every_body() -> None:
     for e in arms():
         bodies = bodies_near(e, random)
         scene = Scene(bodies)
-        contacts = Outline(e).contacts(scene, 0.02)
+        contacts = ArmSurface(e).contacts(scene, 0.02)
         least = [float(everywhere(e, body).min()) for body in bodies]
         assert {k for k, each in enumerate(least) if each < 0.02 - 1e-5} <= set(contacts.body.tolist())
         for k in np.unique(contacts.body):
             mine = contacts.chosen(contacts.body == k)
             assert mine.distance[0] == pytest.approx(least[k], abs=1e-5 if least[k] > 0 else 5e-5)
             assert (np.diff(mine.distance) >= 0).all()
-            told = bodies[k].signed_distance(mine.point) - Outline(e).radius(mine.place)
+            told = bodies[k].signed_distance(mine.point) - ArmSurface(e).radius(mine.place)
             np.testing.assert_allclose(told, mine.distance, atol=1e-12)
         own = [bodies[k].gradient(point) for k, point in zip(contacts.body, contacts.point, strict=True)]
         np.testing.assert_allclose(scene.gradients(contacts.body.tolist(), contacts.point), np.reshape(own, (-1, 3)))
@@ -96,11 +96,11 @@ def test_the_nearest_bodies_are_told_without_the_others() -> None:
     random = np.random.default_rng(2)
     for e in arms():
         scene = Scene(bodies_near(e, random))
-        every = Outline(e).contacts(scene, 0.05)
+        every = ArmSurface(e).contacts(scene, 0.05)
         bodies, first = np.unique(every.body, return_index=True)
         least = every.distance[first]
         farthest = int(bodies[least.argmax()])
-        told = Outline(e).contacts(scene, 0.05, 3, frozenset([farthest]))
+        told = ArmSurface(e).contacts(scene, 0.05, 3, frozenset([farthest]))
         near = bodies[np.argsort(least)[:3]]
         assert {*near.tolist(), farthest} <= set(told.body.tolist())
         known, reach = dict(zip(bodies.tolist(), least, strict=True)), np.sort(least)[2]
@@ -114,7 +114,7 @@ def test_a_vessel_is_a_body_like_others() -> None:
     for e in arms():
         line = e.position[:: max(1, len(e.position) // 6)] + np.array([0.002, 0.0, 0.0])
         vessel = Corridor(tuple(map(tuple, line.tolist())), 0.02)
-        assert Outline(e).clearance(Scene((vessel,))) == pytest.approx(everywhere(e, vessel).min(), abs=1e-5)
+        assert ArmSurface(e).clearance(Scene((vessel,))) == pytest.approx(everywhere(e, vessel).min(), abs=1e-5)
 
 
 def test_the_mesh_of_a_ball_is_as_far_as_the_ball() -> None:
@@ -123,7 +123,9 @@ def test_the_mesh_of_a_ball_is_as_far_as_the_ball() -> None:
     body = MeshObstacle(tuple(map(tuple, mesh.vertices.tolist())), tuple(map(tuple, mesh.faces.tolist())))
     for e in list(arms())[:4]:
         ball = Sphere((0.06, -0.05, 0.12), 0.02)
-        assert Outline(e).clearance(Scene((body,))) == pytest.approx(Outline(e).clearance(Scene((ball,))), abs=2e-4)
+        assert ArmSurface(e).clearance(Scene((body,))) == pytest.approx(
+            ArmSurface(e).clearance(Scene((ball,))), abs=2e-4
+        )
 
 
 def crowd(count: int) -> list[Sphere]:
@@ -160,7 +162,7 @@ def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
 def test_bodies_beyond_the_nearest_are_kept_away_from_too() -> None:
     """More small balls about the plate than a step knows of are the nearest wherever it goes; in its way is a wall."""
     free = inverse_kinematics(THESIS, TIP).equilibrium
-    outline, turn = Outline(free), np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+    outline, turn = ArmSurface(free), np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
     about = [Sphere((3.5e-3 * np.cos(a), 3.5e-3 * np.sin(a), 2e-3), 0.3e-3) for a in turn]
     middle, radius = outline.at(np.array([0.6 * free.arc_length[-1]]))
     wall = [Sphere(tuple(middle[0] + [(radius[0] + 0.5e-3), 1e-3 * k, 0.0]), 1e-3) for k in range(-8, 9)]
@@ -204,7 +206,7 @@ def least_near(e: Equilibrium, body: Obstacle, place: float) -> float:
     """Least distance of the surface from a body at places within a millimetre along the arm."""
     s = np.append(np.linspace(place - 1e-3, place + 1e-3, 4001), e.tube_end)
     s = s[(np.abs(s - place) <= 1e-3) & (s <= e.arc_length[-1])]
-    outline = Outline(e)
+    outline = ArmSurface(e)
     return float((body.signed_distance(outline.at(s)[0]) - outline.radius(s)).min())
 
 
@@ -244,11 +246,13 @@ def test_who_is_looked_around_for_misses_no_contact() -> None:
             )
             e = forward_kinematics(robot, *joints)
             within = 10 ** random.uniform(-4, -2)
-            outline = Outline(e)
+            outline = ArmSurface(e)
             outline.look_around(lookout, within)
-            told, known = outline.contacts(scene, within), Outline(e).contacts(scene, within)
+            told, known = outline.contacts(scene, within), ArmSurface(e).contacts(scene, within)
             np.testing.assert_array_equal(told.body, known.body)
             np.testing.assert_array_equal(told.distance, known.distance)
-            assert outline.clearance(scene, within) == pytest.approx(min(Outline(e).clearance(scene), within), abs=1e-5)
+            assert outline.clearance(scene, within) == pytest.approx(
+                min(ArmSurface(e).clearance(scene), within), abs=1e-5
+            )
             seen.add(bool(len(told.body)))
     assert seen == {True, False}

@@ -38,7 +38,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
     resting = stopping_at(curves, limits)
     effort, found = task.effort, []
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
-    most = effort.smoothing.scanned_seconds * clock.crowding if scanned else effort.smoothing.seconds
+    most = effort.smoothing.scanned_seconds * clock.parallel_slowdown if scanned else effort.smoothing.seconds
     own = Clock(min(most, effort.smoothing.share * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
         if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(task, curves):
@@ -51,7 +51,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(effort.rounding.seconds * clock.crowding, effort.rounding.share * clock.left), clock)
+        rest = Clock(min(effort.rounding.seconds * clock.parallel_slowdown, effort.rounding.share * clock.left), clock)
         way = np.concatenate(curves), points[-1]
         if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
@@ -117,9 +117,9 @@ def build(
     kept = Kept(task.obstacles, least, clearance, rates, space.limits, task.max_force)
     proof = proved(first, t, table, kept, clock, task.effort.proof)
     if not (proof.holds or proof.open):
-        hurry = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
-        if 1 < hurry < task.effort.timing.hurry and len(proof.faults) == 1:
-            slower = motion.slower(hurry)
+        overspeed = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
+        if 1 < overspeed < task.effort.timing.max_overspeed and len(proof.faults) == 1:
+            slower = motion.slower(overspeed)
             return build(task, first, end, slower, found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.

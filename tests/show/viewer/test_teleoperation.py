@@ -16,16 +16,16 @@ import pytest
 
 from tests.examples import THESIS
 from tubeopt import InputError, Load
-from tubeopt.show.viewer import hand
-from tubeopt.show.viewer.hand import LONGEST, SPEED, Hand, Hands, read
+from tubeopt.show.viewer import teleoperation
+from tubeopt.show.viewer.external_load import push_on
 from tubeopt.show.viewer.playback import load_waypoints, make_playback, recorded
-from tubeopt.show.viewer.pushing import push_on
 from tubeopt.show.viewer.session import Session, open_session, record
+from tubeopt.show.viewer.teleoperation import LONGEST, SPEED, Hand, Hands, read
 from tubeopt.typing import Array
 
 from .browser import Tab
 
-SCRIPT = Path(hand.__file__).with_name("hand.js")
+SCRIPT = Path(teleoperation.__file__).with_name("hand.js")
 SOME = ([0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
 
 
@@ -101,7 +101,7 @@ def led(session: Session, velocity: tuple[float, float, float], messages: int, m
 
 def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 0.05, 0.1, 60.0, 60.05])
-    monkeypatch.setattr("tubeopt.show.viewer.hand.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(clock))
     session = begun = record(open_session(THESIS, *SOME), True)
     own, way = Hand(), []
     for _ in range(5):
@@ -121,7 +121,7 @@ def test_a_message_moves_the_tip_for_the_time_since_the_last_one(monkeypatch: py
 
 def test_the_tip_stops_at_the_floor_of_the_margin_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter(np.arange(0.0, 1e3, LONGEST))
-    monkeypatch.setattr("tubeopt.show.viewer.hand.time.monotonic", lambda: next(times))
+    monkeypatch.setattr("tubeopt.show.viewer.teleoperation.time.monotonic", lambda: next(times))
     session, words = led(open_session(THESIS, [np.radians(200), 0, 0]), (1.0, 0.0, 0.0), 1, 0.05)
     floor = session.equilibrium.margin - 0.05
     session, words = led(session, (-0.3, -1.0, 0.0), 40, floor)

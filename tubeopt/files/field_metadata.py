@@ -61,7 +61,7 @@ POSITIVE, NOT_NEGATIVE = Range(above=0.0), Range(least=0.0)
 
 
 @dataclass(frozen=True)
-class Usual:
+class Typical:
     """Between which magnitudes (SI) a number other than 0 usually lies: what lies outside is warned of, as it may be in
     another unit than that of its key."""
 
@@ -69,19 +69,19 @@ class Usual:
     most: float
 
 
-FAR_FROM_BODIES = Usual(1e-5, 0.1)
+FAR_FROM_BODIES = Typical(1e-5, 0.1)
 """m, by which an arm keeps clear."""
 
-TOLERATED = Usual(1e-9, 0.1)
+TOLERATED = Typical(1e-9, 0.1)
 """m, between a tip and where it is wanted."""
 
-BETWEEN_TUBES = Usual(1e-6, 5e-3)
+BETWEEN_TUBES = Typical(1e-6, 5e-3)
 """m, radial, of a tube in the next one."""
 
-SEEN_WITHIN = Usual(1e-7, 0.02)
+SEEN_WITHIN = Typical(1e-7, 0.02)
 """m, the noise of a measured coordinate."""
 
-REGION = Usual(1e-4, 1.0)
+REGION = Typical(1e-4, 1.0)
 """m, the size of a region of the body."""
 
 
@@ -124,7 +124,7 @@ class Written:
 
 
 @dataclass(frozen=True)
-class Marked:
+class FieldSpec:
     """A field that says something about itself."""
 
     field: dataclasses.Field[Any]
@@ -150,20 +150,20 @@ class Marked:
 
 
 @functools.lru_cache(maxsize=256)
-def marked(what: Any) -> tuple[Marked, ...]:
+def marked(what: Any) -> tuple[FieldSpec, ...]:
     """The fields of a dataclass that say something about themselves, in order."""
     hints = typing.get_type_hints(what, include_extras=True)
     known = [(field, hints[field.name]) for field in dataclasses.fields(what)]
     return tuple(_read(field, hint) for field, hint in known if get_origin(hint) is Annotated)
 
 
-def _read(field: dataclasses.Field[Any], hint: Any) -> Marked:
+def _read(field: dataclasses.Field[Any], hint: Any) -> FieldSpec:
     kind = hint.__origin__
     optional = get_origin(kind) in (Union, types.UnionType)
     if optional:
         parts = tuple(part for part in get_args(kind) if part is not types.NoneType)
         kind, optional = (parts[0], True) if len(parts) == 1 else (parts, len(parts) < len(get_args(kind)))
-    return Marked(field, kind, optional, tuple(hint.__metadata__))
+    return FieldSpec(field, kind, optional, tuple(hint.__metadata__))
 
 
 class Checked:
@@ -216,9 +216,9 @@ def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
 
 
 @functools.lru_cache(maxsize=256)
-def _with_usual(what: Any) -> tuple[tuple[str, str, Usual], ...]:
+def _with_usual(what: Any) -> tuple[tuple[str, str, Typical], ...]:
     """The fields of a dataclass with a usual range: their names, and the units of their keys."""
-    found = [(one.name, one.first(Key) or Key(""), one.first(Usual)) for one in marked(what)]
+    found = [(one.name, one.first(Key) or Key(""), one.first(Typical)) for one in marked(what)]
     return tuple((name, named.unit, usual) for name, named, usual in found if usual is not None)
 
 
@@ -232,14 +232,14 @@ def check_usual(what: Any, owner: str = "") -> None:
         check_size(f"{name} of {owner}" if owner else name, getattr(what, name), usual, file_unit)
 
 
-def usual_length(name: str, value: float, usual: Usual, *, zero: bool = False) -> float:
+def usual_length(name: str, value: float, usual: Typical, *, zero: bool = False) -> float:
     """A length, m, as float where it is above 0 (0 or more with `zero`), with a warning where it is unusual."""
     number = positive(name, value, zero=zero)
     check_size(name, number, usual, "mm")
     return number
 
 
-def check_size(label: str, value: Any, usual: Usual, file_unit: str) -> None:
+def check_size(label: str, value: Any, usual: Typical, file_unit: str) -> None:
     """Warn of a number (SI), or of the largest of several, that is unusual, with the unit that was probably meant.
 
     Below the usual range a number may well be meant, unless there is such a unit.

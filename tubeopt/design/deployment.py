@@ -20,7 +20,7 @@ ALONG = (0.5, 0.75, 1.0)
 """Of an arm that is drawn back, where its distance from the whole one counts."""
 
 
-def drawn_back(tubes: Sequence[Tube], translations: Array, share: float) -> tuple[Array, Mask, int]:
+def retracted(tubes: Sequence[Tube], translations: Array, share: float) -> tuple[Array, Mask, int]:
     """Translations (n,), m, of an arm drawn back to a share of its length; which tubes (n,) are drawn back for that;
     and the tube that ends last."""
     ends = translations + np.array([tube.length - tube.straight_length for tube in tubes])
@@ -31,4 +31,4 @@ def drawn_back(tubes: Sequence[Tube], translations: Array, share: float) -> tupl
 
 def draw(robot: ConcentricRobot, whole: Equilibrium, share: float) -> Equilibrium:
     """The arm of a pose drawn back to a share of its length, by forward kinematics."""
-    return forward_kinematics(robot, whole.rotations, drawn_back(robot.tubes, whole.translations, share)[0])
+    return forward_kinematics(robot, whole.rotations, retracted(robot.tubes, whole.translations, share)[0])

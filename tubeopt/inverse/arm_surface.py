@@ -97,7 +97,7 @@ NOWHERE = Contacts(NONE, np.zeros(0), np.zeros((0, 3)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class ArmSurface:
     """The surface of the arm of an equilibrium, round at the end of every tube."""
 
     equilibrium: Equilibrium

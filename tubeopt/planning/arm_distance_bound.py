@@ -24,7 +24,7 @@ from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..typing import Array, Index
-from .clearing import SHARE, Table, Wanted, parted
+from .clearance_bound import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
 

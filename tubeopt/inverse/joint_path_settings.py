@@ -97,7 +97,7 @@ class Pockets(Settings):
 
 
 @dataclass(frozen=True)
-class WaySearch(Settings):
+class PathSearch(Settings):
     """How hard a way between joint values is searched for."""
 
     steps: Steps = Steps()
@@ -112,4 +112,4 @@ class WaySearch(Settings):
     """How long one looks whether an end is closed off."""
 
 
-DEFAULT_WAY = WaySearch()
+DEFAULT_WAY = PathSearch()

@@ -13,8 +13,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..stability.following import follow
 from ..typing import Array
-from .answer import InverseSolution, InverseStatistics, InverseStatus, JointWay
-from .chart import Chart
+from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
 from .descent import held_by
 from .gauss_newton import SLACK
@@ -23,6 +22,7 @@ from .joints import JointSpace
 from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task
+from .tip_coordinates import TipCoordinates
 
 
 def snap_free_way(
@@ -43,7 +43,7 @@ def snap_free_way(
     if straight is not None:
         return straight
     floor = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
-    task = Task(Chart(space), (), 0.0, 0.0, margin_room=floor)
+    task = Task(TipCoordinates(space), (), 0.0, 0.0, margin_room=floor)
     try:
         way = find_way(task, task.chart.of(start), [task.chart.of(goal)], clock)
     except InputError:  # no OMPL
@@ -103,7 +103,7 @@ def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) ->
     return None if path.snaps or missed > 1e-6 else (rotations, translations)
 
 
-def straight_way(origin: str, begin: Posture | None, end: Posture) -> JointWay | None:
+def straight_way(origin: str, begin: Posture | None, end: Posture) -> JointPath | None:
     """The straight way of joint values between two postures; None where steps of ordinary length do not show that the
     robot does not snap on it, or there is no begin."""
     if begin is None or not same_place(begin.to(end.q), end):
@@ -129,9 +129,9 @@ def answer_at(
     )
 
 
-def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointWay:
+def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointPath:
     """A way through independent joint values (m,)."""
-    return JointWay(origin, *np.split(space.joint(np.array(points)), 2, axis=1))
+    return JointPath(origin, *np.split(space.joint(np.array(points)), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:
@@ -144,7 +144,7 @@ def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> In
         found = snap_free_way(goal.space, *ends, seconds=seconds, least_margin=solver.way_margin)
     if found is None:
         return replace(answer, reachable=False)
-    way = JointWay("home" if answer.straight_from_seed is None else "seed", *found)
+    way = JointPath("home" if answer.straight_from_seed is None else "seed", *found)
     straight = None if answer.straight_from_seed is None else len(way.rotations) == 2
     return replace(answer, reachable=True, way=way, straight_from_seed=straight)
 

@@ -16,10 +16,10 @@ import numpy as np
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
-from ..inverse.chart import Chart
 from ..inverse.configurations import Configuration
 from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
+from ..inverse.tip_coordinates import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -61,7 +61,7 @@ class PredictiveServo:
         self._bodies, self._limits = tuple(obstacles), limits
         self._floor = self.options.min_margin + solver.margin_room
         self._clearance = self.options.clearance + solver.clearance_room
-        self._chart = Chart(self._guard.space)
+        self._chart = TipCoordinates(self._guard.space)
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..block.own import OwnRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
-from .drawn import SHARES
+from .deployment import SHARES
 from .requirements import (
     Avoid,
     Coverage,

@@ -20,7 +20,7 @@ from ..block.transcription.second_variation import least
 from ..typing import Array
 from .flow import grown, shortened
 from .settings import CONTINUATION, NEWTON
-from .sticking import Signs, stick_or_slip
+from .stick_slip import Signs, stick_or_slip
 
 HONEST = 1e-9
 """Largest violation of what friction demands, as a slip (rad) or a part of the capacity, with which a state counts."""

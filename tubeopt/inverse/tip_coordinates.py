@@ -28,10 +28,10 @@ from ..block.transcription.explicit import (
 )
 from ..equilibrium.result import Equilibrium
 from ..robots.load import Load
-from ..typing import Array, Mask, Of
+from ..typing import Array, Delegate, Mask
+from .arm_surface import cubic, outer_radius
 from .clock import Clock, LateError
 from .joints import JointSpace
-from .outline import cubic, outer_radius
 
 BATCH = 8
 """Equilibria integrated per call: enough to hide the cost of calling, few enough to stop early where a motion fails."""
@@ -89,14 +89,14 @@ def _mapped(function: Callable[[Kind], Any], kind: Kind, count: int, thread: int
 
 
 @dataclass(frozen=True, eq=False)
-class Chart:
+class TipCoordinates:
     """Points z (m,): tip rotations (n,), rad, then the translation of every carriage, m, of a joint space; `load`: what
     the arms of its points bear, None for arms that bear none."""
 
     space: JointSpace
     load: Load | None = None
 
-    eccentric = Of[bool]("kind")
+    eccentric = Delegate[bool]("kind")
 
     @cached_property
     def parameters(self) -> Array:
