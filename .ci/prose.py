@@ -1,18 +1,16 @@
 """The check that texts are plain technical English: words, sentence length, and how a description begins.
 
-    python .ci/prose.py                 check what is converted; exit code 1 with a list of faults
-    python .ci/prose.py --all           the same of everything
-    python .ci/prose.py --count         faults of every part, converted or not
+    python .ci/prose.py                 check everything; exit code 1 with a list of faults
+    python .ci/prose.py --count         faults of every part
     python .ci/prose.py --catalogue     print every help text, message, key and status for a reviewer
 
-The words are those of the table in docs/style.md. `PENDING` names what is not converted yet.
+The words are those of the table in docs/style.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import fnmatch
 import functools
 import re
 import sys
@@ -26,9 +24,6 @@ sys.path.insert(0, str(ROOT))
 
 LONGEST = 30
 """Words of a sentence; writers aim at 20."""
-
-PENDING: tuple[str, ...] = ()
-"""Parts that are not converted, as patterns of their names. Remove a name when its part is rewritten."""
 
 STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b(?! (is|are)\b)")
 """How a description must not begin: the noun or the verb comes first."""
@@ -214,15 +209,10 @@ def _page(path: Path) -> Iterator[Text]:
             block.append(line.strip())
 
 
-def _is_pending(part: str) -> bool:
-    return any(fnmatch.fnmatchcase(part, pattern) for pattern in PENDING)
-
-
 def main() -> int:
     """Check, count or print the texts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for flag, words in (
-        ("--all", "check what is pending too"),
         ("--count", "faults and words of every part"),
         ("--catalogue", "print all texts but pages"),
     ):
@@ -238,14 +228,11 @@ def main() -> int:
         found.setdefault(text.part, []).extend(faults(text))
     if asked.count:
         for part, each in found.items():
-            print(f"{len(each):5d}  {part}{'  (pending)' if _is_pending(part) else ''}")
+            print(f"{len(each):5d}  {part}")
         return 0
-    shown = [one for part, each in found.items() if asked.all or not _is_pending(part) for one in each]
+    shown = [one for each in found.values() for one in each]
     print("\n".join(shown) if shown else "prose: no faults")
-    stale = [one for one in PENDING if not any(fnmatch.fnmatchcase(part, one) and each for part, each in found.items())]
-    if stale:
-        print(f"pending without a fault; remove from PENDING: {', '.join(stale)}")
-    return 1 if shown or stale else 0
+    return 1 if shown else 0
 
 
 if __name__ == "__main__":
