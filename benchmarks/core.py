@@ -61,6 +61,10 @@ class Question:
     share: int = 1
 
 
+PUSH = Load((0.01, 0.005, 0.0))
+"""Bears on the thesis robot at all random joint values that are asked."""
+
+
 def robot(name: str = "thesis_ctr") -> Any:
     """A robot of this project."""
     return load_robot(ROBOTS / f"{name}.yaml")
@@ -113,11 +117,11 @@ def servo() -> Iterable[Call]:
 
 
 def slopes(name: str = "thesis_ctr", load: Load | None = None, read: str = "position", **asked: Any) -> Iterable[Call]:
-    """Jacobians of random configurations, of which one part is read; under a load and of tubes off the centreline, of
-    random rotations."""
+    """Jacobians of random configurations, of which one part is read; of tubes off the centreline, of random
+    rotations. Each is that of an equilibrium whose problem is still kept."""
     one = robot(name)
-    if load is None and isinstance(one, ConcentricRobot):
-        joints = random_joints(one, 200)
+    if isinstance(one, ConcentricRobot):
+        joints = random_joints(one, 200 if load is None else 100)
     else:
         joints = [(a, one.home_translations) for a in np.random.default_rng(7).uniform(-1, 1, (200, one.n_tubes))]
     poses = [forward_kinematics(one, a, d, load=load) for a, d in joints]
@@ -186,9 +190,9 @@ QUESTIONS = {
         lambda j: np.append(j.position[:, :6:2], j.margin[0]),
     ),
     "jacobian-pieces": Question("Jacobian of tubes made of pieces", partial(slopes, "example_pieces"), of_slopes),
-    "jacobian-loaded": Question("Jacobian under a force", partial(slopes, load=Load((0.02, 0.01, 0.0))), of_slopes),
+    "jacobian-loaded": Question("Jacobian under a force", partial(slopes, load=PUSH), of_slopes),
     "jacobian-loaded-margin": Question(
-        "Jacobian under a force, with margin", partial(slopes, load=Load((0.02, 0.01, 0.0)), read="margin"), of_slopes
+        "Jacobian under a force, with margin", partial(slopes, load=PUSH, read="margin"), of_slopes
     ),
     "jacobian-eccentric": Question(
         "Jacobian of an eccentric robot", partial(slopes, "thesis_etr", read="margin"), of_slopes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -225,8 +226,8 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
     if load.distributed is not None:
         per_length = load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1])
         along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
-    weight = np.linalg.norm(load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
-    points = sum(float(np.linalg.norm(part.force)) for part in load.points)
-    force = np.linalg.norm(load.force) + points + weight + along * assembly.total_length
-    moment = float(np.linalg.norm([load.moment, *(part.moment for part in load.points)], axis=1).sum())
+    weight = math.hypot(*load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
+    points = sum(math.hypot(*part.force) for part in load.points)
+    force = math.hypot(*load.force) + points + weight + along * assembly.total_length
+    moment = math.hypot(*load.moment) + sum(math.hypot(*part.moment) for part in load.points)
     return float(force), moment + turning * assembly.total_length

@@ -114,19 +114,23 @@ class Uncovered:
 def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) -> Uncovered:
     """What strips uncover; `between` as for `breakpoints_of`."""
     points, n = breakpoints_of(assembly, between), assembly.n_tubes
+    count = len(strips)
     first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
     place = points.place[first]
-    near = np.repeat(np.concatenate([place, place])[:, None] + ROUND_OFF, n, axis=1)
-    bends = near.copy()
-    for row, strip in enumerate(strips):
-        for at, moved in ((row, strip.past), (row + len(strips), strip.together if strip.plate_side else ())):
-            near[at, points.tube[[*moved]]] -= 2 * ROUND_OFF
-            # Where a curved part begins to grow its end moves alone.
-            bends[at, points.tube[[j for j in moved if not points.end[j]]]] -= 2 * ROUND_OFF
+    # Breakpoints that have moved beyond each cross-section: of what is uncovered, then of what was there.
+    each = [strip.past for strip in strips] + [strip.together if strip.plate_side else () for strip in strips]
+    row = [k for k, moved in enumerate(each) for _ in moved]
+    beyond = np.zeros((2 * count, len(points.place)))
+    beyond[row, [j for moved in each for j in moved]] = 1.0
+    both = np.concatenate([place, place])
+    side = both[:, None] + ROUND_OFF
+    near = side - 2 * ROUND_OFF * (beyond @ points.of_tubes)
+    # Where a curved part begins to grow its end moves alone.
+    bends = side - 2 * ROUND_OFF * ((beyond * ~points.end) @ points.of_tubes)
     present = near < assembly.end
     return Uncovered(
         index=points.index[first],
-        sections=_sections(assembly, np.concatenate([place, place]), bends, present),
+        sections=_sections(assembly, both, bends, present),
         there=np.asarray(present.any(1)),
         outermost=outermost(present),
         onto=np.asarray(np.arange(len(between) // 8)[:, None] == points.index[first], dtype=float),

@@ -183,8 +183,8 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     """CasADi functions of (theta, kb, m, b) at one cross-section of n concentric tubes that bears a bending moment b
     (2,), N m.
 
-    `section`: M, u, bending energy.  `linear`: these and their derivatives (n, n + 2), (2, n + 2), (1, n + 2) with
-    respect to theta and b; `linear_data`: those (n, 2 n), (2, 2 n), (1, 2 n) with respect to kb and m.  `mode`, with
+    `section`: M above u, bending energy.  `linear`: these and their derivatives, transposed, (n + 2, n + 2), (n + 2, 1)
+    with respect to theta and b; `linear_data`: those (2 n, n + 2), (2 n, 1) with respect to kb and m.  `mode`, with
     further arguments g (2,), y (n,) and a softness c: what a mode of the second variation that turns the tubes by y and
     bends by the moment g has per length,
 
@@ -196,14 +196,14 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
     bent, felt, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
     inputs, given, data = [theta, stiffness, moment, bent], ca.vertcat(theta, bent), ca.vertcat(stiffness, moment)
     here = cross_section(theta, stiffness, moment, load=bent)
-    values = [here.moment, here.curvature, here.bending_energy]
+    values = [ca.vertcat(here.moment, here.curvature), here.bending_energy]
     stiff, turned = ca.jacobian(here.moment, theta), ca.jacobian(here.curvature, theta)
     mode = ca.bilin(stiff, y, y) - 2 * felt.T @ turned @ y - softness * ca.sumsqr(felt) / ca.sum1(stiffness)
     of_mode = [*inputs, felt, y, softness]
     table = {
         "section": (inputs, values),
-        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given)) for value in values)]),
-        "linear_data": (inputs, [ca.densify(ca.jacobian(value, data)) for value in values]),
+        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given).T) for value in values)]),
+        "linear_data": (inputs, [ca.densify(ca.jacobian(value, data).T) for value in values]),
         "mode": (of_mode, [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),
         "mode_data": (of_mode, [ca.densify(ca.gradient(mode, data))]),
     }

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -61,9 +61,9 @@ class Felt(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Maps:
-    """Linear maps of P pieces: the `matrix` (P, r, r) of the equations of (phi, psi) at the points, r = K (n + 3), the
-    state at the ends `gathered` (P, 2 n + 6, r) from them, and both by the state where the pieces begin, `inner`
-    (P, r, 2 n + 6) and `ends` (P, 2 n + 6, 2 n + 6)."""
+    """Linear maps of P pieces: the `matrix` (P, r, r) of the equations of phi, then of u, at the points, r = K (n + 2),
+    the state at the ends `gathered` (P, 2 n + 6, r) from them, and both by the state where the pieces begin, `inner`
+    (P, r, 2 n + 6) and `ends` (P, 2 n + 6, 2 n + 6). Without a load u follows from phi, and r = K n."""
 
     matrix: Array
     gathered: Array
@@ -120,6 +120,11 @@ class Responsive(Standing):
         load, of rotations and torques."""
         return 2 * self.n + 6
 
+    @property
+    def unknowns(self) -> int:
+        """Unknowns r of a piece: phi at its points and, under a load, u."""
+        return self.degree * (self.n if self.own == self.n else self.n + 2)
+
     @cached_property
     def _across(self) -> tuple[Array, Array]:
         """At the points, of b by psi and by m."""
@@ -133,8 +138,7 @@ class Responsive(Standing):
     @cached_property
     def _by(self) -> Array:
         """(P, K, n + 2, n + 2) of M beside u by theta beside b at the points."""
-        both = np.concatenate([self.at.by_torque, self.at.by_curvature], axis=1)
-        return both.reshape(self.pieces, self.degree, *both.shape[1:])
+        return self.at.by.reshape(self.pieces, self.degree, self.n + 2, self.n + 2)
 
     def _by_state(self, softness: float) -> tuple[Array, Array | None]:
         """(P, K, n + 2, own) of t' beside u by (phi, psi) and, under a load, (P, K, n + 2, 3) by m."""
@@ -183,36 +187,43 @@ class Responsive(Standing):
         return Felt(torque, moment, bending, falling, turning)
 
     def _unforced(self, softness: float) -> Felt:
-        """`_felt` by columns of (phi, psi) at the points, then of the state where the pieces begin."""
-        own, size, inner = self.own, 2 * self.own, self.degree * self.own
-        q, begin = _units(inner, inner + size), _units(size, inner + size, inner)
-        starts = begin[own : own + self.n], begin[own + self.n :]
-        return self._felt(q.reshape(1, self.degree, own, -1), starts, None, softness)
+        """`_felt` by columns of phi, then of u, at the points, then of the state where the pieces begin."""
+        n, k, own, size, inner = self.n, self.degree, self.own, 2 * self.own, self.unknowns
+        begin = _units(size, inner + size, inner)
+        starts = begin[own : own + n], begin[own + n :]
+        q = np.empty((self.pieces, k, own, inner + size))
+        q[:] = _own_units(n, k, own)
+        if own > n:  # psi is the integral of R u
+            turned = self.frame[:, None, :, :, :2].swapaxes(2, 3)
+            np.multiply(self.ahead[:, :, None, :, None], turned, out=q[..., n:, k * n : inner].reshape(-1, k, 3, k, 2))
+        return self._felt(q, starts, None, softness)
 
     def _ended(self, felt: Felt, softness: float) -> tuple[Array, Array]:
-        """(P, K own, C) integrals of the rates of (phi, psi) up to the points and (P, 2 own, C) of those of the state
-        along whole pieces."""
+        """(P, r, C) integrals of the rates of phi up to the points, and u there, and (P, 2 own, C) of the rates of the
+        state along whole pieces."""
         n, own, k, count = self.n, self.own, self.degree, felt.torque.shape[-1]
-        rates, end = np.empty((self.pieces, k, own, count)), np.empty((self.pieces, 2 * own, count))
-        np.multiply(felt.torque, softness * self.winding[..., None], out=rates[..., :n, :])
+        there, end = np.empty((self.pieces, self.unknowns, count)), np.empty((self.pieces, 2 * own, count))
+        rates = softness * self.winding[..., None] * felt.torque
         if felt.turning is not None:
-            rates[..., :n, :] += felt.turning
-        parts = [(rates, slice(own)), (felt.bending[..., :n, :], slice(own, own + n))]
+            rates += felt.turning
+        parts = [(rates, slice(n)), (felt.bending[..., :n, :], slice(own, own + n))]
         if own > n:
-            np.matmul(self.frame[..., :2], felt.bending[..., n:, :], out=rates[..., n:, :])
-            parts.append((felt.falling, slice(own + n, None)))
+            bends = felt.bending[..., n:, :]
+            there[:, k * n :].reshape(self.pieces, k, 2, count)[:] = bends
+            parts += [(self.frame[..., :2] @ bends, slice(n, own)), (felt.falling, slice(own + n, None))]
         weights = self.weights[:, None]
         for part, rows in parts:
             np.matmul(weights, part.reshape(self.pieces, k, -1), out=end[:, rows].reshape(self.pieces, 1, -1))
-        return self._swept(self.ahead, rates).reshape(self.pieces, k * own, count), end
+        np.matmul(self.ahead, rates.reshape(self.pieces, k, -1), out=there[:, : k * n].reshape(self.pieces, k, -1))
+        return there, end
 
     def _maps(self, softness: float) -> Maps:
         """The linear maps of all pieces."""
-        size, inner = 2 * self.own, self.degree * self.own
+        n, k, size, inner = self.n, self.degree, 2 * self.own, self.unknowns
         there, end = self._ended(self._unforced(softness), softness)
-        # A state adds itself to what it makes of (phi, psi) at every point, and at the end.
+        # A state adds itself to what it makes of phi at every point, and of itself at the end.
         next_row = inner + size + 1
-        there.reshape(self.pieces, self.degree, -1)[..., inner::next_row] += 1.0
+        there[:, : k * n].reshape(self.pieces, k, -1)[..., inner::next_row] += 1.0
         end.reshape(self.pieces, -1)[:, inner::next_row] += 1.0
         self._past(end, 1)
         matrix = -there[..., :inner]
@@ -227,8 +238,8 @@ class Responsive(Standing):
         return self._maps(1.0)
 
     def _forced_maps(self, forced: Forced) -> tuple[Array, Array]:
-        """(P, K own, C) of (phi, psi) at the points and (P, 2 own, C) of the state at the ends of the pieces by
-        what is forced."""
+        """(P, r, C) of phi and u at the points and (P, 2 own, C) of the state at the ends of the pieces by what is
+        forced."""
         count, maps = forced.phi.shape[-1], self._standing_maps
         none = np.zeros((1, self.degree, self.own, count)), (np.zeros((self.n, count)), np.zeros((3, count)))
         there, end = self._ended(self._felt(*none, forced), 1.0)
@@ -361,23 +372,25 @@ class Responsive(Standing):
         return Forced(*made), columns
 
     def _along(self, state: Array, q: Array, forced: Forced | None, softness: float) -> Response:
-        """The response, of states (P + 1, 2 n + 6, Q) and (phi, psi) at the points (P, K own, Q). Without a load the
-        states have, of psi, what it gains between the pieces."""
-        n, begin = self.n, state[:-1, None]
-        q = q.reshape(self.pieces, self.degree, self.own, -1)
+        """The response, of states (P + 1, 2 n + 6, Q) and phi and u at the points (P, r, Q). Without a load the states
+        have, of psi, what it gains between the pieces."""
+        n, k, begin = self.n, self.degree, state[:-1, None]
+        phi = q[:, : k * n].reshape(self.pieces, k, n, -1)
         starts = begin[:, :, n + 3 : 2 * n + 3], begin[:, :, 2 * n + 3 :]
         if self.load is not None:
-            return Response(
-                state, q[..., :n, :], q[..., n:, :], partial(self._felt, q, starts, forced, softness), self._across
-            )
-        felt = self._felt(q, starts, forced, softness)
-        rates = self.frame[..., :2] @ felt.bending[..., n:, :]
-        state[1:, n : n + 3] += (self.weights[:, None] @ rates.reshape(self.pieces, self.degree, -1)).reshape(
-            self.pieces, 3, -1
-        )
+            psi = self._turned(state, q[:, k * n :].reshape(self.pieces, k, 2, -1))
+            of_both = lambda: self._felt(np.concatenate([phi, psi], axis=2), starts, forced, softness)  # noqa: E731
+            return Response(state, phi, psi, of_both, self._across)
+        felt = self._felt(phi, starts, forced, softness)
+        bends = felt.bending[..., n:, :]
+        gained = self.weights[:, None] @ (self.frame[..., :2] @ bends).reshape(self.pieces, k, -1)
+        state[1:, n : n + 3] += gained.reshape(self.pieces, 3, -1)
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
-        psi = state[:-1, None, n : n + 3] + self._swept(self.ahead, rates)
-        return Response(state, q, psi, lambda: felt, None)
+        return Response(state, phi, self._turned(state, bends), lambda: felt, None)
+
+    def _turned(self, state: Array, bends: Array) -> Array:
+        """(P, K, 3, Q) psi at the points, of states and u (P, K, 2, Q)."""
+        return np.asarray(state[:-1, None, self.n : self.n + 3] + self._swept(self.ahead, self.frame[..., :2] @ bends))
 
     def wound(self, response: Response, forcing: Forcing, piece: int) -> Array:
         """(K, n, Q) change of phi' at the points of a piece."""
@@ -473,6 +486,17 @@ far less than DOUBLE."""
 
 DOUBLE = 1e-9
 """Eigenvalues closer than this are one, whose mode, and so derivative, is not known."""
+
+
+@lru_cache(maxsize=64)
+def _own_units(n: int, degree: int, own: int) -> Array:
+    """(K, own, r + 2 own) phi and psi at the points of a piece, by phi and u there, but for what u turns, and by the
+    state where it begins; not to be changed."""
+    inner = degree * (n if own == n else n + 2)
+    out = np.zeros((degree, own, inner + 2 * own))
+    out[:, :n, : degree * n] = np.eye(degree * n).reshape(degree, n, -1)
+    out[:, n:, inner + n : inner + own] = np.eye(own - n)
+    return out
 
 
 @lru_cache(maxsize=64)

@@ -12,18 +12,36 @@ from .buffered import bent_function, section_function
 
 @dataclass(frozen=True, eq=False)
 class Sections:
-    """Cross-sections at X places: torque (X, n) and bending energy (X,) per length, curvature (X, 2), and their
-    derivatives (X, n, c), (X, 2, c), (X, c) by theta and b, c = n + 2; stretch (X, n) and, of tubes off the centreline,
-    its derivatives (X, n, n) by theta."""
+    """Cross-sections at X places: torque per length above curvature, `values` (X, n + 2), and bending energy per length
+    (X,), with their derivatives (X, n + 2, n + 2), (X, n + 2) by theta and b; stretch (X, n) and, of tubes off the
+    centreline, its derivatives (X, n, n) by theta."""
 
-    torque: Array
-    curvature: Array
+    values: Array
     energy: Array
-    by_torque: Array
-    by_curvature: Array
+    by: Array
     by_energy: Array
     stretch: Array
     by_stretch: Array | None = None
+
+    @property
+    def torque(self) -> Array:
+        """(X, n) N m per m."""
+        return self.values[:, :-2]
+
+    @property
+    def curvature(self) -> Array:
+        """(X, 2) 1/m."""
+        return self.values[:, -2:]
+
+    @property
+    def by_torque(self) -> Array:
+        """(X, n, n + 2) of the torque."""
+        return self.by[:, :-2]
+
+    @property
+    def by_curvature(self) -> Array:
+        """(X, 2, n + 2) of the curvature."""
+        return self.by[:, -2:]
 
 
 Given = tuple[Array, Array, Array, Array]
@@ -36,8 +54,9 @@ def values_of(given: Given, offsets: tuple[Array, ...]) -> tuple[Array, Array, A
     if offsets:
         torque, stretch, curvature, energy = section_function("section", count, n, True)(*given[:3], *offsets)
         return torque.copy(), curvature.copy(), energy[:, 0].copy(), stretch.copy()
-    torque, curvature, energy = bent_function("section", count, n)(*given)
-    return torque.copy(), curvature.copy(), energy[:, 0].copy(), np.ones((count, n))
+    values, energy = bent_function("section", count, n)(*given)
+    own = values.copy()
+    return own[:, :n], own[:, n:], energy[:, 0].copy(), np.ones((count, n))
 
 
 def sections_of(given: Given, offsets: tuple[Array, ...]) -> Sections:
@@ -46,20 +65,12 @@ def sections_of(given: Given, offsets: tuple[Array, ...]) -> Sections:
     if offsets:
         values, (torque, stretch, curvature, energy) = _off_the_centreline(given, offsets)
         # They bear no bending moment b.
-        none, by = np.zeros((count, n, 2)), [part[..., :n] for part in (torque, curvature, energy, stretch)]
-        return Sections(
-            torque=values[0],
-            curvature=values[2],
-            energy=values[3][:, 0],
-            by_torque=np.concatenate([by[0], none], axis=2),
-            by_curvature=np.concatenate([by[1], none[:, :2]], axis=2),
-            by_energy=np.concatenate([by[2], none[:, :1]], axis=2)[:, 0],
-            stretch=values[1],
-            by_stretch=by[3],
-        )
-    out = bent_function("linear", count, n)(*given)
-    torque, curvature, energy = (part.copy() for part in out[:3])
-    return Sections(torque, curvature, energy[:, 0], *_by_rows(out[3:], n + 2), np.ones((count, n)))
+        by, by_energy = np.zeros((count, n + 2, n + 2)), np.zeros((count, n + 2))
+        by[:, :n, :n], by[:, n:, :n], by_energy[:, :n] = torque[..., :n], curvature[..., :n], energy[:, 0, :n]
+        stacked = np.concatenate([values[0], values[2]], axis=1)
+        return Sections(stacked, values[3][:, 0], by, by_energy, values[1], stretch[..., :n])
+    stacked, energy, by, by_energy = (part.copy() for part in bent_function("linear", count, n)(*given))
+    return Sections(stacked, energy[:, 0], by.reshape(count, n + 2, n + 2), by_energy, np.ones((count, n)))
 
 
 def by_data_of(given: Given, offsets: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -69,7 +80,9 @@ def by_data_of(given: Given, offsets: tuple[Array, ...]) -> tuple[Array, ...]:
     if offsets:
         torque, stretch, curvature, energy = (by[..., n:] for by in _off_the_centreline(given, offsets)[1])
         return torque, curvature, energy[:, 0], stretch
-    return _by_rows(bent_function("linear_data", count, n)(*given), 2 * n)
+    by, by_energy = (part.copy() for part in bent_function("linear_data", count, n)(*given))
+    by = by.reshape(count, n + 2, 2 * n)
+    return by[:, :n], by[:, n:], by_energy
 
 
 def _off_the_centreline(given: Given, offsets: tuple[Array, ...]) -> tuple[list[Array], list[Array]]:
@@ -81,9 +94,3 @@ def _off_the_centreline(given: Given, offsets: tuple[Array, ...]) -> tuple[list[
         part.reshape(count, 3 * n, value.shape[1]).swapaxes(1, 2) for value, part in zip(out[:4], out[4:], strict=True)
     ]
     return out[:4], by
-
-
-def _by_rows(parts: list[Array], columns: int) -> tuple[Array, Array, Array]:
-    """Derivatives (X, n, c), (X, 2, c), (X, c), of which CasADi stores (rows, c) by columns."""
-    by = [part.reshape(-1, columns, part.shape[1]).swapaxes(1, 2).copy() for part in parts]
-    return by[0], by[1], by[2][:, 0]
