@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,10 @@ from tests.examples import THESIS
 from tests.stability.test_friction import random_way
 from tests.validation.way import joints, robot
 from tubeopt import ConcentricRobot, Friction
+from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.solvers.settings import CONTINUATION
 from tubeopt.stability.rubbing_following import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import poses as posing
@@ -31,6 +35,28 @@ def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> Poses:
     alpha, shift = np.hsplit(rows, 2)
     return posing.rubbed_poses(given, (alpha, shift), np.array([0.0, 0.03]), [np.arange(len(rows))], rub)
+
+
+def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:
+    """Between rows far apart; places from the lengths of the tubes, and the plate."""
+    draw, lengths = np.random.default_rng(2), np.array([tube.curved_length for tube in THESIS.tubes])
+    rows = np.hstack([draw.uniform(-1, 1, (30, 3)), draw.uniform(-0.06, 0.0, (30, 3))])
+    rows[10] = rows[9]
+    steps, given = steps_along(THESIS, rows)
+    assert (steps[given] == rows).all()
+    assert given[10] == given[9] + 1
+    assert 100 < len(steps) < 400
+    change = np.abs(np.diff(steps, axis=0))
+    assert change[:, :3].max() <= CONTINUATION.largest_turn * (1 + 1e-12)
+    assert change[:, 3:].max() <= CONTINUATION.largest_shift * max(tube.length for tube in THESIS.tubes) * (1 + 1e-12)
+    places = np.hstack([steps[:, 3:], steps[:, 3:] + lengths, np.zeros((len(steps), 1))])
+    gap = places[:, :, None] - places[:, None]
+    gap[np.abs(gap) < 1e-11] = 0.0
+    assert (gap[1:] * gap[:-1] >= 0).all()
+    # On a straight path, row by row.
+    for k, (first, last) in enumerate(pairwise(given.tolist())):
+        part = (steps[first : last + 1] - rows[k]) @ (rows[k + 1] - rows[k])
+        assert (np.diff(part) > 0).all() or k == 9
 
 
 @pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides

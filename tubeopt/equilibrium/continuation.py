@@ -13,7 +13,7 @@ from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import CONTINUATION
-from ..typing import Array
+from ..typing import Array, Index
 from .loaded import Loaded
 from .member import Member, Place, Point
 from .problem import DEFAULT_DISCRETISATION, Discretisation
@@ -89,6 +89,15 @@ class JointPath:
         longest = max(tube.length for tube in self.robot.tubes)
         return float(change[:n].max()), float(change[n:].max()) / longest
 
+    def rows(self) -> list[Array]:
+        """Joint values (2n,) of all steps: no longer than `largest_step`, and one at each of the `events`."""
+        step, at, rows = self.largest_step(), 0.0, []
+        for event in self.events():
+            while at < event:
+                at = event if at + step >= event - 1e-12 else at + step
+                rows.append(np.concatenate(self.at(at)))
+        return rows
+
     def events(self) -> list[float]:
         """Fractions, 1 included, where two breakpoints meet, or one meets the plate: there their order may change."""
         if not self.slides:
@@ -102,6 +111,25 @@ class JointPath:
         moving = np.abs(closing) > ROUND_OFF
         times = gap[moving] / closing[moving]
         return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
+
+
+def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
+    """The rows of joint values (T, 2n) with `JointPath.rows` between them (S, 2n), and where the rows (T,) are among
+    them."""
+    n = joints.shape[1] // 2
+    home = robot.assembly(robot.home_translations)
+    moved = joints[:, n:] - robot.home_translations
+    points = np.array(home.breakpoints) + moved[:, home.breakpoint_tubes]
+    points = np.concatenate([points, np.zeros((len(joints), 1))], axis=1)
+    order = np.sign(points[:, :, None] - points[:, None])
+    meet = (order[1:] * order[:-1] < 0).any((1, 2))
+    turn, shift = (np.abs(np.diff(part, axis=0)).max(1) for part in (joints[:, :n], joints[:, n:]))
+    longest = CONTINUATION.largest_shift * max(tube.length for tube in robot.tubes)
+    several = meet | (turn > CONTINUATION.largest_turn) | (shift > longest)
+    rows = [joints[:1]]
+    for k, split in enumerate(several.tolist()):
+        rows.append(np.array(JointPath(robot, joints[k], joints[k + 1]).rows()) if split else joints[k + 1 : k + 2])
+    return np.concatenate(rows), np.cumsum([len(part) for part in rows]) - 1
 
 
 @dataclass(frozen=True, eq=False)

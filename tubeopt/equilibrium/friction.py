@@ -7,7 +7,7 @@ theta_i(s - dz_i) then: the memory is the material's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -43,6 +43,7 @@ from ..solvers.newton import full_steps
 from ..solvers.settings import CONTINUATION, NEWTON
 from ..typing import Array, Index
 from .answer import answered, at_points, sample_rotation
+from .continuation import steps_along
 from .loaded import Loaded
 from .member import Point
 from .problem import Discretisation, check_load, loading_of
@@ -387,7 +388,12 @@ def sweep(robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bo
     None where there is no kernel for this robot and this friction.
     """
     state = held.found.state.x, held.found.torque, held.found.signs
-    return rub_compiled(robot, held.contact.friction, joints, state, behind, margins=margins)
+    steps, given = steps_along(robot, joints)
+    many = rub_compiled(robot, held.contact.friction, steps, state, behind, margins=margins)
+    if many is None or len(steps) == len(joints):
+        return many
+    reached = given[(given > 0) & (given <= len(many.margin))] - 1
+    return Rubbed(**{field.name: getattr(many, field.name)[reached] for field in fields(Rubbed)})
 
 
 def swept(robot: Robot, held: Held, joints: Array, many: Rubbed, k: int) -> Held:

@@ -113,8 +113,7 @@ class Uncovered:
 @lru_cache(maxsize=64)
 def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) -> Uncovered:
     """What strips uncover; `between` as for `breakpoints_of`."""
-    points, n = breakpoints_of(assembly, between), assembly.n_tubes
-    count = len(strips)
+    points, count = breakpoints_of(assembly, between), len(strips)
     first = np.array([strip.together[0] for strip in strips], dtype=np.intp)
     place = points.place[first]
     # Breakpoints that have moved beyond each cross-section: of what is uncovered, then of what was there.

@@ -4,7 +4,6 @@
 #define MOST_PARTS 64
 #define MOST_SOLVES 256        /* of one call */
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
-#define LONGEST_TWIST(margin) fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
 #if TUBEOPT_LOADS
 size_t tubeopt_bearing_size(void);

@@ -149,15 +149,11 @@ def _pieces(table: Lengthwise, refinement: int) -> Any:
 
 
 def tube_rows(robot: Robot) -> Array:
-    """(7, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, those of tubes of one arc are 0."""
+    """(5, n) numbers of the C struct Tubes of a robot; of tubes made of pieces, GJ is 0: it varies along them."""
     home = robot.assembly(robot.home_translations)
-    own = (
-        np.zeros((3, robot.n_tubes))
-        if home.general
-        else (home.bending_stiffness, home.torsional_stiffness, home.curvature)
-    )
+    stiffness = np.zeros(robot.n_tubes) if home.general else home.torsional_stiffness
     lengths = [tube.straight_length for tube in robot.tubes], [tube.length for tube in robot.tubes]
-    return np.array([*own, *lengths, home.offset, home.offset_angle])
+    return np.array([stiffness, *lengths, home.offset, home.offset_angle])
 
 
 def _tubes(robot: Robot, refinement: int) -> tuple[Array, Any]:

@@ -82,14 +82,11 @@ def slope_constants() -> str:
 def rubbing_constants() -> str:
     """Numbers and tables of `rubbing.c`."""
     numbers = {
-        "PATIENCE": CONTINUATION.stick_patience,
         "MOST_CHANGES": CONTINUATION.stick_changes,
         "HARDLY": ROUND_OFF,
         "HONEST": HONEST,
         "RUB_ITERATIONS": CONTINUATION.rubbing_steps,
         "ONWARD": CONTINUATION.onward,
-        "LARGEST_TURN": CONTINUATION.largest_turn,
-        "LARGEST_SHIFT": CONTINUATION.largest_shift,
         "LARGEST_RATIO": CONTINUATION.largest_ratio,
         "LARGEST_TWIST": CONTINUATION.largest_twist,
         "SOFT_TWIST": CONTINUATION.soft_twist,

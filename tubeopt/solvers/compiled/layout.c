@@ -17,7 +17,7 @@ typedef struct {
 } Layout;
 
 typedef struct {
-    double kb[N], kt[N], curvature[N]; /* of tubes of one arc each; 0 of others */
+    double kt[N]; /* of tubes of one arc each; 0 of others */
     double straight[N], whole[N], offset[N], angle[N];
     long long eccentric;
     const Pieces *pieces;

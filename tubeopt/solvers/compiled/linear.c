@@ -9,6 +9,9 @@
 #define SOFTENING_ERROR 1e-2   /* fraction of 1 - margin that may be wrong where it only tells where to look on */
 #define CHORD_STEP 1e-3        /* below it, rad, Newton's method keeps its factors */
 
+/* Largest change of the twist at a point in one step from an equilibrium of a margin, rad. */
+#define LONGEST_TWIST(margin) fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
+
 static int filled_up(int n) { return (n + 3) / 4 * 4; }
 
 /* The square at a[0] = R'R, upper triangle in place, with the inverse of R's diagonal; 0 where that cannot be. */

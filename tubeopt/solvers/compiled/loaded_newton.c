@@ -282,9 +282,6 @@ static double margin_of(Stage *s, const State *state, double near, double small,
     return fmin(1, margin);
 }
 
-/* Largest change of the twist at a point in one step from an equilibrium of this margin, rad. */
-static double largest_twist(double margin) { return fmin(fmax(2 * fabs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST); }
-
 /* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left: on few
    points, which only lead to an answer, the last that it made. */
 static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
@@ -312,7 +309,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *g
             rate = fmax(rate, 2 * sqrt(dot(step->orientation[x], step->orientation[x], 4)));
             for (int i = 0; i < N; i++) rate = fmax(rate, s->piece[x / s->degree].count[i] == s->degree ? fabs(step->theta[x][i]) : 0);
         }
-        longest = fmin(longest, PREDICTED_PART * largest_twist(near) / fmax(rate, 1e-300));
+        longest = fmin(longest, PREDICTED_PART * LONGEST_TWIST(near) / fmax(rate, 1e-300));
         double goal = t + longest >= 1 - 1e-12 ? 1 : t + longest;
         memcpy(trial->theta, state->theta, s->points * sizeof trial->theta[0]);
         memcpy(trial->q, state->q, s->points * sizeof trial->q[0]);
@@ -323,7 +320,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *g
             for (int r = 0; r < 4; r++) square += pow(trial->stage[x][r] - state->stage[x][r], 2);
             moved = fmax(moved, 2 * sqrt(square));
         }
-        if (done && fmax(moved, largest_turn(s, trial, (const double(*)[N])state->theta)) <= largest_twist(near)) {
+        if (done && fmax(moved, largest_turn(s, trial, (const double(*)[N])state->theta)) <= LONGEST_TWIST(near)) {
             State *last = state;
             state = trial;
             trial = last;
@@ -355,5 +352,5 @@ static int settle(Stage *s, const double *alpha, double margin, State *state, St
                     bent += state->turned[x][i][j] * (state->theta[x][i] - start->theta[x][i]);
             moved = fmax(moved, s->problem->whole * fabs(bent));
         }
-    return moved <= largest_twist(margin) ? SOLVED : DECLINED;
+    return moved <= LONGEST_TWIST(margin) ? SOLVED : DECLINED;
 }

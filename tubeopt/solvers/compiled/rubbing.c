@@ -5,7 +5,6 @@
 
 #define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
 #define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 from which margins are told from 1 less exactly: eigenvalues gather there */
-#define MOST_EVENTS ((2 * N + 1) * (2 * N + 1) + 1)
 
 typedef struct {
     const double *torque; /* (N - 1) N m per m between neighbours */
@@ -251,16 +250,11 @@ static double theta_at(const Held *h, int tube, double s) {
     return h->arm.rotation[p][tube] + turned / h->q.tubes->kt[tube];
 }
 
-/* The largest turn of a point in one step from a state of a margin. */
-static double largest_twist(double margin) {
-    return fmin(fmax(2 * margin * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST);
-}
-
 /* The state at other joint values: NULL where the step is too long. */
 static Held *step_held(Motion *m, const double *alpha, const double *shift) {
     Room *w = m->room;
     Held *old = &w->held[m->now], *h = old;
-    double turn[N], moved[N], straight = 0, size = 0, other = 0, far = 0, limit = largest_twist(old->margin);
+    double turn[N], moved[N], straight = 0, size = 0, other = 0, far = 0, limit = LONGEST_TWIST(old->margin);
     int same = 1, guess = 0;
     for (int i = 0; i < N; i++) {
         turn[i] = alpha[i] - old->alpha[i];
@@ -301,7 +295,7 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
             int x = h->q.point[a];
             far = fmax(far, fabs(h->state.theta[x][i] - w->theta[x][i] - turn[i]));
         }
-    if (far > limit && h != old && old->margin == 0 && settle(old, 1, w)) limit = largest_twist(old->margin);
+    if (far > limit && h != old && old->margin == 0 && settle(old, 1, w)) limit = LONGEST_TWIST(old->margin);
     if (!(far <= limit) || !settle(h, m->margins || far > LONG * SOFT_TWIST, w)) return NULL;
     if (same) {
         for (int r = 0; r < h->q.size; r++) h->along[r] = h->state.z[r] - w->last[r];
@@ -311,55 +305,6 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
     for (int r = 0; r < h->rows; r++)
         if (h->sign[r]) m->heat += h->most[r] * fabs(h->turned[r] - w->before[r]);
     m->now = h - w->held;
-    return h;
-}
-
-/* Fractions of the way between two joint values at which breakpoints may meet, in order, 1 the last of them. */
-static int events_of(const Tubes *t, const double *from, const double *to, double *out) {
-    double place[2 * N + 1] = {0}, speed[2 * N + 1] = {0};
-    int count = 0, kept = 0;
-    for (int i = 0; i < N; i++) {
-        double beta = fmin(from[i] - t->straight[i], 0.0);
-        place[i] = beta + t->straight[i];
-        place[N + i] = beta + t->whole[i];
-        speed[i] = speed[N + i] = to[i] - from[i];
-    }
-    for (int a = 0; a < 2 * N + 1; a++)
-        for (int b = 0; b < 2 * N + 1; b++) {
-            double closing = speed[b] - speed[a], at = (place[a] - place[b]) / closing;
-            if (fabs(closing) > ROUND_OFF_LENGTH && at > 1e-9 && at < 1 - 1e-9) out[count++] = round(at * 1e12) / 1e12;
-        }
-    qsort(out, count, sizeof(double), compare);
-    for (int k = 0; k < count; k++)
-        if (!k || out[k] != out[kept - 1]) out[kept++] = out[k];
-    out[kept++] = 1;
-    return kept;
-}
-
-/* The state at other joint values, on a straight way in steps; NULL where it is lost. */
-static Held *move_held(Motion *m, const double *alpha, const double *shift) {
-    Held *h = &m->room->held[m->now];
-    double from[2][N], events[MOST_EVENTS], longest = 0, turn = 0, slide = 0, at = 0;
-    memcpy(from[0], h->alpha, sizeof from[0]);
-    memcpy(from[1], h->shift, sizeof from[1]);
-    for (int i = 0; i < N; i++) {
-        turn = fmax(turn, fabs(alpha[i] - from[0][i]));
-        slide = fmax(slide, fabs(shift[i] - from[1][i]));
-        longest = fmax(longest, m->tubes->whole[i]);
-    }
-    double size = 1 / fmax(fmax(turn / LARGEST_TURN, slide / (LARGEST_SHIFT * longest)), 1.0);
-    int count = events_of(m->tubes, from[1], shift, events);
-    for (int k = 0; k < count; k++)
-        while (at < events[k]) {
-            double there[2][N];
-            at = at + size >= events[k] - 1e-12 ? events[k] : at + size;
-            for (int i = 0; i < N; i++) {
-                there[0][i] = at == 1 ? alpha[i] : from[0][i] + at * (alpha[i] - from[0][i]);
-                there[1][i] = at == 1 ? shift[i] : from[1][i] + at * (shift[i] - from[1][i]);
-            }
-            h = step_held(m, there[0], there[1]);
-            if (!h) return NULL;
-        }
     return h;
 }
 
@@ -375,8 +320,8 @@ static void station_at(const Answer *a, int tip, double behind, double *out) {
     out[2] += fmin(s, 0);
 }
 
-/* Rows 1 ... of joint values (count, N) from the state of row 0. Returns how many there are, row 0 too, before it is lost or
-   at an end. A row of z, torque and sign (count, MOST_UNKNOWNS) holds the unknowns of a state, and its rows of friction;
+/* Rows 1 ... of joint values (count, N) from the state of row 0. Returns how many there are, row 0 too, before a step is too
+   long or the state is lost. A row of z, torque and sign (count, MOST_UNKNOWNS) holds the unknowns of a state, and its rows of friction;
    `out` (count, 3 stations + 9 + N + 4) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
    there, margin (0 where `sizes` says that it is not wanted), length, the heat since row 0, and the violation of the laws
    of friction. -1 where the state is not one of these tubes. */
@@ -394,7 +339,7 @@ CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const double *friction, d
     look(h);
     if (!settle(h, 1, w)) return 1;
     for (long long k = 1; k < count; k++) {
-        h = move_held(&m, alpha + k * N, shift + k * N);
+        h = step_held(&m, alpha + k * N, shift + k * N);
         if (!h) return k;
         Answer *a = &w->answer;
         a->margin = h->margin;

@@ -76,8 +76,8 @@ def rub_compiled(
     """Increments along rows of joint values (T, 2n) from the state of row 0: unknowns (U,), torques (R,) and signs (R,)
     of its contact; with stations `behind` (S,) the tip, m, and, where asked for, `margins`, a quarter of the time.
 
-    As many as go well: where a step asks for more care, they end before it. None where there is no kernel for this
-    robot and this friction, or no room in it.
+    Each row is one step. As many as go well: where a step asks for more care, they end before it. None where there is
+    no kernel for this robot and this friction, or no room in it.
     """
     check_time()
     n, (unknowns, torque, signs) = robot.n_tubes, state

@@ -1,4 +1,4 @@
-/* What sticks and what slips: what solvers/stick_slip.py does, by the same exchanges and the same descent.
+/* What sticks and what slips: the descent of solvers/stick_slip.py. From what slipped before it takes few changes.
 
    A (count, count) by rows is positive definite, `free` what would slip without friction, `most` the capacities. */
 
@@ -10,7 +10,7 @@ typedef struct {
 } Sticking;
 
 typedef struct {
-    double matrix[MOST_UNKNOWNS * STRIDE], right[MOST_UNKNOWNS], slip[MOST_UNKNOWNS];
+    double matrix[MOST_UNKNOWNS * STRIDE], right[MOST_UNKNOWNS];
     int rows[MOST_UNKNOWNS];
 } Exchange;
 
@@ -24,18 +24,13 @@ static int solve_part(const Sticking *s, int rows, Exchange *w) {
     return 1;
 }
 
-/* slip = free - A torque */
-static void slip_of(const Sticking *s, double *slip) {
-    for (int r = 0; r < s->count; r++)
-        slip[r] = s->free[r] - dot(s->compliance + (size_t)r * s->count, s->torque, s->count);
-}
-
-/* Down with every step: what is inside goes to its least, up to the first bound, then the row is freed that gains most. */
-static int by_descent(const Sticking *s, Exchange *w) {
+/* Torques and signs, from the signs that are there as a first guess; 0 where round-off has won. Down with every step: what
+   is inside goes to its least, up to the first bound, then the row is freed that gains most. */
+static int stick_or_slip(const Sticking *s, Exchange *w) {
     int inside[MOST_UNKNOWNS];
     for (int r = 0; r < s->count; r++) {
-        s->torque[r] = fmin(fmax(s->torque[r], -s->most[r]), s->most[r]);
-        inside[r] = fabs(s->torque[r]) < s->most[r];
+        s->torque[r] = s->most[r] * s->sign[r];
+        inside[r] = !s->sign[r];
     }
     for (int change = 0; change < MOST_CHANGES * (s->count + 1); change++) {
         int rows = 0, worst = -1, first = -1;
@@ -65,9 +60,9 @@ static int by_descent(const Sticking *s, Exchange *w) {
             inside[r] = 0;
             continue;
         }
-        slip_of(s, w->slip);
         for (int r = 0; r < s->count; r++) {
-            double wrong = inside[r] ? 0 : -copysign(1, s->torque[r]) * w->slip[r];
+            double slip = s->free[r] - dot(s->compliance + (size_t)r * s->count, s->torque, s->count);
+            double wrong = inside[r] ? 0 : -copysign(1, s->torque[r]) * slip;
             if (!(wrong > gain)) continue;
             gain = wrong;
             worst = r;
@@ -79,31 +74,4 @@ static int by_descent(const Sticking *s, Exchange *w) {
         inside[worst] = 1;
     }
     return 0;
-}
-
-/* Torques and signs, from the signs that are there as a first guess; 0 where round-off has won. */
-static int stick_or_slip(const Sticking *s, Exchange *w) {
-    for (int fewest = s->count + 1, patience = PATIENCE;;) {
-        int stuck = 0, count = 0;
-        for (int r = 0; r < s->count; r++) {
-            s->torque[r] = s->most[r] * s->sign[r];
-            if (!s->sign[r]) w->rows[stuck++] = r;
-        }
-        slip_of(s, w->slip);
-        for (int a = 0; a < stuck; a++) w->right[a] = w->slip[w->rows[a]];
-        if (stuck && !solve_part(s, stuck, w)) return 0;
-        for (int a = 0; a < stuck; a++) s->torque[w->rows[a]] = w->right[a];
-        if (stuck) slip_of(s, w->slip);
-        for (int r = 0; r < s->count; r++)
-            count += s->sign[r] ? w->slip[r] * s->sign[r] < -HARDLY : fabs(s->torque[r]) > s->most[r] * (1 + HARDLY);
-        if (!count) return 1;
-        patience = count < fewest ? PATIENCE : patience - 1;
-        if (patience < 0) return by_descent(s, w);
-        if (count < fewest) fewest = count;
-        for (int r = 0; r < s->count; r++)
-            if (!s->sign[r])
-                s->sign[r] = fabs(s->torque[r]) > s->most[r] * (1 + HARDLY) ? (s->torque[r] > 0 ? 1 : -1) : 0;
-            else if (w->slip[r] * s->sign[r] < -HARDLY)
-                s->sign[r] = 0;
-    }
 }
