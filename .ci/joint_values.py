@@ -70,10 +70,10 @@ def inverts(robot: Robot, random: np.random.Generator, kinds: tuple[str, str]) -
     tip = tubeopt.forward_kinematics(robot, *other).tip_position
     found = tubeopt.inverse_kinematics(robot, tip, seed=seed, options=INVERSE)
     assert found.position_error <= 1e-8
-    if found.way is not None and found.way.origin == "seed":
-        begin = np.concatenate([found.way.rotations[0], found.way.translations[0]])
+    if found.path is not None and found.path.origin == "seed":
+        begin = np.concatenate([found.path.rotations[0], found.path.translations[0]])
         assert np.abs(begin - np.concatenate(seed)).max() < 1e-9, f"the way begins at {begin}; the seed is {seed}"
-        assert not tubeopt.follow(robot, found.way.rotations, found.way.translations).snaps
+        assert not tubeopt.follow(robot, found.path.rotations, found.path.translations).snaps
     if found.straight_from_seed:
         assert tubeopt.find_snap(robot, seed, (found.rotations, found.translations)) is None
     return "reached"

@@ -47,7 +47,7 @@ def main(out: Path) -> list[Path]:
             f"from {name}: errors of {', '.join(f'{x * 1e3:.2f}' for x in were)} mN along x, y, z; "
             f"the covariance says {', '.join(f'{x * 1e3:.2f}' for x in said)} mN"
         )
-        print(f"  {found[0].untold}")
+        print(f"  {found[0].undetermined}")
     picture = out / "load_force_from_shape.png"
     title = "Force on the tip, told from positions with noise of 0.1 mm"
     plot_force_estimates(estimates, picture, true=FORCE, title=title)

@@ -67,7 +67,7 @@ def swapped(robot: Robot) -> None:
     ]
     options = tubeopt.PlanOptions(clearance=5e-4, objective="none")  # no way is shorter
     plan = tubeopt.plan_arms(arms, starts, places[::-1], options=options)
-    names = ", ".join(arms[k].called for k in plan.made_way)
+    names = ", ".join(arms[k].called for k in plan.withdrawn_first)
     print(f"tips change places within {plan.duration:.1f} s; {names} makes way; proved: {plan.proved}")
 
 

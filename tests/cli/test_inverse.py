@@ -65,19 +65,19 @@ def test_all_postures_are_saved_with_a_picture(run: Run, tmp_path: Path) -> None
     assert sorted(p.name for p in out.iterdir()) == [
         "arrays.npz",
         "inverse.png",
+        "path.csv",
         "result.json",
         "solutions.json",
-        "way.csv",
     ]
     best, *others = json.loads((out / "solutions.json").read_text())["solutions"]
     assert others
     # The waypoints lead to the best of them without a snap.
-    waypoints = load_waypoints(out / "way.csv", load_robot(THESIS))
+    waypoints = load_waypoints(out / "path.csv", load_robot(THESIS))
     path = follow(load_robot(THESIS), waypoints.rotations, waypoints.translations)
     assert not path.snaps
     np.testing.assert_allclose(path.equilibria[-1].tip_position * 1e3, [50, 30, 150], atol=1e-3)
     assert best["reachable"]
-    assert len(best["way"]["rotations_deg"]) == len(waypoints.rotations)
+    assert len(best["path"]["rotations_deg"]) == len(waypoints.rotations)
     np.testing.assert_allclose(load_equilibrium(out).tip_position * 1e3, best["tip_position_mm"], atol=1e-9)
     assert (out / "inverse.png").read_bytes().startswith(b"\x89PNG")
 
@@ -91,7 +91,7 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
     rows = list(csv.DictReader((tmp_path / "solutions.csv").read_text().splitlines()))
     assert len(rows) == 21
     assert [row["target"] for row in rows] == [str(k) for k in range(1, 22)]
-    assert not any(row["leaps"] for row in rows)
+    assert not any(row["jump"] for row in rows)
     robot, before = load_robot(THESIS), None
     for row in rows:
         rotations = np.radians([float(row[f"rotation_{i}_deg"]) for i in (1, 2, 3)])
@@ -112,7 +112,7 @@ def test_far_targets_are_led_to_through_others(run: Run, tmp_path: Path) -> None
     first, last = np.array([50, 30, 150]), np.array([62, 20, 145])
     for each in data["solutions"]:
         np.testing.assert_allclose(each["tip_position_mm"], first + (each["target"] - 1) * (last - first), atol=1e-3)
-        assert each["leaps"] == ""
+        assert each["jump"] == ""
 
 
 def test_targets_out_of_reach_are_named_in_the_table(run: Run, tmp_path: Path) -> None:

@@ -555,13 +555,13 @@ class TestWays:
         for wanted in reachable(THESIS, 6, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
             assert answer.reachable
-            assert answer.way is not None
-            assert answer.way.origin == "home"
-            path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations)
+            assert answer.path is not None
+            assert answer.path.origin == "home"
+            path = tubeopt.follow(THESIS, answer.path.rotations, answer.path.translations)
             assert not path.snaps
             assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
-            np.testing.assert_array_equal(answer.way.rotations[-1], answer.rotations)
-            np.testing.assert_array_equal(answer.way.rotations[0], np.zeros(3))
+            np.testing.assert_array_equal(answer.path.rotations[-1], answer.rotations)
+            np.testing.assert_array_equal(answer.path.rotations[0], np.zeros(3))
             home = THESIS.home_translations
             straight = tubeopt.follow(THESIS, [np.zeros(3), answer.rotations], [home, answer.translations])
             around += bool(straight.snaps)
@@ -570,27 +570,27 @@ class TestWays:
     def test_it_begins_at_the_seed(self) -> None:
         seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
         answer = inverse_kinematics(THESIS, TARGET, seed=seed, reachable=True)
-        assert answer.way is not None
-        assert answer.way.origin == "seed"
-        np.testing.assert_allclose(answer.way.translations[0], seed.translations, atol=1e-15)
-        path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations, start=seed)
+        assert answer.path is not None
+        assert answer.path.origin == "seed"
+        np.testing.assert_allclose(answer.path.translations[0], seed.translations, atol=1e-15)
+        path = tubeopt.follow(THESIS, answer.path.rotations, answer.path.translations, start=seed)
         assert not path.snaps
         assert np.linalg.norm(path.equilibria[-1].tip_position - TARGET) <= 1e-6
 
     def test_without_being_asked_only_a_known_way_is_stated(self) -> None:
         for wanted in reachable(CRL, 8, seed=33):
             answer = inverse_kinematics(CRL, wanted.tip_position)
-            assert answer.reachable is (None if answer.way is None else True)
-            if answer.way is not None:
-                path = tubeopt.follow(CRL, answer.way.rotations, answer.way.translations)
+            assert answer.reachable is (None if answer.path is None else True)
+            if answer.path is not None:
+                path = tubeopt.follow(CRL, answer.path.rotations, answer.path.translations)
                 assert not path.snaps
                 assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("tubeopt.inverse.joint_path.snap_free_way", lambda *_, **__: None)
+        monkeypatch.setattr("tubeopt.inverse.joint_path.snap_free_path", lambda *_, **__: None)
         for wanted in reachable(THESIS, 5, seed=33):
             answer = inverse_kinematics(THESIS, wanted.tip_position, reachable=True)
-            assert answer.reachable is (answer.way is not None)
+            assert answer.reachable is (answer.path is not None)
 
 
 def test_an_answer_pickles() -> None:

@@ -49,7 +49,7 @@ def test_tip_under_a_load_without_an_energy_is_on_target(load: Load) -> None:
 def test_no_way_of_the_unloaded_robot_is_told_of_the_loaded_one() -> None:
     assert inverse_kinematics(THESIS, TARGET).reachable
     found = inverse_kinematics(THESIS, TARGET, load=LOAD)
-    assert (found.reachable, found.way) == (None, None)
+    assert (found.reachable, found.path) == (None, None)
 
 
 def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> None:

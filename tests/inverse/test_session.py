@@ -14,7 +14,7 @@ from tests.inverse_targets import inside
 from tubeopt import IkSession, InputError, InverseOptions, SolveError, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse.goal import pose_question
-from tubeopt.inverse.joint_path import leap
+from tubeopt.inverse.joint_path import jump_between
 from tubeopt.inverse.posture import posture_of
 from tubeopt.robots.robot import Robot
 from tubeopt.runs.target_file import load_targets
@@ -123,13 +123,13 @@ def test_a_time_limit_ends_a_step() -> None:
         session.solve([0.05, 0.03, 0.15])
 
 
-def test_it_does_not_leap() -> None:
+def test_it_does_not_jump() -> None:
     """Targets 3.2 mm apart between two of which a carriage may go 31 mm, the tip 0.5 mm off the line."""
     targets = load_targets(ROOT / "configs/targets/arc.csv").position
     session = IkSession(THESIS)
-    answers = [answer for target in targets for answer in session.lead(target)]
+    answers = [answer for target in targets for answer in session.solve_path(target)]
     for before, after in pairwise(answers):
-        assert not after.leaps
+        assert not after.jump
         tips = tips_between(THESIS, before, after)
         along = tips[-1] - tips[0]
         distance = np.linalg.norm(along)
@@ -138,24 +138,24 @@ def test_it_does_not_leap() -> None:
         assert np.abs(after.translations - before.translations).max() <= 4 * distance + 2.1 * MM
 
 
-def test_a_leap_is_said() -> None:
+def test_branch_jump_is_reported() -> None:
     """Of motions of the joints that bring the tip straight on, round on an arc, and through a snap."""
     before = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
     goal = pose_question(THESIS, (before.tip_position, None))
     here = posture_of(goal.space, before)
     near = here.to(here.q + np.array([0.02, 0.02, 0.02, 0.0, 0.0, 0.0]))
     assert near is not None
-    assert leap(goal, here, near) == ("", True)
+    assert jump_between(goal, here, near) == ("", True)
     back = here.to(here.q + np.array([2.0, 2.0, 2.0, 0.0, 0.0, 0.0]))
     assert back is not None
-    words, safe = leap(goal, here, back)
+    words, safe = jump_between(goal, here, back)
     assert "the tip leaves the line between the targets by" in words  # it goes round on an arc
     assert safe
     # The fold of the thesis' robot lies at 214 deg.
     home = posture_of(goal.space, forward_kinematics(THESIS, np.zeros(3)))
     beyond = posture_of(goal.space, forward_kinematics(THESIS, np.radians([270.0, 0.0, 0.0])))
-    words, safe = leap(goal, home, beyond)
-    assert "the robot snaps on the straight way" in words
+    words, safe = jump_between(goal, home, beyond)
+    assert "the robot snaps on the straight path" in words
     assert not safe
 
 
@@ -163,9 +163,9 @@ def test_the_way_to_a_far_target_is_given() -> None:
     seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
     far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], guess=seed).tip_position
     answer = IkSession(THESIS, seed=seed).solve(far)
-    assert answer.way is not None
-    np.testing.assert_allclose(answer.way.rotations[0], seed.rotations, atol=1e-15)
-    path = tubeopt.follow(THESIS, answer.way.rotations, answer.way.translations, start=seed)
+    assert answer.path is not None
+    np.testing.assert_allclose(answer.path.rotations[0], seed.rotations, atol=1e-15)
+    path = tubeopt.follow(THESIS, answer.path.rotations, answer.path.translations, start=seed)
     assert not path.snaps
     tips = np.array([e.tip_position for e in path.equilibria]) - seed.tip_position
     along = (far - seed.tip_position) / np.linalg.norm(far - seed.tip_position)

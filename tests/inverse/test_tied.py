@@ -64,10 +64,10 @@ def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(
     assert found.straight_from_seed == straight
     if straight:
         assert tubeopt.find_snap(TWO_TUBE, seed, (found.rotations, found.translations)) is None
-    assert found.way is not None
-    np.testing.assert_array_equal(found.way.rotations[0], seed[0])
-    np.testing.assert_array_equal(found.way.translations[0], seed[1])
-    assert not tubeopt.follow(TWO_TUBE, found.way.rotations, found.way.translations).snaps
+    assert found.path is not None
+    np.testing.assert_array_equal(found.path.rotations[0], seed[0])
+    np.testing.assert_array_equal(found.path.translations[0], seed[1])
+    assert not tubeopt.follow(TWO_TUBE, found.path.rotations, found.path.translations).snaps
 
 
 def test_a_step_of_a_servo_is_no_longer_than_its_rates_allow() -> None:

@@ -144,7 +144,7 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     options = PlanOptions(clearance=5e-4, objective="none")
     plan = plan_arms(arms, starts, list(places[::-1]), options=options)
     assert plan.proved
-    assert plan.made_way == plan.order[1:] == (1,)
+    assert plan.withdrawn_first == plan.order[1:] == (1,)
     assert plan.proof.least_clearance >= 5e-4
     tips = [arm.base.placed(t.tip_position[[0, -1]]) for arm, t in zip(arms, plan.trajectories, strict=True)]
     np.testing.assert_allclose(tips, [places, places[::-1]], atol=1e-8)

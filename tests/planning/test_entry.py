@@ -99,7 +99,7 @@ def test_a_study_saves_where_the_plate_stands(run: Run, tmp_path: Path) -> None:
     frame = load_pose(tmp_path / "base.txt")
     np.testing.assert_allclose(frame.origin * 1e3, told["entry"]["patient_position_mm"], atol=1e-9)
     np.testing.assert_allclose(frame.placed(np.array(told["tip_position_mm"]) * 1e-3), GOAL, atol=1e-6)
-    assert told["entry"]["looked_at"] == 16 >= told["entry"]["clear"] >= told["entry"]["tried"] >= 1
+    assert told["entry"]["considered"] == 16 >= told["entry"]["clear"] >= told["entry"]["tried"] >= 1
     assert (tmp_path / "section.png").stat().st_size > 0
     for change, message in (
         ({"cut": {"at_mm": [0, 0, 30]}}, "cut must give at_mm and normal, or through"),

@@ -33,16 +33,16 @@ def test_a_roadmap_is_asked_again_and_again(tmp_path: Path) -> None:
     assert task.holds(roadmap.points).all()
     deep = np.argsort(-task.arms(roadmap.points).tip[:, 2])
     start, goal = roadmap.points[deep[-1]], roadmap.points[deep[0]] + 1e-4
-    first = roadmap.way(task, start, [goal], Clock(60))
+    first = roadmap.shortest_path(task, start, [goal], Clock(60))
     assert first.points is not None
     assert task.path(first.points)
-    again = roadmap.way(task, start, [goal], Clock(60))
+    again = roadmap.shortest_path(task, start, [goal], Clock(60))
     assert again.points is not None
     assert np.array_equal(again.points, first.points)
     assert again.motions <= 3  # from the start, to the goal, and the straight one
     middle = task.arms(first.points[len(first.points) // 2][None]).tip[0]
     task = asked(ROBOT, [body, Sphere(tuple(middle.tolist()), 1e-3)], 0.05, DEFAULT_RATES, None, OPTIONS)
-    other = roadmap.way(task, start, [goal], Clock(60))
+    other = roadmap.shortest_path(task, start, [goal], Clock(60))
     assert other.points is None or task.path(other.points)
     roadmap.save(tmp_path / "map.npz")
     loaded = load_roadmap(tmp_path / "map.npz")
@@ -50,7 +50,7 @@ def test_a_roadmap_is_asked_again_and_again(tmp_path: Path) -> None:
     thesis = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     task = asked(thesis, [], 0.05, DEFAULT_RATES, None, OPTIONS)
     with pytest.raises(InputError, match="the roadmap is of another robot"):
-        loaded.way(task, start, [goal], Clock(1))
+        loaded.shortest_path(task, start, [goal], Clock(1))
     (tmp_path / "map.npz").write_bytes(b"no map")
     with pytest.raises(InputError, match="read the roadmap"):
         load_roadmap(tmp_path / "map.npz")

@@ -9,7 +9,7 @@ import pytest
 
 from tests.examples import THESIS
 from tests.stability.test_friction import random_way
-from tests.validation.way import joints, robot
+from tests.validation.drives import joints, robot
 from tubeopt import ConcentricRobot, Friction
 from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept

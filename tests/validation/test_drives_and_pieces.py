@@ -16,8 +16,8 @@ from tubeopt.validation.poses import solve_poses
 from tubeopt.validation.setup import Setup
 from tubeopt.validation.timeline import Timeline
 
+from .drives import driven, joints, robot, trivial
 from .laboratory import MM, in_device
-from .way import driven, joints, robot, trivial
 
 EXACT = FitOptions(folds=0)
 

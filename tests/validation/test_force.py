@@ -102,7 +102,7 @@ def test_what_cannot_be_told_is_said() -> None:
     found = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-3)
     # Along the arm a force hardly moves the tip.
     assert found.errors[-1] > 10 * found.errors[0]
-    assert "not told from none: along (" in found.untold
+    assert "undetermined: along (" in found.undetermined
     sure = estimate_force(THESIS, ROTATIONS, tip_position=tip, noise=1e-7)
     assert sure.errors[0] < 1e-6
 
@@ -119,7 +119,7 @@ def test_a_short_arm_does_not_bound_the_force_along_it() -> None:
     assert abs(found.directions[2, 2]) > 0.99
     across = found.directions[:2] @ (found.force - true)
     assert np.abs(across / found.errors[:2]).max() < 3
-    assert "the measurement does not bound it" in found.untold
+    assert "the measurement does not bound it" in found.undetermined
 
 
 def test_no_force_along_a_stiff_arm_is_tried_that_no_measurement_shows() -> None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.validation.drives import DRIVES, MM, RATE, joints, robot
 from tests.validation.laboratory import in_device
-from tests.validation.way import DRIVES, MM, RATE, joints, robot
 from tubeopt import Friction, InputError, follow
 from tubeopt.robots.calibration import Calibration
 from tubeopt.typing import Array

@@ -13,8 +13,8 @@ from tubeopt.files.csv_file import to_csv
 from tubeopt.runs.measurement_file import load_measurements, save_measurements
 from tubeopt.validation import Measurements, validate
 
+from .drives import driven, joints, robot, trivial
 from .laboratory import MM
-from .way import driven, joints, robot, trivial
 
 
 def mapped(tmp_path: Path, text: str) -> Measurements:

@@ -14,9 +14,9 @@ from tubeopt.runs.measurement_file import load_measurements
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements, validate
 
+from .drives import driven, joints, robot, trivial
 from .laboratory import MM
 from .test_recorded import JOINTS, joint_log, mapped, table
-from .way import driven, joints, robot, trivial
 
 COUNT = 60
 

@@ -27,8 +27,8 @@ from tubeopt.validation.parameters import choose_parameters
 from tubeopt.validation.subsets import HeldOutSets, slopes_around
 from tubeopt.validation.timeline import Timeline, runs_of
 
+from .drives import driven, joints, poses, robot, trivial
 from .laboratory import BASE, MM, TURN, in_device
-from .way import driven, joints, poses, robot, trivial
 
 NAMES = ["latency", "rotation_2", "translation_all", "rotation_gain_all"]
 TRUTH = {

@@ -84,14 +84,14 @@ class InverseSolution(Displayed):
     statistics: InverseStatistics
     """Solves, iterations and time of the search."""
     reachable: bool | None = None
-    """True if a snap-free path from the seed, or else from home, is known: `way`. None if only the straight path was
+    """True if a snap-free path from the seed, or else from home, is known: `path`. None if only the straight path was
     checked quickly. False if `reachable=True` was given and no path was found; one may still exist.
     """
-    way: JointPath | None = None
+    path: JointPath | None = None
     """Snap-free joint path to this solution, or None. It keeps the joint ranges; obstacles are left to
     `plan_trajectory`. Home means the nearest joint values within ranges and order of the tubes.
     """
-    leaps: str = ""
+    jump: str = ""
     """Reason why the straight joint path from the last solution of an `IkSession` jumps; empty if the tip stays near
     the line between the two targets.
     """

@@ -1,4 +1,4 @@
-"""Ways of joint values: what is known of how the robot gets to an answer without a snap, and whether it leaps there."""
+"""Joint paths: snap-free paths to solutions of inverse kinematics, and checks for jumps between solutions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .task import Task
 from .tip_coordinates import TipCoordinates
 
 
-def snap_free_way(
+def snap_free_path(
     space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float, least_margin: float
 ) -> tuple[Array, Array] | None:
     """Rotations and translations (W, n) of waypoints from one stable equilibrium to another, straight from each to the
@@ -108,7 +108,7 @@ def straight_way(origin: str, begin: Posture | None, end: Posture) -> JointPath 
     robot does not snap on it, or there is no begin."""
     if begin is None or not same_place(begin.to(end.q), end):
         return None
-    return joint_way(origin, end.space, [begin.q, end.q])
+    return joint_path_of(origin, end.space, [begin.q, end.q])
 
 
 def answer_at(
@@ -129,50 +129,51 @@ def answer_at(
     )
 
 
-def joint_way(origin: str, space: JointSpace, points: Sequence[Array]) -> JointPath:
+def joint_path_of(origin: str, space: JointSpace, points: Sequence[Array]) -> JointPath:
     """A way through independent joint values (m,)."""
     return JointPath(origin, *np.split(space.joint(np.array(points)), 2, axis=1))
 
 
 def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> InverseSolution:
     """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
-    if answer.way is not None:
+    if answer.path is not None:
         return answer
-    found, solver, seconds = None, goal.solver, min(goal.solver.way_seconds, goal.clock.left)
+    found, solver, seconds = None, goal.solver, min(goal.solver.path_seconds, goal.clock.left)
     if begin is not None and seconds > 0:
         ends = begin.equilibrium, answer.equilibrium
-        found = snap_free_way(goal.space, *ends, seconds=seconds, least_margin=solver.way_margin)
+        found = snap_free_path(goal.space, *ends, seconds=seconds, least_margin=solver.path_margin)
     if found is None:
         return replace(answer, reachable=False)
     way = JointPath("home" if answer.straight_from_seed is None else "seed", *found)
     straight = None if answer.straight_from_seed is None else len(way.rotations) == 2
-    return replace(answer, reachable=True, way=way, straight_from_seed=straight)
+    return replace(answer, reachable=True, path=way, straight_from_seed=straight)
 
 
-def leap(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
-    """What makes the straight way of joint values between two answers a leap, in words, empty if nothing does; and
-    whether the robot follows it to the second without a snap, as far as steps of ordinary length tell.
+def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool]:
+    """Reason why the straight joint path between two solutions jumps, or ''; and whether it is free of snaps.
 
-    The tip has to stay near the straight line, joints may move no farther than the motion of the tip explains, and
-    margin and clearance are kept.
+    No jump: the tip stays near the straight line, no joint moves farther than the motion of the tip explains, and
+    margin and clearance are kept. Snaps are found as far as steps of ordinary length show them.
     """
     words, solver = _far(goal, before, after), goal.solver
-    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.leap.sampled))
-    aside, margin, gap, here = 0.0, np.inf, 0.0, before
+    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.jump.sampled))
+    deviation, margin, gap, here = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         there = here.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
         if there is None or (k == count and not same_place(there, after)):
-            return ", ".join([*words, "the robot snaps on the straight way, or comes close to it"]), False
+            return ", ".join([*words, "the robot snaps on the straight path, or comes close to a snap"]), False
         here = there
         if k < count:
-            aside = max(aside, _aside(here.tip, before.tip, after.tip))
+            deviation = max(deviation, _distance_from_line(here.tip, before.tip, after.tip))
             margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.hindered else 0.0)
-    if aside > solver.leap.aside * float(np.linalg.norm(after.tip - before.tip)) + solver.leap.least_aside:
-        words.append(f"the tip leaves the line between the targets by {aside * 1e3:.3g} mm")
+    if deviation > solver.jump.aside * float(np.linalg.norm(after.tip - before.tip)) + solver.jump.least_aside:
+        words.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
     if margin < min(goal.floor, before.margin, after.margin) - solver.margin_room:
         words.append(f"the margin falls to {margin:.4g}")
     if gap > SLACK + max(goal.gap - goal.clearance, 0.0):
-        words.append("the arm comes too close to an obstacle" if goal.scene.bodies else "an own constraint is not kept")
+        words.append(
+            "the arm comes too close to an obstacle" if goal.scene.bodies else "a custom constraint is violated"
+        )
     return ", ".join(words), True
 
 
@@ -183,9 +184,9 @@ def _far(goal: Goal, before: Posture, after: Posture) -> list[str]:
     size = float(np.linalg.norm(after.tip - before.tip)) / goal.space.length
     if goal.pointed:
         size += angle(before.direction, after.direction)
-    allowed = np.where(np.arange(len(moved)) < n, solver.leap.turn, solver.leap.shift) * size + solver.leap.least
+    allowed = np.where(np.arange(len(moved)) < n, solver.jump.turn, solver.jump.shift) * size + solver.jump.least
     turn = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
-    allowed[:n] += solver.leap.azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
+    allowed[:n] += solver.jump.azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
     worst = int(np.argmax(moved - allowed))
     if moved[worst] <= allowed[worst]:
         return []
@@ -195,7 +196,7 @@ def _far(goal: Goal, before: Posture, after: Posture) -> list[str]:
     return [f"tube {tube} is moved by {moved[worst] * goal.space.scale[worst] * 1e3:.4g} mm"]
 
 
-def _aside(point: Array, start: Array, end: Array) -> float:
+def _distance_from_line(point: Array, start: Array, end: Array) -> float:
     """Distance of a point from a straight line between two others, m."""
     along = end - start
     share = float(np.clip((point - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0))

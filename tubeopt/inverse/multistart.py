@@ -268,7 +268,7 @@ class Multistart:
             cold_start_agrees=same_place(start_at(goal.space, at.q), at),
             straight_from_seed=straight,
             reachable=None if way is None else True,
-            way=way,
+            path=way,
         )
 
     def failure(self, on_failure: str) -> InverseSolution:

@@ -22,7 +22,7 @@ from .configurations import Configuration
 from .descent import held_by, missed_by, moved, on_target, reach
 from .gauss_newton import Model
 from .goal import Goal, pose_question, unit_vector
-from .joint_path import answer_at, joint_way, leap
+from .joint_path import answer_at, joint_path_of, jump_between
 from .order import Order, breakpoint_order, crossings
 from .posture import Posture, posture_of, same_place, seed_posture
 from .program import programmable, solve_program
@@ -95,18 +95,18 @@ class IkSession:
     def solve(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> InverseSolution:
         """The solution for the next target, near the last one.
 
-        `.way` leads from the last solution to it without a jump, with joint values inserted where the straight path
-        would jump. If there is no such path, `.leaps` gives the reason.
+        `.path` leads from the last solution to it without a jump, with joint values inserted where the straight path
+        would jump. If there is no such path, `.jump` gives the reason.
 
         Raises:
             InputError: a target that is not three finite numbers, a direction of length zero.
             SolveError: the branch does not reach the target; the message states the miss and the active constraints.
                 The session keeps its last state.
         """
-        answers = self.lead(position, direction=direction)
+        answers = self.solve_path(position, direction=direction)
         if len(answers) == 1:
             return answers[0]
-        last, ways = answers[-1], [each.way for each in answers]
+        last, ways = answers[-1], [each.path for each in answers]
         known = [way for way in ways if way is not None]
         whole = None
         if len(known) == len(ways):
@@ -114,17 +114,17 @@ class IkSession:
             rows = np.concatenate([table[0], *(each[1:] for each in table[1:])])
             whole = JointPath(LAST, *np.split(rows, 2, axis=1))
         statistics = _summed([each.statistics for each in answers])
-        leaps = next((each.leaps for each in answers if each.leaps), "")
+        leaps = next((each.jump for each in answers if each.jump), "")
         self._solution = replace(
-            last, reachable=None if whole is None else True, way=whole, leaps=leaps, statistics=statistics
+            last, reachable=None if whole is None else True, path=whole, jump=leaps, statistics=statistics
         )
         return self._solution
 
     @small
-    def lead(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
+    def solve_path(self, position: ArrayLike, *, direction: ArrayLike | None = None) -> list[InverseSolution]:
         """Solutions for intermediate targets on the straight line from the last target, then for the next target.
 
-        As many as are needed so that no straight joint path between two of them jumps. Where a jump remains, `.leaps`
+        As many as are needed so that no straight joint path between two of them jumps. Where a jump remains, `.jump`
         has the reason. Raises as `solve` does.
         """
         target = vector("position", position, 3, "x, y, z in m")
@@ -155,7 +155,7 @@ class IkSession:
                 raise SolveError(_stalled(goal, here))
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), here, self._near)
-            words, safe = leap(goal, here, there)
+            words, safe = jump_between(goal, here, there)
             if words and share > most * goal.solver.session.part and self._finer(goal, (first, here), done + share / 2):
                 share /= 2
                 continue
@@ -164,12 +164,12 @@ class IkSession:
         if len(answers) == 1:
             return answers
         # The last answer alone, where the straight way to it no longer leaps; small steps may have led elsewhere.
-        words, safe = leap(goal, first, here)
+        words, safe = jump_between(goal, first, here)
         if words:
             return answers
-        way = joint_way(LAST, goal.space, [first.q, here.q])
+        way = joint_path_of(LAST, goal.space, [first.q, here.q])
         self._solution = replace(
-            answers[-1], way=way, straight_from_seed=safe, leaps="", statistics=_summed([a.statistics for a in answers])
+            answers[-1], path=way, straight_from_seed=safe, jump="", statistics=_summed([a.statistics for a in answers])
         )
         return [self._solution]
 
@@ -236,8 +236,8 @@ class IkSession:
             cold_start_agrees=None,
             straight_from_seed=safe,
             reachable=True if safe else None,
-            way=joint_way(LAST, goal.space, [before.q, at.q]) if safe else None,
-            leaps=words,
+            path=joint_path_of(LAST, goal.space, [before.q, at.q]) if safe else None,
+            jump=words,
         )
         self._here, self._near, self._solution = at, near, answer
         return answer

@@ -177,8 +177,8 @@ class SessionSteps(Settings):
 
 
 @dataclass(frozen=True)
-class Leaps(Settings):
-    """What an `IkSession` takes for a leap."""
+class Jumps(Settings):
+    """Limits beyond which an `IkSession` reports a jump."""
 
     turn: float = 20.0
     """Largest motion of a rotation, rad, over that of the tip in robot's lengths and, where it is pointed, rad."""
@@ -214,9 +214,9 @@ class InverseSolver(Settings):
     """Extra margin beyond the required one, so that a finer mesh still satisfies it."""
     clearance_room: float = 1e-5
     """Extra clearance beyond the required one, m: covers the arm between its sample points."""
-    way_seconds: float = 10.0
+    path_seconds: float = 10.0
     """Longest search for a snap-free path to one solution, s."""
-    way_margin: float = 2e-3
+    path_margin: float = 2e-3
     """Margin kept on that path; half of the margin at its ends if that is less."""
     descent: Descent = Descent()
     """Towards the target from each start."""
@@ -232,7 +232,7 @@ class InverseSolver(Settings):
     """Settings for targets under a load."""
     session: SessionSteps = SessionSteps()
     """Settings of the steps of an `IkSession`."""
-    leap: Leaps = Leaps()
+    jump: Jumps = Jumps()
     """Settings of the check for jumps between targets."""
 
 

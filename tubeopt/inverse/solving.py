@@ -86,7 +86,7 @@ def inverse_kinematics(  # noqa: PLR0913
     """Joint values that bring the tip to a target, in a stable equilibrium with at least `min_margin`.
 
     Every step of the search is a solved, stable equilibrium. `.reachable` states whether a snap-free path from the
-    seed, or else from home, is known; `.way` is that path.
+    seed, or else from home, is known; `.path` is that path.
 
     Args:
         position: (3,) target position of the tip, m.
@@ -261,5 +261,5 @@ def _loaded_answer(found: InverseSolution, e: Equilibrium, goal: Goal) -> Invers
         straight_from_seed=None,
         # The way of the unloaded robot: what the loaded one does on it nobody asked.
         reachable=None,
-        way=None,
+        path=None,
     )

@@ -75,7 +75,7 @@ class ArmsPlan(Displayed):
     """Proof of all motions together."""
     seconds: float
     """Run time, s."""
-    made_way: tuple[int, ...] = ()
+    withdrawn_first: tuple[int, ...] = ()
     """Arms that first withdraw. Their trajectories have two parts with rest in between; the proof covers both."""
 
     @property

@@ -119,13 +119,15 @@ def _way(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: 
     postures = of_the_tip(goal) and left > effort.shares.postures_seconds
     begin = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.way(task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left))
+        way = options.roadmap.shortest_path(
+            task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left)
+        )
         enough = effort.goals.answers
         if way.points is None and len(goals) < enough and of_the_tip(goal):
             goals = asked_ends(task, first, goal, enough)
             task = _between(task, first, goals)
             rest = Clock(effort.shares.roadmap * max(0.0, left - clock.seconds))
-            way = options.roadmap.way(task, begin, [end.point for end in goals], rest)
+            way = options.roadmap.shortest_path(task, begin, [end.point for end in goals], rest)
         if way.points is not None:
             return task, goals, way
         left = max(0.0, until - clock.seconds)

@@ -33,14 +33,14 @@ from .motion import DEFAULT_RATES, RateLimits
 from .path_program import WEIGHTS, path_cost
 
 
-class Ways(Protocol):
-    """What knows ways among bodies from earlier on, as a `Roadmap`."""
+class PathSource(Protocol):
+    """Source of known paths among obstacles, such as a `Roadmap`."""
 
-    def way(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
-        """A way from a point of the chart to one of goals; without points where it knows none."""
+    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+        """The shortest known path from a point to one of the goals; without points if there is none."""
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
-        """At most `count` points of the chart whose tips are nearest to a place."""
+        """At most `count` points with tips nearest to a place."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class PlanOptions(Displayed):
     """
     effort: PlanEffort = DEFAULT_EFFORT
     """Settings of the search, smoothing, timing and proof."""
-    roadmap: Ways | None = field(default=None, repr=False)
+    roadmap: PathSource | None = field(default=None, repr=False)
     """Roadmap that is searched first, see `build_roadmap`."""
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class PlanOptions(Displayed):
         instance("extra_cost", self.extra_cost, OwnObjective, optional=True)
         if self.extra_cost is not None and self.objective == "none":
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
-        if self.roadmap is not None and not hasattr(self.roadmap, "way"):
+        if self.roadmap is not None and not hasattr(self.roadmap, "shortest_path"):
             raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
         instance("effort", self.effort, PlanEffort)
         positive("search_seconds", self.search_seconds)

@@ -1,7 +1,7 @@
-"""What share of places a robot reaches by ways without a snap: how good a design is for a region of a patient.
+"""Fraction of places that a robot reaches by snap-free paths: quality of a design for a region of a patient.
 
-Ways are those of a roadmap, looked at as the search of a plan looks at them: margin, clearance and ranges at points so
-close that what lies between deviates by less than what is to spare. `plan_trajectory` proves them one by one.
+The paths are those of a roadmap, checked as in the search of a plan: margin, clearance and ranges at points so close
+that the deviation between them is less than the reserve. `plan_trajectory` proves them one by one.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def evaluate_reach(
 
 @dataclass(eq=False)
 class _Search:
-    """Ways from `begin` (m,) over a roadmap, whose points have their tips at `tips` (N, 3)."""
+    """PathSource from `begin` (m,) over a roadmap, whose points have their tips at `tips` (N, 3)."""
 
     task: PlanTask
     roadmap: Roadmap
@@ -158,7 +158,7 @@ class _Search:
 
     def leads(self, z: Array) -> bool:
         """Whether a way is found to a point (m,)."""
-        return self.roadmap.way(self.task, self.begin, [z], self.task.clock).points is not None
+        return self.roadmap.shortest_path(self.task, self.begin, [z], self.task.clock).points is not None
 
     def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
         """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""

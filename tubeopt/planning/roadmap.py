@@ -51,7 +51,7 @@ class Roadmap(Displayed):
     def __len__(self) -> int:
         return len(self.points)
 
-    def way(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
+    def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
         """The shortest valid path over the map from a point (m,) to the nearest goal.
 
         The result has no `points` if the map has no such path, or after the time limit.

@@ -56,7 +56,7 @@ class Entry(Displayed):
     """In the frame of the plate as it is given."""
     base: Frame
     """In the patient, RAS; the same without a patient."""
-    looked_at: int
+    considered: int
     """Places that were looked at."""
     clear: int
     """Of them those in which the arm is clear at the start."""
@@ -73,7 +73,7 @@ class Trajectory(Displayed):
     robot: Robot
     """The robot."""
     time: Array
-    """(T,) s; evenly spaced, but for the rests of `ArmsPlan.made_way`."""
+    """(T,) s; evenly spaced, but for the rests of `ArmsPlan.withdrawn_first`."""
     rotations: Array
     """(T, n) rad, not wrapped."""
     translations: Array

@@ -200,7 +200,7 @@ class InverseStudy(Surrounded, LoadedStudy):
 def _led(session: IkSession, number: int, position: Array, direction: Array | None) -> list[Row]:
     """Rows of the answers that lead to the next target, those before it numbered by their share of the way."""
     before = session.solution
-    answers = session.lead(position, direction=direction)
+    answers = session.solve_path(position, direction=direction)
     rows = []
     for k, answer in enumerate(answers[:-1], start=1):
         share = k / len(answers)  # from the start, to the first target
@@ -226,7 +226,7 @@ def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
     for snap in path.snaps:
         k, solution = solved[snap.index + 1]
         words = f"the robot snaps {100 * snap.fraction:.3g} % of the way from the last row"
-        leaps = f"{solution.leaps}, {words}" if solution.leaps else words
-        told = replace(solution, leaps=leaps, reachable=None, way=None, straight_from_seed=False)
+        leaps = f"{solution.jump}, {words}" if solution.jump else words
+        told = replace(solution, jump=leaps, reachable=None, path=None, straight_from_seed=False)
         out[k] = replace(rows[k], solution=told)
     return out

@@ -69,8 +69,8 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
     Quantity("straight_from_start", "true if the straight path from the start arrives without a snap",
              lambda s: s.straight_from_seed),
     Quantity("reachable", "true if a snap-free path to it is known; null if unknown"),
-    Quantity("way", "a snap-free path", of=WAY, words=lambda s: _way_words(s), label="snap-free path"),
-    Quantity("leaps", "reason why the straight path from the target before jumps"),
+    Quantity("path", "a snap-free path", of=WAY, words=lambda s: _way_words(s), label="snap-free path"),
+    Quantity("jump", "reason why the straight path from the target before jumps"),
     Quantity("active", "active constraints", words=lambda s: ", ".join(s.active) or None, label="limited by"),
     Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
              words=lambda s: _how(s)),
@@ -78,10 +78,10 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
 
 
 def _way_words(s: InverseSolution) -> str:
-    if s.way is not None:
-        count = len(s.way.rotations) - 2
+    if s.path is not None:
+        count = len(s.path.rotations) - 2
         there = f"through {counted(count, 'waypoint')}" if count else "straight"
-        return f"{there} from {'home' if s.way.origin == 'home' else f'the {s.way.origin}'}"
+        return f"{there} from {'home' if s.path.origin == 'home' else f'the {s.path.origin}'}"
     return "none was found" if s.reachable is False else "none is known"
 
 
@@ -125,13 +125,13 @@ class PosturesReport(Report[Postures]):
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write solutions.json, result.json with arrays.npz of the best, and way.csv, the waypoints to it, where a way
+        """Write solutions.json, result.json with arrays.npz of the best, and path.csv, the waypoints to it, where a way
         is known, in readings where the robot has a calibration; `tubeopt follow` reads them."""
         best = self.answer.solutions[0]
         paths = [self.save_record(directory), *save_equilibrium(best.equilibrium, directory)]
-        if best.way is not None:
-            paths.append(directory / "way.csv")
-            readings = to_readings(self.answer.robot, best.way.rotations, best.way.translations)
+        if best.path is not None:
+            paths.append(directory / "path.csv")
+            readings = to_readings(self.answer.robot, best.path.rotations, best.path.translations)
             write_text(paths[-1], waypoints_csv(*readings))
         return paths
 
@@ -174,7 +174,7 @@ TARGETS: tuple[Quantity[TargetTable], ...] = (
     line("median time", lambda a: _of_reached(a, _median_time)),
     line("snap-free path", lambda a: None if a.followed else _of_reached(a, _ways)),
     line("put in between", lambda a: _between(a)),
-    line("leaps", lambda a: _leaps(a)),
+    line("jumps", lambda a: _jumps(a)),
     Quantity("solutions", "the solutions, one per target", lambda a: a.rows, of=ROW),
 )
 
@@ -197,16 +197,16 @@ def _median_time(reached: Sequence[InverseSolution]) -> str:
 
 
 def _ways(reached: Sequence[InverseSolution]) -> str:
-    return f"known to {sum(s.way is not None for s in reached)} of {len(reached)}"
+    return f"known to {sum(s.path is not None for s in reached)} of {len(reached)}"
 
 
 def _between(a: TargetTable) -> str | None:
     between = len(a.rows) - len(_given(a))
-    return f"{between} targets, so that the robot does not leap" if a.followed and between else None
+    return f"{between} targets, so that the robot does not jump" if a.followed and between else None
 
 
-def _leaps(a: TargetTable) -> str | None:
-    leaping = sum(bool(r.solution and r.solution.leaps) for r in a.rows)
+def _jumps(a: TargetTable) -> str | None:
+    leaping = sum(bool(r.solution and r.solution.jump) for r in a.rows)
     return f"{leaping or 'none'}, of {len(a.rows)} rows" if a.followed else None
 
 
@@ -228,7 +228,7 @@ class TargetTableReport(Report[TargetTable]):
     def below(self) -> list[RenderableType]:
         """Why targets were not reached."""
         notes = [(r, _why(r)) for r in _given(self.answer) if r.solution is None or not r.solution.reached]
-        notes += [(r, f"leaps: {r.solution.leaps}") for r in self.answer.rows if r.solution and r.solution.leaps]
+        notes += [(r, f"jumps: {r.solution.jump}") for r in self.answer.rows if r.solution and r.solution.jump]
         more = [Text(f"and {len(notes) - NOTES} more")] if len(notes) > NOTES else []
         return [*(Text(f"target {r.number:g}: {words}") for r, words in notes[:NOTES]), *more]
 
@@ -237,7 +237,7 @@ class TargetTableReport(Report[TargetTable]):
         turns, shifts = joint_columns(self.answer.robot.n_tubes)
         tips = [f"tip_{name}" for name in POSITION]
         columns = ["target", *POSITION, *DIRECTION, *turns, *shifts, *tips]
-        columns += ["position_error_mm", "direction_error_deg", "margin", "reachable", "leaps", "status", "problem"]
+        columns += ["position_error_mm", "direction_error_deg", "margin", "reachable", "jump", "status", "problem"]
         path = directory / "solutions.csv"
         write_text(path, to_csv(columns, self._cells(len(turns) + len(shifts) + len(tips))))
         return [path]
@@ -254,7 +254,7 @@ class TargetTableReport(Report[TargetTable]):
             tip = [round(float(x), 9) + 0.0 for x in s.equilibrium.tip_position * TO_MM]
             turned = "" if r.direction is None else float(np.degrees(s.direction_error))
             known = {True: "yes", False: "no", None: ""}[s.reachable]
-            leaps = f'"{s.leaps}"' if s.leaps else ""
+            leaps = f'"{s.jump}"' if s.jump else ""
             errors = [s.position_error * TO_MM, turned, s.margin]
             yield [*target, *joints, *tip, *errors, known, leaps, s.status.name, ""]
 

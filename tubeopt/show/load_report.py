@@ -92,7 +92,8 @@ FORCE: tuple[Quantity[ForceEstimate], ...] = (
     Quantity("directions", "unit vectors, from the best to the worst determined"),
     Quantity("errors_mN", "standard error along each of them", form=".3f",
              label="standard errors, best direction to worst"),
-    Quantity("untold", "directions in which the force cannot be distinguished from zero", label="", words="{untold}"),
+    Quantity("undetermined", "directions in which the force cannot be distinguished from zero", label="",
+             words="{undetermined}"),
     Quantity("residual_mm", "RMS distance between measured and fitted points", form=".4f",
              label="RMS distance of the points"),
 )  # fmt: skip
@@ -146,7 +147,7 @@ def _told(r: ForceRecord) -> list[tuple[int, ForceEstimate]]:
 
 
 def _untold(r: ForceRecord) -> str:
-    count = sum(e is not None and e.untold.startswith("not told") for e in r.estimates)
+    count = sum(e is not None and e.undetermined.startswith("undetermined") for e in r.estimates)
     return f"in some direction in {counted(count, 'row', none='no row')}"
 
 

@@ -72,9 +72,9 @@ class PlacementReport(Report[Placement]):
         return [grid(heads, cells, key=True)]
 
     def save(self, directory: Path) -> list[Path]:
-        """Write report.json, way.csv, which `tubeopt follow` reads, and configurations.csv, those to measure."""
+        """Write report.json, path.csv, which `tubeopt follow` reads, and configurations.csv, those to measure."""
         a = self.answer
-        tables = {"way.csv": a.measured >= 0, "configurations.csv": a.measured}
+        tables = {"path.csv": a.measured >= 0, "configurations.csv": a.measured}
         for name, rows in tables.items():
             write_text(directory / name, waypoints_csv(a.rotations[rows], a.translations[rows]))
         return [self.save_record(directory), *(directory / name for name in tables)]

@@ -157,7 +157,7 @@ def _chosen(t: Trajectory) -> str | None:
     (x, y, z), axes = t.entry.frame.origin * TO_MM, t.entry.frame.axes
     leans = np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))
     words = f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm, leaning {leans:.1f} deg"
-    return f"{words}; {t.entry.looked_at} places looked at, {t.entry.tried} tried"
+    return f"{words}; {t.entry.considered} positions considered, {t.entry.tried} tried"
 
 
 ENTRY: tuple[Quantity[Entry], ...] = (
@@ -167,7 +167,7 @@ ENTRY: tuple[Quantity[Entry], ...] = (
     ),
     Quantity("patient_position_mm", "position of the plate in the patient, RAS", lambda e: e.base.origin),
     Quantity("patient_direction", "direction of the arm at the plate in the patient, RAS", lambda e: e.base.axes[:, 2]),
-    Quantity("looked_at", "number of positions considered"),
+    Quantity("considered", "number of positions considered"),
     Quantity("clear", "number of them with a collision-free arm at the start"),
     Quantity("tried", "number of these that were tried as start of a plan"),
 )

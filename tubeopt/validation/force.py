@@ -212,7 +212,7 @@ class ForceEstimate(Displayed):
         return ForceStatistics(self.iterations)
 
     @property
-    def untold(self) -> str:
+    def undetermined(self) -> str:
         """Directions in which the force cannot be distinguished from zero, as a sentence."""
         parts = []
         for direction, error in zip(self.directions, self.errors, strict=True):
@@ -221,7 +221,7 @@ class ForceEstimate(Displayed):
                 axis = ", ".join(f"{x + 0.0:.2f}" for x in direction)
                 known = f"it is {along * 1e3:.3g} mN with a standard error of {error * 1e3:.3g} mN"
                 parts.append(f"along ({axis}) {known if np.isfinite(error) else 'the measurement does not bound it'}")
-        return str(ForceStatus.TOLD) if not parts else "not told from none: " + "; ".join(parts)
+        return str(ForceStatus.TOLD) if not parts else "undetermined: " + "; ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)
