@@ -49,7 +49,7 @@ class MissingExtraError(InputError):
 class SolveError(RuntimeError):
     """No acceptable solution was found; the message names what was violated.
 
-    ``solution`` holds the best that was found, or None.
+    ``solution`` is the best solution found, or None.
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:
@@ -60,7 +60,7 @@ class SolveError(RuntimeError):
 class TimeLimitError(SolveError):
     """A time limit was reached before there was an answer; the message names the limit.
 
-    ``solution`` holds the best that was found by then, or None.
+    ``solution`` is the best solution found by then, or None.
     """
 
 
@@ -218,7 +218,7 @@ def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
     found = tuple(values)
     for one in found:
         if not isinstance(one, kinds):
-            raise InputError(f"{name} holds {one!r}; it must be a list of {what}")
+            raise InputError(f"{name} contains {one!r}; it must be a list of {what}")
     return found
 
 

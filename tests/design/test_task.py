@@ -56,7 +56,7 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: Poses(((0, 0),), ((0, 0), (0, 0))), "as many rows"),
     (lambda: StockTube("x", 1e-3, 1e-3), "has no wall"),
     (lambda: Tolerances(curvature=0.5), "below 30 %"),
-    (lambda: DesignTask(two_tubes(), FREE, ("snap_free",)), "requirements holds 'snap_free'"),  # type: ignore[arg-type]
+    (lambda: DesignTask(two_tubes(), FREE, ("snap_free",)), "requirements contains 'snap_free'"),  # type: ignore[arg-type]
     (lambda: DesignTask(two_tubes(), FREE, SnapFree()), "it must be a list of requirements"),  # type: ignore[arg-type]
     (lambda: DesignTask(two_tubes(), FREE, (), "length"), "it must be a list of Objective"),  # type: ignore[arg-type]
     (lambda: Free("curvature", 0, 1, 2), "it must be a list of tubes"),  # type: ignore[arg-type]

@@ -307,9 +307,9 @@ def test_each_problem_has_its_sentence(tmp_path: Path, old: str, new: str, probl
     [
         ("", "the file is empty; it must be a mapping of keys to values"),
         ("# nothing but a comment\n", "the file is empty; it must be a mapping of keys to values"),
-        ("- 1\n- 2\n", "the file holds a list; it must be a mapping of keys to values"),
-        ("text", "the file holds text; it must be a mapping of keys to values"),
-        ("3", "the file holds a single value; it must be a mapping of keys to values"),
+        ("- 1\n- 2\n", "the file contains a list; it must be a mapping of keys to values"),
+        ("text", "the file contains text; it must be a mapping of keys to values"),
+        ("3", "the file contains a single value; it must be a mapping of keys to values"),
         ("kind: concentric\ntubes: []", "tubes has 0 items; it must have at least 1"),
         ("kind: concentric\ntubes: 3", "tubes is 3; it must be a list"),
         ("kind: concentric\ntubes: [3]", "tubes[0] is 3; it must be a mapping of keys to values"),

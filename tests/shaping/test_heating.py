@@ -359,7 +359,7 @@ def test_a_header_needs_whole_milliseconds() -> None:
         ({"limit_degC": 540}, "window_degC is 500 to 550 degC; it must end below the limit of 540 degC"),
         ({"window_degC": 500}, "window_degC is 500; it must be 2 numbers (the least and the greatest)"),
         ({"window_degC": (20, 40)}, "it must begin at 50 degC or above"),
-        ({"window_degC": (1000, 1300)}, "limit_degC is 1300 degC; it must be at most 1200 degC"),
+        ({"window_degC": (1000, 1300)}, "window_degC ends at 1300 degC; it must be at most 1200 degC"),
         ({"hold_time": 0.5}, "hold_time is 0.5 s; it must be at least 1 s"),
         ({"hold_time": 1e6}, "hold_time is 1e+06 s; it must be at most 1800 s"),
         ({"free": None}, "free is None; it must be a list of any of clearance, lead, vents"),

@@ -39,7 +39,7 @@ def load_yaml(path: str | PathLike[str], under: str = "") -> dict[str, Any]:
         raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
     if not isinstance(data, dict):
         hint = f"; write the line '{under}:' above the list" if under and isinstance(data, list) else ""
-        raise InputError(f"{path}: the file holds {_noun(data)}; it must be a mapping of keys to values{hint}")
+        raise InputError(f"{path}: the file contains {_noun(data)}; it must be a mapping of keys to values{hint}")
     return data
 
 

@@ -66,7 +66,7 @@ def extras(cost: OwnObjective | None, constraints: Sequence[OwnRequirement], n: 
     """Own cost and constraints, checked and recorded."""
     for one in constraints:
         if not isinstance(one, OwnRequirement):
-            raise InputError(f"extra_constraints holds {one!r}; it must be a sequence of OwnRequirement")
+            raise InputError(f"extra_constraints contains {one!r}; it must be a sequence of OwnRequirement")
         one.checked()
     if cost is None:
         found = None

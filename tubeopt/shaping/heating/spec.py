@@ -93,7 +93,8 @@ class HeatingSpec(Displayed):
         if low < 50:
             raise InputError(f"window_degC begins at {low:g} degC; it must begin at 50 degC or above")
         if limit > 1200:
-            raise InputError(f"limit_degC is {limit:g} degC; it must be at most 1200 degC, where nitinol nearly melts")
+            name = "limit_degC is" if limit > high else "window_degC ends at"
+            raise InputError(f"{name} {limit:g} degC; it must be at most 1200 degC, where nitinol nearly melts")
         if self.hold_time < 1:
             raise InputError(f"hold_time is {self.hold_time:g} s; it must be at least 1 s")
         for name in ("hold_time", "longest_heating"):
