@@ -143,10 +143,7 @@ def test_what_drift_adds_to_a_bend_is_the_sum_over_the_tubes_of_a_cross_section(
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.4999, 0.5001, 0.8, 1.0, 3.0])
 def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share: float) -> None:
     """x = own + share x has x = own / (1 - share): twice the first term is as much up to a share of a half."""
-    own, error = np.array([[[0.7]]]), np.array([[0.0], [0.0]])
-    ends: Any = SimpleNamespace(
-        changes=(own, np.full((1, 1, 1, 1), 0.7)), arms=SimpleNamespace(turn_error=error), one=[0], other=[1]
-    )
+    ends: Any = SimpleNamespace(changes=(np.array([[[0.7]]]), np.full((1, 1, 1, 1), 0.7)))
     still: Any = SimpleNamespace(
         intervals=ends,
         drift=SimpleNamespace(bow=SimpleNamespace(d=np.zeros((1, 1, 1)))),
@@ -159,29 +156,19 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
         assert both.item() - 0.7 == pytest.approx(2 * (wide.item() - 0.7))
 
 
-def test_what_turns_between_samples_is_as_wrong_as_both_ends_and_as_steep_as_the_natural_turn() -> None:
-    """Of tubes whose turn is interpolated, off by 0.01 and 0.02, and off a straight line in time with rate 0.05."""
-    ends: Any = SimpleNamespace(
-        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)),
-        arms=SimpleNamespace(turn_error=np.array([[0.01], [0.02]])),
-        one=[0],
-        other=[1],
-    )
+def test_what_turns_between_samples_is_as_steep_as_the_natural_turn() -> None:
+    """Of tubes whose turn is off a straight line in time with rate 0.05."""
+    ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)))
     drift = SimpleNamespace(bow=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
     still: Any = SimpleNamespace(intervals=ends, drift=drift, _between=lambda turn: 0.0 * turn[0])
     (own, pair), _ = branch._Bounds.turn(still)
-    assert (own.item(), pair.item()) == pytest.approx((0.78, 0.9 + 2 * 0.08))
+    assert (own.item(), pair.item()) == pytest.approx((0.75, 0.9 + 2 * 0.05))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 0.8408, 0.841, 1.0, 3.0])
 def test_what_lies_between_samples_of_loaded_arms_is_sure_as_far_as_its_series_is_bounded(share: float) -> None:
     """The last of four terms of the series is doubled: as much as all that are left up to share^4 = 1/2."""
-    ends: Any = SimpleNamespace(
-        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 1.4)),
-        arms=SimpleNamespace(turn_error=np.zeros((2, 1))),
-        one=[0],
-        other=[1],
-    )
+    ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 1.4)))
     still: Any = SimpleNamespace(
         intervals=ends, _between=lambda c: (share * c.turn[0], share * c.torque, share * c.moment)
     )

@@ -600,22 +600,16 @@ def test_no_rotation_of_loaded_arms_of_unit_elastic_form_is_larger_than_its_weig
     assert bounds.weight[1][0] == pytest.approx(np.sqrt(square[:, :, None] + square[:, None]), rel=1e-9)
 
 
-def test_what_differs_between_loaded_arms_is_as_wrong_as_both_ends() -> None:
-    """Rotations that are interpolated, off by 0.01 and 0.02; more in between for each, and for torques and moments."""
-    ends: Any = SimpleNamespace(
-        changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)),
-        arms=SimpleNamespace(turn_error=np.array([[0.01], [0.02]])),
-        one=[0],
-        other=[1],
-    )
+def test_what_differs_between_loaded_arms_is_more_between_samples() -> None:
+    """Of rotations, torques and moments."""
+    ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)))
     still: Any = SimpleNamespace(
         intervals=ends, _between=lambda c: (np.full((1, 1, 1), 0.1), np.full((1, 1, 1), 0.3), np.full((1, 1), 0.5))
     )
     found = _Bounds._changes(still, np.full((1, 1, 1), 2.0), np.full((1, 1), 3.0))
-    # The last of the terms is doubled.
-    assert found.turn[0].item() == pytest.approx(0.7 + 0.03 + 0.2)
-    assert found.turn[1].item() == pytest.approx(0.9 + 2 * 0.03 + 2 * 0.2)
-    assert (found.torque.item(), found.moment.item()) == pytest.approx((2.6, 4.0))
+    assert found.turn[0].item() == pytest.approx(0.7 + 0.1)
+    assert found.turn[1].item() == pytest.approx(0.9 + 2 * 0.1)
+    assert (found.torque.item(), found.moment.item()) == pytest.approx((2.3, 3.5))
     assert found.sure.all()
 
 
@@ -655,13 +649,32 @@ def test_loads_are_sampled_with_the_errors_of_both_ends(order: int) -> None:
         (np.array([[[[2.0], [-3.0]]]]), np.array([[[[0.0, 0.0], [3.0, 4.0]]]])),
         (np.array([[[[2.5], [-2.9]]]]), np.zeros((1, 1, 2, 2))),
     ]
-    samples = iter(ends[::order])
-    arms = SimpleNamespace(
-        sampled=lambda *_: next(samples), load_error=(np.array([[0.01], [0.02]]), np.array([0.03, 0.04]))
-    )
+    samples, parts = iter(ends[::order]), iter([(0.01, 0.03), (0.02, 0.04)])
+    wrong = ((np.full((1, 1, 2, 1), twist), np.full((1, 1, 2), bend)) for twist, bend in parts)
+    arms = SimpleNamespace(sampled=lambda *_: next(samples), load_error=lambda *_: next(wrong))
     stub: Any = SimpleNamespace(arms=arms, parts=((), ()), one=np.array([0]), other=np.array([1]))
     size, change, moment = vars(LoadedIntervals)["loads"].func(stub)
     assert (size.item(), change.item(), moment.item()) == pytest.approx((3.03, 0.53, 5.07))
+
+
+@pytest.mark.parametrize("strength", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_what_differs_is_sure_also_where_it_spreads_from_rotations_alone(strength: float) -> None:
+    """At the samples no torque and no moment differs; between them torques turn, and turns make torques and moments."""
+    spread = strength * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.5, 0.5, 0.0]])
+
+    def between(c: Any) -> tuple[Array, ...]:
+        theta, torque, moment = spread @ [c.turn[0].item(), c.torque.item(), c.moment.item()]
+        return np.full((1, 1, 1), theta), np.full((1, 1, 1), torque), np.full((1, 1), moment)
+
+    ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 1.0), np.zeros((1, 1, 1, 1))))
+    still: Any = SimpleNamespace(intervals=ends, _between=between)
+    found = _Bounds._changes(still, np.zeros((1, 1, 1)), np.zeros((1, 1)))
+    assert found.sure.item() == (strength <= 0.5)
+    if found.sure:
+        bound = np.array([found.turn[0].item(), found.torque.item(), found.moment.item()])
+        exact = np.linalg.solve(np.eye(3) - spread, [1.0, 0.0, 0.0])
+        assert (exact * (1 - 1e-12) <= bound).all()
+        assert (bound <= 1.6 * exact).all()
 
 
 @pytest.mark.parametrize("per_length", [0.2, -0.2])

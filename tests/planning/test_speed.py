@@ -111,6 +111,18 @@ def test_changes_of_pace_need_few_further_equilibria(load: Load | None) -> None:
     assert proof.equilibria <= (43 if load is None else 60)
 
 
+def test_a_slow_motion_of_loaded_pieces_needs_few_equilibria() -> None:
+    """The inner tube turns by 0.1 rad in 100 s. Errors of interpolation along the arm do not shrink with the links."""
+    here, turn = np.array([0.1, 0.5, 0.0, -0.012, -0.012, -0.012]), np.array([0.1, 0, 0, 0, 0, 0])
+    load = Load(force=(0.004, 0.003, -0.002))
+    joints = [here, here + turn]
+    proof = verify_trajectory(PIECES, [0, 100], [q[:3] for q in joints], [q[3:] for q in joints], load=load)
+    tips = [_tip(PIECES, here + turn * x, load) for x in np.linspace(0, 1, 21)]
+    true = np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / 5
+    assert true <= proof.largest_tip_rate <= 1.03 * true
+    assert proof.equilibria <= 30
+
+
 def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:
     moved = [[0.0, 0, 0], [0.2, 0, 0]]
     uncovered = Load(force=(1e-3, 0, 0), frame="tip")

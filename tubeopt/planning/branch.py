@@ -203,9 +203,8 @@ class _Bounds:
         """By how much theta differs between both ends, sampled, with what lies between samples: a function differs from
         its chord by at most an eighth of the square of their distance times its second derivative."""
         own, pair = self.intervals.changes
-        # Samples are interpolated; and the natural turn is not quite linear in time.
-        wrong = self.intervals.arms.turn_error
-        least = _both((wrong[self.intervals.one] + wrong[self.intervals.other])[:, None] + self.drift.bow.d)
+        # The natural turn is not quite linear in time.
+        least = _both(self.drift.bow.d)
         own, pair = own + least[0], pair + least[1]
         more = self._between((own, pair))
         wide = own + 2 * more, pair + 2 * _both(more)[1]

@@ -41,8 +41,8 @@ SIXTH = 1 / 6
 """Share of T by which a function of time may be off a straight line, where its second derivative is at most T, and T is
 linear in time and nowhere negative."""
 
-FACTORS = 1.0, 1.0, 1.0, 2.0
-"""What changes between samples as it follows from what is known already; at last doubled, which must suffice."""
+ROUNDS = 2, 6
+"""Rounds in which what lies between samples is found from itself: until all has its share, and until it suffices."""
 
 
 def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
@@ -60,13 +60,22 @@ def loaded_branch(intervals: LoadedIntervals, margins: Array) -> Branch:
 
 @dataclass(frozen=True, eq=False)
 class _Changes:
-    """By how much theta (a `Turn`), torques (B, K, n) and moments (B, K) differ at most between both ends, and sizes of
-    torques (B, K, n); whether that is sure (B,) between samples along the arm too."""
+    """By how much theta (a `Turn`), torques (B, K, n) and moments (B, K) differ at most between both ends; whether that
+    is sure (B,) between samples along the arm too."""
 
     turn: Turn
     torque: Array
     moment: Array
     sure: Mask
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array]:
+        """All of them."""
+        return *self.turn, self.torque, self.moment
+
+    def less(self, other: _Changes) -> list[Array]:
+        """By how much all of them are more than another's."""
+        return [a - b for a, b in zip(self.parts, other.parts, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,21 +127,24 @@ class _Bounds:
         return np.asarray(np.sqrt((inside.sum(2) + held).sum(2) + np.cumsum(self.long.v / self.stiffness, axis=1)))
 
     def _changes(self, torque: Array, moment: Array) -> _Changes:
-        """What differs between both ends, sampled, with what lies between samples: no more than half of their distance
-        times a bound of the slope, which is linear in what it bounds, so that it holds if it holds for more."""
+        """What differs between both ends, sampled, with what lies between samples.
+
+        That is at most half of their distance times a bound L of the slope, which is affine in what differs, x. All x
+        that satisfy x >= sampled + L(x) are bounds. With x_k+1 = sampled + L(x_k) one is 2 x_6 - x_2, if
+        2 (x_7 - x_6) <= x_3 - x_2. The first two rounds spread a change to all tubes, torques and moments of a section.
+        """
         own, pair = self.intervals.changes
-        wrong = self.intervals.arms.turn_error
-        error = (wrong[self.intervals.one] + wrong[self.intervals.other])[:, None]
-        own, pair = own + error, pair + _both(error)
-        sampled = _Changes((own, pair), torque, moment, np.ones(len(own), dtype=bool))
-        more, found = self._between(sampled), sampled
-        for factor in FACTORS:
-            theta, twisting, bending = (factor * each for each in more)
-            both = theta[..., :, None] + theta[..., None, :]
-            found = _Changes((own + theta, pair + both), torque + twisting, moment + bending, sampled.sure)
-            before, more = more, self._between(found)
-        held = [(b <= factor * a + 1e-15).reshape(len(own), -1).all(1) for a, b in zip(before, more, strict=True)]
-        return _Changes(found.turn, found.torque, found.moment, np.logical_and.reduce(held))
+        rounds = [_Changes((own, pair), torque, moment, np.ones(len(own), dtype=bool))]
+        for _ in range(ROUNDS[1] + 1):
+            theta, twisting, bending = self._between(rounds[-1])
+            turn = own + theta, pair + _both(theta)
+            rounds.append(_Changes(turn, torque + twisting, moment + bending, rounds[0].sure))
+        early, late = ROUNDS
+        gained, left = (rounds[k + 1].less(rounds[k]) for k in ROUNDS)
+        held = [(2 * b <= a + 1e-15).reshape(len(own), -1).all(1) for a, b in zip(gained, left, strict=True)]
+        first, last = rounds[early].parts, rounds[late].parts
+        theta, both, twisting, bending = (2 * b - a for a, b in zip(first, last, strict=True))
+        return _Changes((theta, both), twisting, bending, np.logical_and.reduce(held))
 
     def _between(self, c: _Changes) -> tuple[Array, Array, Array]:
         """Of theta, torques and moments: half the distance of samples times a bound of the slope of what differs."""

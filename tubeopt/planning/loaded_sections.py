@@ -204,23 +204,22 @@ class LoadedArms(Arms):
         """(E,) bound of the distance of `points` from the centreline, m."""
         return self._wrong[0]
 
-    @property
-    def turn_error(self) -> Array:
-        """(E, n) bound of the error of interpolation of `rotations`, rad."""
-        return self._wrong[1]
+    def turn_error(self, which: Index, s: Array) -> Array:
+        """(..., n) bound of the error of `rotations`, rad."""
+        return self.hermite_error(which, s, self._wrong[1])
 
-    @property
-    def load_error(self) -> tuple[Array, Array]:
-        """(E, n) and (E,) the same of torques and moments that are `sampled`, N m."""
-        return self._wrong[2], self._wrong[3]
+    def load_error(self, which: Index, s: Array) -> tuple[Array, Array]:
+        """(..., n) and (...) the same of torques and moments that are `sampled`, N m."""
+        return self.hermite_error(which, s, self._wrong[2]), self.hermite_error(which, s, self._wrong[3])[..., 0]
 
     @cached_property
     def _wrong(self) -> tuple[Array, ...]:
-        """Of cubic Hermite interpolation, by third derivatives along the arm: |p'''| <= |u|^2 + |u'|."""
+        """`shape_error`, |p'''| <= |u|^2 + |u'|; and h^3 |f'''| of rotations (P, n), torques (P, n) and moments (P, 1)
+        in the steps that follow the points."""
         c, inner, n = self.constants, self.inner, self.constants.offset.size
-        count = len(self.equilibria)
+        count = len(self.arc_length)
         out = np.array([e.tip_error for e in self.equilibria])
-        errors = out, np.zeros((count, n)), np.zeros((count, n)), np.zeros(count)
+        errors = out, np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, 1))
         if not len(inner):
             return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
@@ -250,12 +249,10 @@ class LoadedArms(Arms):
         turning_along = couple * (du + u**2)
         twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd + turning_along[:, None]
         lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1) + turning_along
-        share = SHAPE_ERROR[0] * h**3
-        thirds = share * (u**2 + du) + out[owner], turned_on, twisted, share * lifted
-        for error, third in zip(errors, thirds, strict=True):
-            wide = self.wide if third.ndim == 1 else self.wide[:, None]
-            third = third if third.ndim == 1 else share[:, None] * third
-            np.maximum.at(error, owner, np.where(wide, np.inf, third))
+        shape = SHAPE_ERROR[0] * h**3 * (u**2 + du) + out[owner]
+        np.maximum.at(out, owner, np.where(self.wide, np.inf, shape))
+        for error, third in zip(errors[1:], (turned_on, twisted, lifted[:, None]), strict=True):
+            error[inner] = np.where(self.wide[:, None], np.inf, h[:, None] ** 3 * third)
         return errors
 
     @cached_property
@@ -338,8 +335,8 @@ class LoadedIntervals(Intervals):
         """(B, K, n) sizes of torques, and by how much torques (B, K, n) and moments (B, K) differ at most between both
         ends, at the ends of PARTS stretches of every section, with the errors of interpolation there."""
         (torque, moment), (later, after) = (self.arms.sampled(*places) for places in self.parts)
-        twisting, bending = (error[self.one] + error[self.other] for error in self.arms.load_error)
-        twisting, bending = twisting[:, None], bending[:, None]
-        size = np.maximum(np.abs(torque), np.abs(later)).max(2) + twisting
-        change = np.linalg.norm(after - moment, axis=-1).max(2) + bending
-        return size, np.abs(later - torque).max(2) + twisting, change
+        each = zip(*(self.arms.load_error(*places) for places in self.parts), strict=True)
+        twisting, bending = (one + other for one, other in each)
+        size = (np.maximum(np.abs(torque), np.abs(later)) + twisting).max(2)
+        change = (np.linalg.norm(after - moment, axis=-1) + bending).max(2)
+        return size, (np.abs(later - torque) + twisting).max(2), change

@@ -28,6 +28,9 @@ EDGE = 1e-6
 SHAPE_ERROR = 1 / 96, 1 / 384
 """Error of cubic Hermite interpolation over a step h is at most these times h^3 |p'''| and h^4 |p''''| (Peano)."""
 
+WITHIN = 1 / 6
+"""At a fraction x of the step it is at most this times x^2 (1 - x)^2 h^3 |p'''|, which is the first in the middle."""
+
 
 @dataclass(frozen=True, eq=False)
 class Arms:
@@ -109,17 +112,32 @@ class Arms:
         out[rows] = np.where(jumps[rows], onwards, out[rows])
         return out
 
-    def hermite(self, which: Index, s: Array, values: tuple[Array, Array], slopes: tuple[Array, Array]) -> Array:
-        """(..., c) at arc lengths (...) of equilibria (...), from values and slopes at all points (P, c), each as seen
-        from the tip and from the plate."""
+    def _steps(self, which: Index, s: Array) -> tuple[Index, Index, Array, Array]:
+        """Points (...) at the begin and at the end of the steps in which arc lengths (...) of equilibria (...) lie, the
+        lengths of these steps, and the fractions of them."""
         key, stride = self._key
         low, high = self.first[which], np.maximum(self.first[which + 1] - 2, self.first[which])
         k = np.clip(np.searchsorted(key, s + which * stride, side="right") - 1, low, high)
         after = np.minimum(k + 1, self.first[which + 1] - 1)
         h = self.arc_length[after] - self.arc_length[k]
-        x = np.clip(np.where(h > 0, (s - self.arc_length[k]) / np.where(h > 0, h, 1.0), 0.0), 0.0, 1.0)[..., None]
+        x = np.where(h > 0, (s - self.arc_length[k]) / np.where(h > 0, h, 1.0), 0.0)
+        return k, after, h, np.clip(x, 0.0, 1.0)
+
+    def hermite(self, which: Index, s: Array, values: tuple[Array, Array], slopes: tuple[Array, Array]) -> Array:
+        """(..., c) at arc lengths (...) of equilibria (...), from values and slopes at all points (P, c), each as seen
+        from the tip and from the plate."""
+        k, after, h, fraction = self._steps(which, s)
+        x = fraction[..., None]
         ends = values[0][k] * (1 + 2 * x) * (1 - x) ** 2 + values[1][after] * x**2 * (3 - 2 * x)
         return np.asarray(ends + h[..., None] * (slopes[0][k] * x * (1 - x) ** 2 - slopes[1][after] * x**2 * (1 - x)))
+
+    def hermite_error(self, which: Index, s: Array, third: Array) -> Array:
+        """(..., c) bound of the error of `hermite`, from h^3 |f'''| (P, c) in the steps that follow the points; 0 at
+        the points themselves."""
+        k, _, _, x = self._steps(which, s)
+        share = (WITHIN * x**2 * (1 - x) ** 2)[..., None]
+        with np.errstate(invalid="ignore"):  # 0 of what nothing bounds
+            return np.where(share > 0, share * third[k], 0.0)
 
     def points(self, which: Index, s: Array) -> Array:
         """(..., 3) centreline of equilibria (...) at arc lengths (...), cubic between the points of the solution."""
@@ -151,13 +169,13 @@ class Arms:
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
-        """`shape_error` and `turn_error`.
+        """`shape_error`; and h^3 |theta'''| (P, n) in the steps that follow the points.
 
         p'' = R (u_y, -u_x, 0), so that |p'''| <= |u|^2 + |u'| and |p''''| <= |u|^3 + 3 |u| |u'| + |u''|; and u' follows
         from torsion, which is largest at an end of a step but for what it gains in it.
         """
         c, n = self.constants, self.constants.offset.size
-        out, turned = np.array([e.tip_error for e in self.equilibria]), np.zeros((len(self.equilibria), n))
+        out, turned = np.array([e.tip_error for e in self.equilibria]), np.zeros((len(self.arc_length), n))
         if not len(self.inner):
             return out, turned
         h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
@@ -179,7 +197,7 @@ class Arms:
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
         np.maximum.at(out, owner, np.where(self.wide, np.inf, error + out[owner]))
-        np.maximum.at(turned, owner, np.where(self.wide[:, None], np.inf, SHAPE_ERROR[0] * h[:, None] ** 3 * faster))
+        turned[self.inner] = np.where(self.wide[:, None], np.inf, h[:, None] ** 3 * faster)
         return out, turned
 
     def _torque(self, gain: Array) -> Array:
@@ -198,10 +216,9 @@ class Arms:
         """(E,) bound of the distance of `points` from the centreline, m: of interpolation, and as solved for."""
         return self._errors[0]
 
-    @property
-    def turn_error(self) -> Array:
-        """(E, n) bound of the error of interpolation of `rotations`, rad, of tubes on the centreline."""
-        return self._errors[1]
+    def turn_error(self, which: Index, s: Array) -> Array:
+        """(..., n) bound of the error of `rotations`, rad, of tubes on the centreline."""
+        return self.hermite_error(which, s, self._errors[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,7 +332,9 @@ class Intervals:
     @cached_property
     def changes(self) -> tuple[Array, Array]:
         """(B, K, n) and (B, K, n, n): by how much theta_i, and theta_i - theta_j, differ at most between both ends, at
-        the ends of PARTS stretches of every section."""
-        before, after = (self.arms.rotations(*places) for places in self.parts)
-        change = after - before
-        return np.abs(change).max(2), np.abs(change[..., :, None] - change[..., None, :]).max(2)
+        the ends of PARTS stretches of every section, with the errors of interpolation there."""
+        one, other = self.parts
+        change = self.arms.rotations(*other) - self.arms.rotations(*one)
+        wrong = self.arms.turn_error(*one) + self.arms.turn_error(*other)
+        pairs = np.abs(change[..., :, None] - change[..., None, :]) + wrong[..., :, None] + wrong[..., None, :]
+        return (np.abs(change) + wrong).max(2), pairs.max(2)
