@@ -702,7 +702,7 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     straight = intervals.lever / intervals.bending.stiffness
     assert intervals.bending.most == pytest.approx(straight)
     along, weight = np.array([[0.0, 3.0, 4.0, 0.1, 0.0, 0.0], [1.0, 0, 0, 0, 0.2, 0]]), np.diag([0.0, 1.5, 2.0])
-    hanging = Pull(np.zeros(6), np.zeros(0), np.zeros((0, 6)), np.zeros((2, 2)), along, weight)
+    hanging = Pull(np.array([np.inf]), np.zeros((1, 6)), np.zeros((2, 2)), along, weight)
     assert hanging.per_length == pytest.approx((5.0 + 1.0 + 1.5 + 2.0, 0.1 + 0.2))
 
 
@@ -815,9 +815,8 @@ def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever(
         return np.array([parts[0], 0.0, 0.0, 0.0, parts[1], 0.0])
 
     pull = Pull(
-        tip=both(tip),
-        at=np.array([at]),
-        points=both(point)[None],
+        at=np.array([at, np.inf]),
+        points=np.stack([both(point), both(tip)]),
         stretches=np.array([[begin, end]]),
         along=both(along)[None],
         weight=np.array([[4.0, 0.0, 0.0]]),

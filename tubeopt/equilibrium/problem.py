@@ -227,7 +227,6 @@ def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, floa
         per_length = load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1])
         along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
     weight = math.hypot(*load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
-    points = sum(math.hypot(*part.force) for part in load.points)
-    force = math.hypot(*load.force) + points + weight + along * assembly.total_length
-    moment = math.hypot(*load.moment) + sum(math.hypot(*part.moment) for part in load.points)
+    force = sum(math.hypot(*part.force) for part in load.acting) + weight + along * assembly.total_length
+    moment = sum(math.hypot(*part.moment) for part in load.acting)
     return float(force), moment + turning * assembly.total_length

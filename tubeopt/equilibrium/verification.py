@@ -21,7 +21,7 @@ import scipy
 
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
-from ..robots.order import outermost, twisted_tube
+from ..robots.order import last_tube, outermost, twisted_tube
 from ..robots.robot import Robot
 from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
@@ -61,7 +61,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
         section = arms.section(k)
         state[section.rows] = section.integrated(arms.past_points(section.rows, section.start, state[section.rows]))
         kb, kt, *_ = section.tubes(1.0)
-        beyond = arms.past_points(section.rows, section.stop, state[section.rows])
+        beyond = arms.past_points(section.rows, section.stop, state[section.rows], ending=True)
         for j, b in enumerate(section.rows.tolist()):
             each, assembly, stop = equilibria[b], arms.assemblies[b], section.stop[j]
             solved = each.rotation[:, np.argmin(np.abs(each.arc_length - stop))]
@@ -105,17 +105,19 @@ def _frame(state: Array, n: int) -> Array:
     return state[2 * n : 2 * n + 9].reshape(3, 3)
 
 
-def _past_points(equilibrium: Equilibrium, assembly: Assembly, load: Load, s: float, state: Array) -> Array:
-    """The state beyond the forces and moments that act at an arc length, also at the tip."""
-    n, out = assembly.n_tubes, state.copy()
-    turned = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
-    acting = [(part.at, np.array(part.force), np.array(part.moment)) for part in load.points]
-    for place, force, given in (*acting, (assembly.end.max(), turned @ load.force, turned @ load.moment)):
+def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: Array, *, ending: bool) -> Array:
+    """The state beyond the forces and moments that act at an arc length; at the tip where a section is `ending`."""
+    n, out, load = assembly.n_tubes, state.copy(), equilibrium.load or Load()
+    for part in load.acting if ending else load.points:
+        axes, place = np.eye(3), part.at
+        if place == np.inf:
+            axes = equilibrium.tip_rotation if load.frame == "tip" else axes
+            place = max(s, float(assembly.end[last_tube(assembly.end)]))
         if abs(place - s) < SAME_PLACE:
-            moment = _frame(state, n).T @ given
+            moment = _frame(state, n).T @ axes @ part.moment
             out[n + twisted_tube(assembly.end, s)] -= moment[2]
             out[-5:-3] -= moment[:2]
-            out[-3:] -= force
+            out[-3:] -= axes @ part.force
     return out
 
 
@@ -156,13 +158,13 @@ class _Arms:
         """The most that one of them has."""
         return max(assembly.n_sections for assembly in self.assemblies)
 
-    def past_points(self, rows: Index, s: Array, state: Array) -> Array:
+    def past_points(self, rows: Index, s: Array, state: Array, *, ending: bool = False) -> Array:
         """The states of some of them beyond the forces and moments that act at arc lengths (B,)."""
         if self.load == Load():
             return state
         each = zip(rows.tolist(), s.tolist(), state, strict=True)
         return np.array(
-            [_past_points(self.equilibria[b], self.assemblies[b], self.load, at, own) for b, at, own in each]
+            [_past_points(self.equilibria[b], self.assemblies[b], s, own, ending=ending) for b, s, own in each]
         )
 
     def section(self, k: int) -> _Section:

@@ -25,10 +25,10 @@ def uncovered(load: Load) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """A dead load on n tubes, forces and moments in world axes: (6,) on the tip, N and N m; Q at places `at` (Q,), m;
-    R (R, 6) per length, N/m and N, on stretches (R, 2), m; and the `weight` (n, 3) of each tube, N/m."""
+    """A dead load on n tubes, forces and moments in world axes: Q `points` (Q, 6), N and N m, at
+    places `at` (Q,), m, the last at the tip, whose place is infinite; R (R, 6) per length, N/m and N, on stretches
+    (R, 2), m; and the `weight` (n, 3) of each tube, N/m."""
 
-    tip: Array
     at: Array
     points: Array
     stretches: Array
@@ -48,9 +48,8 @@ class Pull:
         parts = given if given and isinstance(given[0], Stretch) else [Stretch(0.0, np.inf, given)] * bool(given)
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
         return Pull(
-            tip=np.array([*load.force, *load.moment]),
-            at=np.array([part.at for part in load.points]),
-            points=np.array([(*part.force, *part.moment) for part in load.points]).reshape(-1, 6),
+            at=np.array([part.at for part in load.acting]),
+            points=np.array([(*part.force, *part.moment) for part in load.acting]),
             stretches=np.array([(part.start, part.end) for part in parts]).reshape(-1, 2),
             along=np.array([(*part.force, *part.moment) for part in parts]).reshape(-1, 6),
             weight=masses(robot.tubes, load)[:, None] * gravity,
@@ -59,21 +58,16 @@ class Pull:
     @cached_property
     def places(self) -> Array:
         """(F,) arc lengths where it jumps or breaks."""
-        return np.unique(np.concatenate([self.at, self.stretches.ravel()]))
-
-    @property
-    def couples(self) -> tuple[Array, Array]:
-        """(Q + 1, 3) moments at places, and these (Q + 1,); the last is that at the tip."""
-        return np.concatenate([self.points, self.tip[None]])[:, MOMENT], np.append(self.at, np.inf)
+        return np.unique(np.concatenate([self.at[:-1], self.stretches.ravel()]))
 
     def twists(self, ends: Array) -> Mask:
-        """(E, Q + 1, n) which tubes those moments twist, where tubes end at (E, n)."""
-        return np.asarray(twisted_tube(ends[:, None], self.couples[1])[..., None] == np.arange(ends.shape[1]))
+        """(E, Q, n) which tubes the moments at places twist, where tubes end at (E, n)."""
+        return np.asarray(twisted_tube(ends[:, None], self.at)[..., None] == np.arange(ends.shape[1]))
 
     def on(self, s: Array, ends: Array, inside: Array) -> Array:
         """(..., 6) force and moment of what is ahead of arc lengths s (...), on arms whose tubes end at (..., n); where
         that jumps, as it is at arc lengths `inside` (...)."""
-        out = self.tip + (self.at > inside[..., None]) @ self.points
+        out = (self.at > inside[..., None]) @ self.points
         out[..., FORCE] += np.maximum(ends - s[..., None], 0.0) @ self.weight
         far = np.minimum(self.stretches[:, 1], ends.max(-1)[..., None]) - np.maximum(self.stretches[:, 0], s[..., None])
         return np.asarray(out + np.maximum(far, 0.0) @ self.along)
@@ -132,8 +126,8 @@ class LoadedArms(Arms):
     @cached_property
     def kicks(self) -> Array:
         """(P, n) what the moments at points take of the torque there, N m."""
-        moment, at = self.pull.couples
-        torque = self.tangent @ moment.T * (np.abs(self.arc_length[:, None] - at) <= JUMP)
+        torque = self.tangent @ self.pull.points[:, MOMENT].T
+        torque *= np.abs(self.arc_length[:, None] - self.pull.at) <= JUMP
         return np.asarray((torque[..., None] * self.pull.twists(self.ends)[self.owner]).sum(1))
 
     @cached_property
@@ -262,8 +256,8 @@ class LoadedArms(Arms):
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
         begin, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
         per_length, couple = (np.linalg.norm(p.along[:, k], axis=1) for k in (FORCE, MOMENT))
-        out = length * np.linalg.norm(p.tip[FORCE]) + length**2 / 2 * np.linalg.norm(p.weight, axis=1).sum()
-        out += np.linalg.norm(p.tip[MOMENT]) + (p.at * force + moment).sum()
+        out = np.minimum(p.at, length[:, None]) @ force + moment.sum()
+        out += length**2 / 2 * np.linalg.norm(p.weight, axis=1).sum()
         return np.asarray(out + (end**2 - begin**2) @ per_length / 2 + (end - begin) @ couple)
 
 
@@ -278,7 +272,7 @@ class LoadedIntervals(Intervals):
         """As those without a load; nowhere does a moment change its tube in between."""
         found = super().of(arms, one, other)
         assert isinstance(arms, LoadedArms)
-        twists = arms.pull.twists(arms.ends)[:, arms.pull.couples[0].any(1)]
+        twists = arms.pull.twists(arms.ends)[:, arms.pull.points[:, MOMENT].any(1)]
         return replace(found, ordered=found.ordered & (twists[one] == twists[other]).all((1, 2)))
 
     @cached_property
@@ -310,11 +304,11 @@ class LoadedIntervals(Intervals):
     def twisting(self) -> tuple[Array, Array]:
         """(B, K, n) sizes of the moments that act on a tube, at the ends of the sections, N m, and per length, N."""
         pull, cuts = self.arms.pull, (self.begin + self.end) / 2
-        middle, (moment, at) = (cuts[:, :-1] + cuts[:, 1:]) / 2, pull.couples
+        middle, moment = (cuts[:, :-1] + cuts[:, 1:]) / 2, np.linalg.norm(pull.points[:, MOMENT], axis=1)
         # Before the first section is the plate, where it twists nothing.
-        before = (middle[..., None] < np.minimum(at, cuts[:, -1:])[:, None]).sum(1)
+        before = (middle[..., None] < np.minimum(pull.at, cuts[:, -1:])[:, None]).sum(1)
         here = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
-        at_ends = here @ (np.linalg.norm(moment, axis=1)[:, None] * pull.twists(self.arms.ends[self.one]))
+        at_ends = here @ (moment[:, None] * pull.twists(self.arms.ends[self.one]))
         size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
         return at_ends, _on_outermost(size, self.stretch < self.arms.constants.ended)
 

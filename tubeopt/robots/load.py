@@ -99,8 +99,13 @@ class Load(Displayed):
     @property
     def has_energy(self) -> bool:
         """True if all forces keep their direction and there are no moments: equilibria are then minima of an energy."""
-        turning = any(self.moment) or any(any(part.moment) for part in self.points) or _has_moment(self.distributed)
+        turning = any(any(part.moment) for part in self.acting) or _has_moment(self.distributed)
         return not turning and (self.frame == "world" or not any(self.force))
+
+    @property
+    def acting(self) -> tuple[PointLoad, ...]:
+        """Forces and moments at points, the last at the tip, in its frame: its arc length is infinite."""
+        return *self.points, PointLoad(np.inf, self.force, self.moment)
 
     def require_energy(self, untold: str) -> None:
         """Raise InputError, which ends with what is therefore `untold`, where the load has no energy."""

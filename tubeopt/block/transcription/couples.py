@@ -72,7 +72,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
     (N, n, U) is the turn of the tubes there by z."""
     assembly, mesh = torsion.assembly, torsion.mesh
     ahead, ends = torsion.softness
-    at = [(np.inf, load.moment), *((part.at, part.moment) for part in load.points if any(part.moment))]
+    at = [(part.at, part.moment) for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
     # The piece that begins there, at the tip the number of pieces.
     joint = np.searchsorted(mesh.start, [s - END for s, _ in at])
     on_joint, point = twisted_tube(assembly.end, [s for s, _ in at]), np.flatnonzero(per_length.any(1))

@@ -189,11 +189,10 @@ def _ahead(mesh: Mesh, load: Load, along: Array) -> tuple[Array, Array]:
         ahead = np.cumsum(whole[::-1], axis=0)[::-1]
         # From each point to the end of its piece, then the pieces ahead.
         out, base = h * ((t.weights - t.matrix) @ along) + (ahead - whole)[:, None], ahead[0].copy()
-    at_tip = np.array([*load.force, *load.moment]) * (load.frame == "world")
-    for at, part in (*((part.at, np.array([*part.force, *part.moment])) for part in load.points), (np.inf, at_tip)):
+    for part in load.acting if load.frame == "world" else load.points:
         # At the end of the arm, within round-off, a force acts on all of it.
-        out[s < at] += part
-        base += part
+        out[s < part.at] += (*part.force, *part.moment)
+        base += (*part.force, *part.moment)
     return out.reshape(-1, 6), base
 
 
