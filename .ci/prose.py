@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 LONGEST = 30
 """Words of a sentence; writers aim at 20."""
 
-STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b(?! (is|are)\b)")
+STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b")
 """How a description must not begin: the noun or the verb comes first."""
 
 CALLS = re.compile(r"(Error|Exit|warn|warning|info|implausible|BadParameter)$")
@@ -138,17 +138,20 @@ def _sources() -> Iterator[Text]:
 
 
 def _docstrings() -> Iterator[Text]:
-    """Docstrings of public names, of their methods and of their fields."""
+    """Docstrings of public names and of those in the reference, of their methods and of their fields."""
     import tubeopt
 
-    homes = {getattr(getattr(tubeopt, name), "__module__", None): name for name in tubeopt.__all__}
-    for home in sorted(each for each in homes if each and each.startswith("tubeopt.")):
+    reference = re.findall(
+        r"^::: (tubeopt\..*)\.(\w+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    names = {(getattr(getattr(tubeopt, name), "__module__", None), name) for name in tubeopt.__all__} | set(reference)
+    for home in sorted({home for home, _ in names if home and home.startswith("tubeopt.")}):
         path = ROOT / f"{home.replace('.', '/')}.py"
         if not path.exists():
             path = ROOT / home.replace(".", "/") / "__init__.py"
         module = path.relative_to(ROOT).as_posix()
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if getattr(node, "name", None) in tubeopt.__all__:
+            if (home, getattr(node, "name", None)) in names:
                 yield from _documented(node, module)
 
 

@@ -56,16 +56,16 @@ class StatusEnum(Enum):
 
 @runtime_checkable
 class Result(Protocol):
-    """What a solver or a question answers with."""
+    """Result of a solver or of a question."""
 
     @property
     def value(self) -> Any:
-        """What was asked for, SI: a place, joint values, a robot, duties; what gives those of a program by name."""
+        """Main result in SI: a position, joint values, a robot, duties; values of a program by name."""
 
     @property
     def status(self) -> Any:
-        """How it ended; as text it is a sentence."""
+        """Result as a status; its text is a sentence."""
 
     @property
     def statistics(self) -> Any:
-        """What it took: iterations, solves, seconds, as named numbers."""
+        """Effort as named numbers: iterations, solves, seconds."""

@@ -16,9 +16,9 @@ class Violation:
 
     name: str
     amount: float
-    """By how much, in its own units."""
+    """Amount of the violation, in its own units."""
     relative: float
-    """The same over its scale."""
+    """Amount of the violation relative to its scale."""
 
     def __str__(self) -> str:
         return f"{self.name}: violated by {self.amount:.1e}"

@@ -18,24 +18,24 @@ from .obstacles import Obstacle, nearest_distance
 
 @dataclass(frozen=True, eq=False)
 class Anatomy(Displayed):
-    """What is around the robot, in the frame of its plate, m."""
+    """Surroundings of the robot in the frame of its plate, m."""
 
     bodies: tuple[Obstacle, ...] = ()
-    """What the arm keeps away from; a way that it stays within is the body of all that is not the way."""
+    """Bodies that the arm avoids; a lumen is represented by its outside."""
     target: Array | None = None
     """(N, 3) places of a region for the tip, those with most room first; None without one."""
     landmarks: Mapping[str, Array] = field(default_factory=dict)
-    """Named places (3,)."""
+    """Landmarks (3,), m, by name."""
     base: Frame = field(default_factory=Frame)
-    """Where the plate is in the patient, RAS."""
+    """Pose of the plate in the patient, RAS."""
     registration_error: float = 0.0
     """Root of the mean square error of the landmarks that it was found from, m; 0 without."""
     registration: Registration | None = None
-    """That by which the plate was found, with its standard errors; None without."""
+    """Registration of the plate, with its standard errors; None without."""
 
     @property
     def fields(self) -> tuple[DistanceField, ...]:
-        """Those of the bodies that are distance fields."""
+        """Bodies that are distance fields."""
         return tuple(body for body in self.bodies if isinstance(body, DistanceField))
 
     def place(self, name: str) -> Array:
@@ -49,7 +49,7 @@ class Anatomy(Displayed):
         return self.landmark(name)
 
     def landmark(self, name: str) -> Array:
-        """(3,) where a landmark is; raises InputError where there is none of this name."""
+        """(3,) position of a landmark, m; raises InputError for an unknown name."""
         if name not in self.landmarks:
             known = [*self.landmarks, *(["target"] if self.target is not None else [])]
             there = f"they are {', '.join(known)}" if known else "there are none"
@@ -65,10 +65,10 @@ def anatomy_seen(
     landmarks: Mapping[str, Array] | None = None,
     registration: Registration | None = None,
 ) -> Anatomy:
-    """The anatomy that a plate sees which stands at `base`, from fields and places in the axes of the patient.
+    """Anatomy in the frame of a plate at `base`, from fields and positions in the axes of the patient.
 
     Raises:
-        InputError: a target of which no place is free.
+        InputError: a target without a free voxel.
     """
     bodies = tuple(each.in_frame(base) for each in fields)
     places = None

@@ -57,11 +57,11 @@ class Centreline(Displayed):
 
 
 def centreline(field: DistanceField, start: ArrayLike, end: ArrayLike, *, spacing: float = 1e-3) -> Centreline:
-    """The line from `start` to `end` (3,), m, that keeps to the middle of the way, in steps of about `spacing`, m.
+    """Centreline of a lumen from `start` to `end` (3,), m, in steps of about `spacing`, m.
 
     Raises:
         InputError: an end that is not free.
-        SolveError: no free way leads from one to the other.
+        SolveError: no free path connects them.
     """
     ends = np.stack([vector(name, place, 3, "x, y, z") for name, place in (("start", start), ("end", end))])
     positive("spacing", spacing)

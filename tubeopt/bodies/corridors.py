@@ -239,14 +239,15 @@ def open_surface(name: str, count: int) -> str:
 
 
 def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
-    """The surface in an STL, PLY, OBJ, OFF or legacy VTK file, whose unit is `scale` m: by default mm.
+    """Surface from an STL, PLY, OBJ, OFF or legacy VTK file in units of `scale` m; by default mm.
 
     Args:
-        axes: RAS or LPS, of the file; where it states its own they must agree. Without either they are not changed.
+        axes: axes of the file, RAS or LPS; they must agree with those that the file states. Without either they are not
+            changed.
 
     Raises:
-        InputError: no such file, one of another format, with lines, without triangles, or of a size that no body has,
-            axes that contradict the file's; trimesh is not installed.
+        InputError: no such file, another format, lines or no triangles in it, an implausible size, axes that contradict
+            the file, or trimesh is not installed.
     """
     body = read_mesh(path, scale=scale, axes=axes)
     warn_of_open(path, body)
@@ -278,8 +279,10 @@ def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
 
 
 def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> Array | MeshObstacle:
-    """(N, 3) m: the points in a PLY file, or in a CSV file with the columns x_mm, y_mm and z_mm, in the unit and axes
-    of `load_mesh`; of a file with triangles their surface, and points beside it as triangles without area.
+    """(N, 3) points of a PLY file, or of a CSV file with the columns x_mm, y_mm and z_mm, m.
+
+    Unit and axes as in `load_mesh`. A file with triangles gives their surface, with other points as triangles without
+    area.
 
     Raises:
         InputError: no such file, no points in it, numbers that are not finite, axes that contradict the file's.

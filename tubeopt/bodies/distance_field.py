@@ -55,16 +55,16 @@ class DistanceField:
     spacing: Array
     """(3,) between nodes along the axes of the lattice, m."""
     frame: Frame = field(default_factory=Frame, repr=False)
-    """Of the lattice in that of the plate; its origin is the first node."""
+    """Frame of the lattice in that of the plate; its origin is the first node."""
     node_error: float = 0.0
-    """By how much the values may fall short, m."""
+    """Largest error of the values, m; they are never too large."""
     bounded: bool = False
-    """Whether all of the body lies within the lattice; else it goes on beyond."""
+    """True if the body lies within the lattice; else it continues beyond."""
     name: str = "anatomy"
     source: Source | None = field(default=None, repr=False)
-    """What tells gradients exactly; None where the table is all there is."""
+    """Source of exact gradients; None if there is only the table."""
     stands_for: str = ""
-    """What its distance is from, in words, where the body is no solid but points or an open surface; else empty."""
+    """Reference of the distance for points or an open surface, as text; empty for a solid."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.values)
@@ -76,12 +76,12 @@ class DistanceField:
 
     @property
     def error(self) -> float:
-        """By how much `signed_distance` may fall short of the distance from the body, m."""
+        """Largest error of `signed_distance`, m; it is never larger than the distance from the body."""
         return self.node_error + float(np.linalg.norm(self.spacing)) + 4 * ROUND_OFF
 
     @property
     def diagonal(self) -> float:
-        """From the first node to the last, m."""
+        """Distance from the first node to the last, m."""
         return float(np.linalg.norm((np.array(self.values.shape) - 1) * self.spacing))
 
     @property
@@ -90,7 +90,7 @@ class DistanceField:
         return self
 
     def in_frame(self, frame: Frame) -> DistanceField:
-        """The same body seen from a frame that is given in its own."""
+        """Copy in the axes of a frame that is given in those of the body."""
         seen = copy(self)  # with its tables
         object.__setattr__(seen, "frame", frame.of(self.frame))
         return seen

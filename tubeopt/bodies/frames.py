@@ -36,12 +36,12 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A right-handed frame."""
+    """A right-handed frame: origin and axes."""
 
     axes: Array = field(default_factory=lambda: np.eye(3))
     """(3, 3) its axes are the columns."""
     origin: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) m."""
+    """(3,) origin, m."""
 
     def placed(self, points: ArrayLike) -> Array:
         """(..., 3) where points (..., 3) of this frame lie in the one that it is given in."""
@@ -143,12 +143,13 @@ class Registration:
 
 
 def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -> Registration:
-    """The rigid motion that takes landmarks measured from the plate to where they are in the patient, by least squares
-    (Arun, Huang and Blostein 1987; Umeyama 1991), m.
+    """Rigid motion from landmarks measured at the plate to their positions in the patient, m.
+
+    Least squares (Arun, Huang and Blostein 1987; Umeyama 1991).
 
     Raises:
-        InputError: names that only one of both has, fewer than three landmarks, or all of them on a line, or so near
-            to one that the standard error of the turn about it may be above 5 deg (95 %).
+        InputError: names in one set only, or fewer than three landmarks. All of them on a line, or so near to one that
+            the standard error of the rotation about it may exceed 5 deg (95 %).
     """
     names = list(plate)
     missing = [name for name in names if name not in patient]

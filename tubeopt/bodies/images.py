@@ -58,9 +58,9 @@ class LabelImage:
     spacing: Array
     """(3,) sizes of a voxel, m."""
     frame: Frame = field(default_factory=Frame, repr=False)
-    """Of the voxels, along its axes, in the patient, RAS; its origin is the centre of the first voxel."""
+    """Frame of the voxels in the patient, RAS; its origin is the centre of the first voxel."""
     name: str = "the image"
-    """What messages call it."""
+    """Name in messages."""
 
     def __post_init__(self) -> None:
         spacing = np.asarray(self.spacing, dtype=float)
@@ -81,7 +81,7 @@ class LabelImage:
         return a, b, c
 
     def holds(self, place: Array) -> bool:
-        """Whether a place (3,) in the patient lies in one of the voxels, m."""
+        """True if a position (3,) in the patient, m, lies in one of the voxels."""
         index = self.frame.seen(place) / self.spacing
         return bool(((index >= -0.5) & (index <= np.array(self.shape) - 0.5)).all())
 
@@ -128,10 +128,10 @@ class LabelImage:
         return np.stack([np.isin(part, labels) for part in self.values])
 
     def between(self, low: float, high: float, what: str = "range") -> Mask:
-        """(a, b, c) voxels whose values are from `low` to `high`.
+        """(a, b, c) mask of the voxels with values from `low` to `high`.
 
         Raises:
-            InputError: no voxel is.
+            InputError: there is no such voxel.
         """
         found = np.stack([(part >= low) & (part <= high) for part in self.values])
         if not found.any():
@@ -143,16 +143,15 @@ class LabelImage:
 
 
 def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage:
-    """The image in a NIfTI (.nii, .nii.gz), FreeSurfer (.mgz, .mgh) or NRRD (.nrrd, .nhdr) file.
+    """Image from a NIfTI (.nii, .nii.gz), FreeSurfer (.mgz, .mgh) or NRRD (.nrrd, .nhdr) file.
 
     Args:
-        axes: RAS or LPS, along which the voxels lie, the first at the origin, where the header does not say how the
-            image lies in the patient; of a NRRD file without a space, those of its directions and its origin.
+        axes: axes of the voxels, RAS or LPS, with the first voxel at the origin, if the header does not state the pose
+            of the image in the patient. For a NRRD file without a space: axes of its directions and its origin.
 
     Raises:
-        InputError: no such file, one that cannot be read, with more than one number per voxel, axes that are not square
-            to each other, or voxels of a size that none has; axes that neither the header nor `axes` says, or that
-            contradict each other; nibabel or pynrrd is not installed.
+        InputError: no such file, a file that cannot be read, or more than one number per voxel. Axes that are not
+            orthogonal, unknown or contradictory; voxels of an implausible size; nibabel or pynrrd is not installed.
     """
     if axes is not None:
         choice("axes", axes, AXES)

@@ -41,19 +41,19 @@ def field_of_image(
     most: int = MOST_NODES,
     name: str = "image",
 ) -> DistanceField:
-    """The body of voxels in which an arm may not be, in the axes of the patient.
+    """Distance field of the voxels that the arm must avoid, in the axes of the patient.
 
     Args:
-        lumen: (a, b, c) voxels in which the arm must stay: all others are forbidden. Where they meet the border of the
-            image, they go on beyond it.
+        lumen: (a, b, c) voxels in which the arm must stay: all others are forbidden. At the border of the image they
+            continue beyond it.
         forbidden: (a, b, c) voxels that are forbidden, in the same image.
-        region: two corners (3,), m, in the axes of the patient: beyond the box along the axes of the voxels that holds
-            them all is forbidden.
-        most: nodes of the lattice; where there would be more, voxels are taken together, and one that is forbidden
-            makes all of them so: `.node_error` tells what that takes away.
+        region: two corners (3,), m, in the axes of the patient. Everything outside their bounding box along the voxel
+            axes is forbidden.
+        most: maximum number of lattice nodes. Above it voxels are merged, and one forbidden voxel makes all of them
+            forbidden; `.node_error` is the loss.
 
     Raises:
-        InputError: nothing is chosen, or no voxel is left in which the arm may be.
+        InputError: nothing is chosen, or no voxel is left for the arm.
     """
     if lumen is None and forbidden is None:
         raise InputError(f"no label of {image.name} is chosen as lumen or forbidden; choose one of {image.labels}")

@@ -31,12 +31,12 @@ Stretch = tuple[tuple[float, float, float], tuple[float, float, float], float, f
 
 @dataclass(frozen=True)
 class Phantom:
-    """A way through a patient, in mm."""
+    """A lumen of a patient for examples, in mm."""
 
     name: str
     stretches: tuple[Stretch, ...]
     target: int
-    """So many of the stretches, the last, belong to it."""
+    """Number of stretches at the end that are the target."""
     landmarks: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def depth(self, points: ArrayLike, stretches: tuple[Stretch, ...] | None = None) -> Array:

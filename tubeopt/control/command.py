@@ -123,7 +123,7 @@ class ServoOptions(Displayed):
 
 
 class Why(enum.IntFlag):
-    """Why a servo step is not all that was asked for; 0: nothing is in the way. The C library has the first six."""
+    """Reasons why a servo step differs from its command, as flags; 0: none. The C library has the same flags."""
 
     RATE = 1
     RANGE = 2
@@ -135,7 +135,7 @@ class Why(enum.IntFlag):
 
     @property
     def words(self) -> str:
-        """In words, empty where nothing is in the way."""
+        """Reasons as text; empty without any."""
         return "; ".join(WORDS[bit] for bit in Why if bit in self)
 
 
@@ -155,13 +155,13 @@ class ServoStep(Displayed, Generic[T]):
     """A step that was made."""
 
     equilibrium: T
-    """Where the robot is to be."""
+    """Next equilibrium of the robot."""
     why: Why
-    """What was in the way."""
+    """Reasons for a difference from the command."""
     distance: float
-    """From the tip to where it shall be, before the step, m; NaN where not asked."""
+    """Distance of the tip from its target before the step, m; NaN without a target."""
     angle: float
-    """From its direction to the wanted one, before the step, rad; NaN where not asked."""
+    """Angle between the tip and its target direction before the step, rad; NaN without one."""
 
     rotations, translations = Delegate[Array]("equilibrium"), Delegate[Array]("equilibrium")
     """(n,) to be sent, rad and m."""

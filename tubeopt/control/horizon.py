@@ -32,7 +32,7 @@ to 1e-6; qpOASES 3.9, HiGHS 4.8, OSQP 4.8 without reaching 1e-4 on half of them,
 
 @dataclass(frozen=True)
 class HorizonSolver(Settings):
-    """How the way ahead is found and kept; of `PredictiveServo`.
+    """Settings of the planned path of a `PredictiveServo`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
@@ -41,33 +41,36 @@ class HorizonSolver(Settings):
     margin_room: float = 0.01
     """Margin above its floor that knots keep: between them it is less."""
     clearance_room: float = 2e-4
-    """The same of clearance, m."""
+    """Reserve of the clearance, m."""
     lacking: float = 0.02
-    """Of a field, which is 1 without torsion, and of a clearance over the room for it, what may be missing of a way on
-    which the robot goes."""
+    """Largest violation of a path that the robot follows: of a field, which is 1 without torsion, and of a clearance
+    over its reserve.
+    """
     trust: float = 0.3
     """Largest change of a knot by one program, in units of the scales. It is halved where a change undoes the last one,
     as where tubes end together and derivatives differ to either side, and doubled where not."""
     calm: float = 0.01
-    """To which it is halved at most."""
+    """Lower limit of that largest change."""
     patience: int = 20
-    """Steps that the robot waits for a way that is allowed."""
+    """Number of steps that the robot waits for an allowed path."""
     seconds: float = 1.0
-    """For which joint values for a new target are looked for at most."""
+    """Maximum duration of the search for joint values of a new target, s."""
     close: float = 0.01
-    """Distance of the tip from its target, as a share of the robot's length, from which one step ahead will do."""
+    """Distance of the tip from its target, as a fraction of the robot's length, below which a single step suffices."""
     elsewhere: float = 0.05
-    """Distance of targets, as a share of the robot's length, from which a way is begun anew."""
+    """Distance between targets, as a fraction of the robot's length, above which a path is planned anew."""
     tip_weight: float = 100.0
-    """Of the tip's distance from the target over the robot's length, beside the joints' way over their scales."""
+    """Weight of the tip's distance from the target over the robot's length, relative to the joint motion over its
+    scales.
+    """
     turn_weight: float = 0.05
-    """Of the way of the tip rotations, beside that of the joints."""
+    """Weight of the motion of the tip rotations, relative to that of the joints."""
     slack_price: float = 30.0
-    """Of a unit of slack: of the least field, and of a clearance over a tenth of the robot's length."""
+    """Price per unit of slack: of the smallest field, and of a clearance over a tenth of the robot's length."""
     damping: float = 1e-6
-    """Of a change of the knots."""
+    """Weight of changes of the knots."""
     body_reach: float = 0.05
-    """Distance from bodies, as a share of the robot's length, up to which they may matter to a knot."""
+    """Distance from obstacles, as a fraction of the robot's length, within which they count at a knot."""
     contacts: int = 3
     """Bodies' points, at most, that a knot keeps clear of."""
     splits: int = 4

@@ -30,12 +30,12 @@ from .servo import Servo
 
 
 class PredictiveServo:
-    """The servo of one robot that looks ahead to where the tip shall be.
+    """Servo of one robot with look-ahead: it plans several knots to the target.
 
     Args:
-        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective count where one
-            step ahead is enough.
-        knots: into how many pieces the way ahead is cut.   solver: how it is found and kept.
+        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective apply where a
+            single step suffices.
+        knots: number of knots of the planned path.   solver: settings of the planner.
 
     Raises:
         InputError, SolveError: as `Servo` does; fewer than 2 knots.
@@ -70,19 +70,19 @@ class PredictiveServo:
 
     @property
     def equilibrium(self) -> Equilibrium:
-        """Where the robot is."""
+        """Current equilibrium of the robot."""
         return self._guard.here.equilibrium
 
     @property
     def way(self) -> Array | None:
-        """(K, m) tip rotations (rad) and translations of the carriages (m) of the way ahead; None without one."""
+        """(K, m) tip rotations (rad) and carriage translations (m) of the planned path; None without one."""
         return None if self._way is None else self._way.copy()
 
     @small
     def step(self, command: Command, dt: float) -> ServoStep[Equilibrium]:
-        """One step of `dt` seconds towards a position, and a direction where one is given; it always answers.
+        """One step of `dt` seconds towards a position, and a direction if given; always returns a step.
 
-        The robot stays where it is while the way is not allowed yet; `why` then says what it lacks.
+        The robot does not move until the planned path is allowed; `why` then names the violated constraints.
 
         Raises:
             InputError: a command without a position, or with more than position and direction.

@@ -30,20 +30,20 @@ BY = ("rotations", "bending_stiffness", "torsional_stiffness")
 
 @dataclass(frozen=True)
 class ObserverOptions:
-    """What is uncertain beforehand, as standard deviations, and how long the past is kept."""
+    """Standard deviations of the uncertain parameters, and the memory of joint values."""
 
     noise: float = 5e-4
-    """Of a measured position, each axis, m."""
+    """Standard deviation of a measured position per axis, m."""
     rotation: float = np.radians(3.0)
-    """Of the joints' offsets, rad."""
+    """Standard deviation of the joint offsets, rad."""
     stiffness: float = 0.05
-    """Of every tube's, as a share."""
+    """Relative standard deviation of every tube's stiffness."""
     offset: float = 1e-4
-    """Of the tip's, each axis, m."""
+    """Standard deviation of the tip offset per axis, m."""
     drift: float = 0.02
-    """Of the three before per root second, as a share of them."""
+    """Drift of the three offsets per square root of a second, as a fraction of their standard deviations."""
     memory: float = 1.0
-    """Of joint values that measurements may be late by, s."""
+    """Duration of stored joint values, s; largest delay of a measurement."""
     gate: float = 5.0
     """Standard deviations beyond which a measurement is left out."""
     linearised: int = 3
@@ -58,16 +58,16 @@ class ObserverOptions:
 
 @dataclass(frozen=True, eq=False)
 class Correction(Displayed):
-    """What an observer did with a measurement."""
+    """Result of a measurement for an observer."""
 
     used: bool
-    """Whether the model was corrected by it."""
+    """True if the measurement corrected the model."""
     words: str
     """Why it was not used; "" where it was."""
     before: float
     """Distance of the measured tip from the one that was expected, m."""
     after: float
-    """The same after it was taken in, m."""
+    """Distance after the correction, m."""
 
 
 @typed
@@ -96,7 +96,7 @@ class Observer:
 
     @property
     def rotation_offsets(self) -> Array:
-        """(n,) rad, by which the tubes are turned farther than their joints say."""
+        """(n,) estimated offsets of the tube rotations from the joint values, rad."""
         return self._x[: self._n].copy()
 
     @property
@@ -106,7 +106,7 @@ class Observer:
 
     @property
     def tip_offset(self) -> Array:
-        """(3,) m, by which the measured tip lies beside that of the corrected model."""
+        """(3,) estimated offset of the measured tip from that of the corrected model, m."""
         return self._x[2 * self._n :].copy()
 
     @property

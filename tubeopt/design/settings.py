@@ -13,7 +13,7 @@ COLLOCATION = Ipopt(tolerance=1e-8, constraint_tolerance=1e-10, iterations=300, 
 
 @dataclass(frozen=True)
 class StartSearch(Settings):
-    """Where designs begin.
+    """Settings of the starts of a design.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `restarts`), another number that is not
@@ -23,11 +23,11 @@ class StartSearch(Settings):
     retries: int = 4
     """Starts that are tried before a task counts as infeasible, where fewer were asked for."""
     designs: int = 32
-    """Dimensions drawn for each start, of which those that make a robot come first."""
+    """Number of random dimensions per start; those of possible robots come first."""
     poses: int = 256
-    """Joint values drawn for every pose that is free, of which the best begins."""
+    """Number of random joint values per free pose; the best is the start."""
     restarts: int = 2
-    """Times that other joint values are tried for dimensions from which least squares do not get near."""
+    """Number of retries with other joint values if least squares do not come near."""
     pose_turn: float = 5e-3
     """Distance (m) from its target that is as bad, in the guess of a pose, as a turn by 1 rad."""
     same_design: float = 1e-3
@@ -38,69 +38,70 @@ class StartSearch(Settings):
 
 @dataclass(frozen=True)
 class OptimumSearch(Settings):
-    """How the best design near a start is found, by least squares and by IPOPT."""
+    """Settings of the local search by least squares and IPOPT."""
 
     near: float = 0.5
-    """Violation, in steps of its limit, from which IPOPT is trusted to get inside."""
+    """Violation, in steps of its limit, below which IPOPT takes over."""
     inside: float = 1e-3
-    """Steps by which least squares aims inside every limit, so that IPOPT starts in the interior."""
+    """Distance inside every limit that least squares aim for, in steps, so that IPOPT starts in the interior."""
     iterations: int = 150
-    """Of IPOPT, before it counts as stuck on a kink."""
+    """Maximum number of IPOPT iterations before it counts as stuck on a kink."""
     ball_iterations: int = 60
-    """Of IPOPT from the optimum in the cubes around targets to that in the balls."""
+    """Maximum number of IPOPT iterations from the optimum in the cubes around targets to that in the balls."""
     rim: float = 1e-3
-    """Part of a target's tolerance from a side of the cube around it within which that side binds, and of the objective
-    that it may cost to stay inside the cubes."""
+    """Relative distance from a side of a target's cube within which that side is active, and relative cost that staying
+    in the cube may have.
+    """
 
 
 @dataclass(frozen=True)
 class OrderSearch(Settings):
-    """Which order of breakpoints holds the best optimum."""
+    """Settings of the search over orders of breakpoints."""
 
     most: int = 6
-    """That are tried."""
+    """Maximum number of orders tried."""
     gain: float = 1e-7
     """Relative, of the objective, below which another order is no better."""
     closed_section: float = 1e-5
     """Length, m, of a section between breakpoints below which it is closed."""
     opened_section: float = 2e-6
-    """Length, m, by which one is opened on the other side of a kink."""
+    """Length of a section that is opened on the other side of a kink, m."""
 
 
 @dataclass(frozen=True)
 class ExchangeSearch(Settings):
-    """How worst cases are found and added, of a box of translations, a joint path, a workspace."""
+    """Settings for finding and adding worst cases of a box of translations, a joint path, or a workspace."""
 
     rounds: int = 12
-    """In which worst cases are found and added, at most."""
+    """Maximum number of rounds."""
     path_points: int = 16
-    """Between two task poses, at which a joint path is followed."""
+    """Number of points of a joint path between two task poses."""
     points: int = 3
-    """Of a workspace that is not covered, most that are added in a round."""
+    """Maximum number of uncovered workspace points added per round."""
 
 
 @dataclass(frozen=True)
 class RelaxationSearch(Settings):
-    """How the smallest relaxation of a task that is infeasible is found."""
+    """Settings of the search for the smallest relaxation of an infeasible task."""
 
     starts: int = 2
-    """That failed, from which it is looked for."""
+    """Number of failed starts that the search uses."""
     least_slack: float = 1e-5
-    """In steps of its limit, below which a limit needs no relaxation."""
+    """Slack, in steps of its limit, below which a limit needs no relaxation."""
     missing: float = 1e-5
     """Violation, in steps, at which slacks count as sufficient."""
 
 
 @dataclass(frozen=True)
 class Pricing(Settings):
-    """Which limits bind, and what they cost, where IPOPT has not said so."""
+    """Settings for active limits and their prices, where IPOPT has not returned them."""
 
     near: float = 1e-3
     """Steps of a limit within which it may bind."""
     gap: float = 0.02
     """Part of the objective's slope that the conditions of optimality may leave over."""
     least: float = 1e-6
-    """Relative to the largest price, below which a limit is not told to bind, whoever has found it."""
+    """Price, relative to the largest, below which a limit counts as inactive."""
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,11 @@ def tube_centrelines(equilibrium: Equilibrium) -> Array:
 
 
 def tube_lengths(equilibrium: Equilibrium) -> Array:
-    """(n,) m: arc length of every tube's own centreline from the plate to its own end, int g ds.
+    """(n,) arc lengths of the tubes' own centrelines from the plate to their ends, m: int g ds.
 
-    Tubes on the inside of a bend are shorter than the arm, tubes on the outside longer: the sheath ends all three of a
-    segment in one plane, so that they slide against one another behind the plate. The integral is taken at the
-    collocation points, and is as accurate as the rotations there; where the whole arm is straight, g = 1.
+    Tubes on the inside of a bend are shorter than the arm, tubes on the outside longer. The sheath ends the three tubes
+    of a segment in one plane, so they slide against one another behind the plate. The integral uses the collocation
+    points and is as accurate as the rotations there. A straight arm has g = 1.
 
     Raises:
         SolveError: the equilibrium is a fold, which cannot be solved again at its own collocation points.
@@ -68,7 +68,7 @@ class SegmentChain:
     start: Array
     """(len(segments),) arc length where each begins to curve, m."""
     arc_length: Array
-    """(m,) m."""
+    """(m,) arc lengths, m."""
     position: Array
     """(m, 3) the chained centreline, m."""
     tip_position: Array
@@ -77,10 +77,10 @@ class SegmentChain:
     """(3, 3) its frame there."""
 
     def full_model(self) -> Equilibrium:
-        """The coupled equilibrium of the whole robot on the chain's branch: followed from the same tubes at d = 0.
+        """The coupled equilibrium of the whole robot on the chain's branch, followed from the same tubes at d = 0.
 
         Raises:
-            SolveError: the branch ends on the way, or the whole robot at d = 0 settles elsewhere than the chain.
+            SolveError: the branch ends on the path, or the whole robot at d = 0 converges to another branch.
         """
         centred = replace(self.robot, offset=0.0)
         guess = forward_kinematics(centred, self.rotations, self.translations)
@@ -102,20 +102,19 @@ class SegmentChain:
 def chained_approximation(
     robot: SegmentedEccentricRobot, rotations: ArrayLike, translations: ArrayLike | None = None
 ) -> SegmentChain:
-    """The robot as a chain of concentric three-tube arms: the fast approximation that the thesis recommends (3.4.2).
+    """The robot as a chain of concentric three-tube arms: the fast approximation of the thesis (3.4.2).
 
-    Of every segment the three tubes lie on the centreline (d = 0), together with the straight tubes of the inner
-    segments that pass through and make it stiffer. Torsion of a segment's tubes on their way to it, behind the plate
-    and through outer segments, is linear and kept: they are held as far back as they truly are. Left out is the offset
-    alone, with the stretch g of tubes on either side of a bend: without overlap of curved parts nothing else couples
-    the segments.
+    In every segment the three tubes lie on the centreline (d = 0), with the straight tubes of the inner segments that
+    stiffen it. The torsion of a segment's tubes behind the plate and through outer segments is linear and included.
+    Only the offset is neglected, with the stretch g of tubes beside a bend: without overlap of curved parts nothing
+    else couples the segments.
 
     Args:
         rotations, translations: (3 k,) rad and m, ordered as `robot.tubes`; translations default to home.
 
     Raises:
         InputError: wrong number of joint values, or joint values that `robot` does not allow.
-        SolveError: a segment has no stable equilibrium that could be found.
+        SolveError: no stable equilibrium was found for a segment.
     """
     alpha, shift = joint_values(robot, rotations, translations)
     bundle = robot.assembly(shift)

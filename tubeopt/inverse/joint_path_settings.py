@@ -10,7 +10,7 @@ from ..errors import Settings
 
 @dataclass(frozen=True)
 class Steps(Settings):
-    """How close points of a motion are that are checked, and what they leave for what lies between them.
+    """Spacing of the checked points of a motion, and reserves for the error between them.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `halvings`), another number that is not
@@ -20,52 +20,53 @@ class Steps(Settings):
     turn: float = 0.15
     """Largest change of a tip rotation, rad."""
     joint: float = 0.35
-    """Of a joint rotation, rad."""
+    """Largest step of a joint rotation, rad."""
     shift: float = 0.02
-    """Of a translation, as a share of the longest tube."""
+    """Largest step of a translation, as a fraction of the longest tube."""
     halvings: int = 4
-    """At most, where little is to spare."""
+    """Maximum number of bisections where the reserve is small."""
     clearance_slope: float = 3e-4
-    """Clearance, m, that must be to spare per distance from an end, in units of the joints' scales: at the end itself
-    none, and before steps grow long, as much as anywhere."""
+    """Required reserve of the clearance, m, per distance from an end in units of the joint scales, up to that of full
+    steps. No reserve is needed at the end itself.
+    """
     margin_slope: float = 0.02
-    """The same of the margin."""
+    """Required reserve of the margin, per distance from an end."""
     windows: int = 12
-    """Stretches between points along an arm that are looked at once more."""
+    """Number of intervals along an arm that are checked with finer points."""
     window_points: int = 9
-    """In each."""
+    """Number of finer points per interval."""
 
     _none: ClassVar[tuple[str, ...]] = ("halvings",)
 
 
 @dataclass(frozen=True)
 class Detours(Settings):
-    """Ways by translations at which the robot cannot snap; when their time is over, chance has its turn."""
+    """Settings of paths through translations that exclude snaps; random search follows."""
 
     samples: int = 160
     """Translations among which such are searched for."""
     most: int = 24
-    """Ways that are tried, the shortest first."""
+    """Maximum number of paths tried, shortest first."""
     seconds: float = 6.0
-    """At most, s."""
+    """Maximum duration, s."""
     share: float = 0.3
-    """Of the time that is left, at most."""
+    """Maximum fraction of the remaining time."""
 
 
 @dataclass(frozen=True)
 class Walls(Settings):
-    """What keeps start and goal apart: sections between them that every way crosses."""
+    """Settings of the search for obstructions: sections that every path between start and goal crosses."""
 
     seconds: float = 5.0
-    """At most, s."""
+    """Maximum duration, s."""
     share: float = 0.15
-    """Of the time that is left, at most."""
+    """Maximum fraction of the remaining time."""
     levels: int = 9
-    """Between start and goal, at which sections are looked at."""
+    """Number of checked sections between start and goal."""
     screened: int = 48
-    """Random states by which a section is screened: most have one that is allowed."""
+    """Number of random states that screen a section; most sections have an allowed one."""
     states: int = 20_000
-    """On a grid at most; larger sections are not decided."""
+    """Maximum number of grid states; larger sections are not decided."""
     doubt: float = 2e-3
     """Margin that states must lack to count as not allowed: more than the integration is off."""
 
@@ -77,23 +78,23 @@ class Trees(Settings):
     motion: float = 1.2
     """Longest that is tried at once, in units of the joints' scales."""
     long_share: float = 0.5
-    """Of the time that is left, for long motions; short ones have the rest."""
+    """Fraction of the remaining time for long motions; short ones get the rest."""
     reason_share: float = 0.3
-    """The same where something stands against a way."""
+    """Fraction of the remaining time for long motions if an obstruction is known."""
 
 
 @dataclass(frozen=True)
 class Pockets(Settings):
-    """Whether start or goal lie in a closed pocket."""
+    """Settings of the test whether start or goal lie in a closed region."""
 
     share: float = 0.3
-    """Of the time that long motions leave."""
+    """Fraction of the time that long motions leave."""
     states: int = 60
-    """From which a pocket counts as open."""
+    """Number of states at which a region counts as open."""
     apart: float = 0.02
     """Distance of states that are two, in units of the joints' scales."""
     motions: int = 1500
-    """In a row that do not lead on, from which it counts as closed."""
+    """Number of successive failed motions at which a region counts as closed."""
 
 
 @dataclass(frozen=True)

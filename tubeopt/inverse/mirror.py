@@ -38,11 +38,11 @@ def mirror_rotations(direction: float, separation: float, assignment: Sequence[i
 
     Args:
         direction: rotation theta_d of the middle tube, rad; at 0 the arm bends towards -y.
-        separation: turn theta_s of the other two away from it, rad; 0 bends most, 120 deg is straight.
-        assignment: tubes i, j, k (from 0) that turn to direction, direction + separation, direction - separation.
+        separation: rotation theta_s of the other two from it, rad; 0 bends most, 120 deg is straight.
+        assignment: tubes i, j, k (from 0) with the rotations direction, direction + separation, direction - separation.
 
     Raises:
-        InputError: an angle that is not finite, or an assignment that is none of `ASSIGNMENTS`.
+        InputError: an angle that is not finite, or an assignment other than `ASSIGNMENTS`.
     """
     middle, apart = finite("direction", direction), finite("separation", separation)
     order = tuple(int(i) for i in assignment)
@@ -60,10 +60,10 @@ def mirror_separation(share: float) -> float:
 
 
 def arc_curvature(equilibrium: Equilibrium) -> Array:
-    """(2,) 1/m: the arc that leaves the robot upright, where its tubes begin to curve, and ends at its tip.
+    """(2,) curvature of the arc from the plate to the tip, 1/m, as a vector towards the tip in the plate's x and y.
 
-    A vector towards the tip in the plate's x and y, of the length of the arc's curvature: 2 (x, y) / |p|^2. The arc is
-    what a camera sees of an arm whose true curvature varies along it.
+    The arc leaves the robot along its axis, where its tubes begin to curve. Its curvature vector is 2 (x, y) / |p|^2. A
+    camera sees this arc of an arm with varying curvature.
     """
     assembly = equilibrium.robot.assembly(equilibrium.translations)
     tip = equilibrium.tip_position - [0.0, 0.0, max(float(assembly.transition.min()), 0.0)]
@@ -95,7 +95,7 @@ class MirrorInput:
     """Mirror actuation, and the joint values that it makes."""
 
     direction: float
-    """rad."""
+    """Direction theta_d, rad."""
     separation: float
     """rad, in [0, 120 deg]."""
     rotations: Array
@@ -109,9 +109,9 @@ class MirrorPose(MirrorInput):
     """Mirror actuation that does what was asked."""
 
     equilibrium: Equilibrium
-    """What the robot does with it."""
+    """Equilibrium for this actuation."""
     error: float
-    """What is left between wanted and reached, 1/m for a curvature and m for a tip."""
+    """Difference between target and result, 1/m for a curvature and m for a tip."""
 
 
 @typed
@@ -127,12 +127,12 @@ def mirror_inverse(
 
     Args:
         bending_direction: azimuth of the tip, rad: 0 is towards x, 90 deg towards y.
-        curvature: of the arc from plate to tip (see `arc_curvature`), 1/m, >= 0.
+        curvature: curvature of the arc from plate to tip (see `arc_curvature`), 1/m, >= 0.
         translations, assignment: as in `forward_kinematics` and `mirror_rotations`.
 
     Raises:
-        InputError: a number that is not finite, a curvature below 0 or above what the robot reaches, no precurvature.
-        SolveError: forward kinematics failed on the way, or the robot snaps on it.
+        InputError: a number that is not finite, a curvature below 0 or above the largest one, no precurvature.
+        SolveError: forward kinematics failed on the path, or the robot snaps on it.
     """
     azimuth, wanted = finite("bending_direction", bending_direction), positive("curvature", curvature, zero=True)
     arm = _Arm(robot, translations, tuple(assignment), azimuth)
@@ -162,12 +162,12 @@ def mirror_to_tip(
     Args:
         position: (3,) m.
         translations, assignment: as in `forward_kinematics` and `mirror_rotations`.
-        tolerance: distance from the surface at which a point still counts as on it, m.
+        tolerance: largest distance of a point from the surface, m.
 
     Raises:
-        InputError: numbers that are not finite, no precurvature, or a position off the surface: the message says by how
-            far, and which point of the surface is closest.
-        SolveError: forward kinematics failed on the way.
+        InputError: numbers that are not finite, no precurvature, or a position off the surface; the message states the
+            distance and the closest point of the surface.
+        SolveError: forward kinematics failed on the path.
     """
     arm, target = _aimed(robot, position, translations, assignment)
     usual_length("tolerance", tolerance, TOLERATED)
@@ -196,14 +196,14 @@ def mirror_closed_form(
 ) -> MirrorInput:
     """Direction, separation and translation that put the tip of an arm of constant curvature at `position`.
 
-    Exact for tubes on the centreline whose rotations are those at their tips, off by torsion and offsets for others.
+    Exact for tubes on the centreline without torsion; others deviate by torsion and offsets.
 
     Args:
         position: (3,) m.
         assignment: as in `mirror_rotations`.
 
     Raises:
-        InputError: numbers that are not finite, straight tubes, or a position out of reach: the message says why.
+        InputError: numbers that are not finite, straight tubes, or a position out of reach; the message states why.
     """
     arm, target = _aimed(robot, position, None, assignment)
     bend, shift = arm.arc(target)

@@ -29,47 +29,48 @@ class Descent(Settings):
     tolerance: float = 1e-10
     """Distance (m) and angle (rad) at which it counts a target as met: far less than an answer may be off."""
     steps: int = 30
-    """Of the search for the target."""
+    """Maximum number of steps to the target."""
     improving_steps: int = 60
-    """Of the search for a better answer from one on target."""
+    """Maximum number of steps that improve a solution on target."""
     first_step: float = 0.6
     """Largest step at first, in units of the joints' scales."""
     shortest_step: float = 1e-5
-    """To which a step is shortened before the search ends, in units of the joints' scales."""
+    """Step size that ends the search, in units of the joint scales."""
     least_promise: float = 1e-7
     """Relative decrease of what is left to the target that a step must promise."""
     patience: int = 5
     """Steps in a row that may bring next to nothing."""
     target_weight: float = 1e4
-    """Of the target over the cost, in a step of the search for a better answer."""
+    """Weight of the target relative to the cost, in an improving step."""
     body_reach: float = 0.1
-    """Share of the robot's length, up to which a step looks at bodies."""
+    """Distance from the arm, as a fraction of the robot's length, within which a step considers obstacles."""
     bodies: int = 30
-    """Of which a step knows at least, the nearest; of more only those that a step has come too close to."""
+    """Minimum number of obstacles in a step, nearest first. Others enter only after a step comes too close to them."""
 
 
 @dataclass(frozen=True)
 class OrderChanges(Settings):
-    """Where the order of breakpoints along the arm changes."""
+    """Settings for changes in the order of breakpoints along the arm."""
 
     closed_section: float = 1e-7
     """Length, m, of a section between breakpoints that counts as none."""
     short_section: float = 1e-4
-    """Share of the robot's length, up to which a section may hold a step up as if it were none."""
+    """Length of a section, as a fraction of the robot's length, that may block a step like a closed one."""
     shift: float = 1e-5
-    """Share of the robot's length, by which breakpoints are moved past each other."""
+    """Distance that breakpoints are moved past each other, as a fraction of the robot's length."""
 
 
 @dataclass(frozen=True)
 class Starts(Settings):
-    """From where searches begin, and what their ends tell together."""
+    """Settings of the starts of a search, and of conclusions from their results."""
 
     pool: int = 400
     """Configurations of the table, the most promising, among which starts are spread."""
     direction_weight: float = 0.35
-    """Of the difference of directions against that of positions over the robot's length, in how promising one is."""
+    """Weight of the direction error relative to the position error over the robot's length, in the ranking of starts.
+    """
     nearness_weight: float = 0.02
-    """Of its distance from a reference, in units of the joints' scales, in how promising one is."""
+    """Weight of the distance from a reference, in units of the joint scales, in the ranking of starts."""
     nearest: int = 12
     """Taken as they come, the most promising first; those after them are spread over all postures."""
     clear: int = 8
@@ -79,15 +80,15 @@ class Starts(Settings):
     doubted: int = 4
     """Answers that a cold forward kinematics does not find, after which one of them is taken."""
     unanimous: int = 10
-    """So many starts that end as far from the target say that there is no better."""
+    """Number of starts with the same distance from the target that count as proof of no better one."""
     hopeless: int = 24
-    """So many starts, all ending farther from the target than `far`, say: out of reach."""
+    """Number of starts, all ending farther from the target than `far`, that count as out of reach."""
     far: float = 0.02
     """Share of the robot's length."""
     same_miss: float = 2e-5
-    """Share of the robot's length, by which the distances of two ends from the target may differ and agree."""
+    """Largest difference of equal distances from the target, as a fraction of the robot's length."""
     same_cost: float = 1e-7
-    """Share of the cost, by which a later answer must be better to take an earlier one's place."""
+    """Relative improvement of the cost that a later solution needs to replace an earlier one."""
 
     _none: ClassVar[tuple[str, ...]] = ("clear",)
 
@@ -97,7 +98,7 @@ class Programs(Settings):
     """The nonlinear program, which tries what the fast path did not solve."""
 
     starts: int = 4
-    """From which it begins."""
+    """Number of starts of the program."""
     orders: int = 6
     """Changes of the order of breakpoints that it goes through."""
     bodies: int = 16
@@ -115,35 +116,35 @@ class Closest(Settings):
     """The search for the posture that misses an unreachable target least."""
 
     steps: int = 60
-    """From one end of a search."""
+    """Maximum number of steps from one end of a search."""
     postures: int = 150
     """Tried in it; far fewer do but where bodies hold the arm in several places."""
     promise: float = 1e-8
-    """Share of the robot's length, by which a step must promise to bring the tip closer."""
+    """Smallest predicted approach of a step to the target, as a fraction of the robot's length."""
     gain: float = 1e-7
-    """Share of the robot's length, by which a later end must be closer to take an earlier one's place."""
+    """Improvement that a later end needs to replace an earlier one, as a fraction of the robot's length."""
     returns: int = 12
-    """Steps of the way back to what is allowed."""
+    """Maximum number of steps back into the allowed set."""
     curvature: float = 1e-6
-    """Of the model at least, per square of a joint's scale."""
+    """Smallest curvature of the model, per square of a joint's scale."""
     same_end: float = 1e-3
     """Ends closer than this in every joint, in units of their scales, are one."""
     agreeing: int = 4
-    """So many further ends that it brings as close as the best say that there is no closer one."""
+    """Number of further ends at the same distance that count as proof of no closer one."""
 
 
 @dataclass(frozen=True)
 class Aiming(Settings):
-    """How answers without load are aimed so that the loaded arm arrives."""
+    """Settings for correcting unloaded solutions so that the loaded arm reaches the target."""
 
     shots: int = 40
     """Answers without load in search of one that is on target, with its margin and clearance, under it."""
     tolerance: float = 2e-9
     """Distance, m, and angle, rad, at which the aim is good."""
     stalled: float = 1e-7
-    """Share of the arm, or angle, up to which round-off may end the aiming."""
+    """Correction, as a fraction of the arm or as an angle, below which round-off ends the iteration."""
     gain: float = 0.9
-    """Part of the last miss to which a shot must bring it, or it is a poor one."""
+    """Largest ratio of successive misses of a converging iteration."""
     poor: int = 4
     """Poor shots beyond which aiming does not converge."""
     room: float = 1e-3
@@ -152,22 +153,22 @@ class Aiming(Settings):
 
 @dataclass(frozen=True)
 class SessionSteps(Settings):
-    """How an `IkSession` goes from target to target."""
+    """Settings of the steps of an `IkSession` between targets."""
 
     tolerance: float = 2e-9
     """Distance, m, and angle, rad, at which a step ends."""
     move: float = 0.02
     """Share of the robot's length; farther targets are approached in so long parts on a straight line."""
     part: float = 1 / 16
-    """Share of such a part, to which it is divided at most, so that the robot does not leap."""
+    """Smallest part, as a fraction, into which a step is divided to avoid a jump."""
     push: float = 0.5
     """Length of the motion towards larger margin, over that of the motion towards the target."""
     careful: float = 0.15
     """Margin above its bound below which derivatives are computed anew for every step."""
     room: float = 4.0
-    """Clearance to spare for a step that does not look at bodies, per way of the tip."""
+    """Spare clearance of a step that ignores obstacles, per distance that the tip moves."""
     least_room: float = 2e-4
-    """The same at least, m."""
+    """Minimum of that spare clearance, m."""
     solves: int = 4
     """Equilibria that a step may cost before its derivatives count as stale."""
     age: int = 8
@@ -183,18 +184,19 @@ class Jumps(Settings):
     turn: float = 20.0
     """Largest motion of a rotation, rad, over that of the tip in robot's lengths and, where it is pointed, rad."""
     shift: float = 8.0
-    """The same of a translation, in units of its scale: one that moves more than four times as far as the tip changes
-    the posture."""
+    """Allowed translation in units of its scale, per motion of the tip. A carriage that moves more than four times as
+    far as the tip changes the posture.
+    """
     azimuth: float = 2.0
-    """Rotation allowed beside that, over the angle by which the tip moves about the axis of the plate."""
+    """Additional allowed rotation, per angle that the tip moves about the plate axis."""
     least: float = 0.02
     """Motion of a joint, in units of its scale, that is no leap in any case."""
     aside: float = 0.05
     """Distance of the tip from the line between the targets that is no leap, as a share of their distance."""
     least_aside: float = 1e-5
-    """The same in any case, m."""
+    """Minimum of the allowed distance from the line, m."""
     sampled: float = 0.1
-    """Motion, in units of the joints' scales, between two places where the way is looked at."""
+    """Joint motion between two checked points of the path, in units of the joint scales."""
 
 
 @dataclass(frozen=True)

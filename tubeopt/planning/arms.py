@@ -92,7 +92,7 @@ class ArmsProof(Displayed):
     pairs: tuple[PairProof, ...]
     """One for each two arms."""
     faults: tuple[str, ...]
-    """What is wrong, in words; empty where all is proved."""
+    """Violated or unproved requirements, as text; empty if everything is proved."""
 
     @property
     def holds(self) -> bool:

@@ -70,7 +70,7 @@ class ArmsPlan(Displayed):
     min_margin: float
     """Smallest allowed margin."""
     min_clearance: float
-    """That is kept, m."""
+    """Required clearance, m."""
     proof: ArmsProof
     """Proof of all motions together."""
     seconds: float
@@ -103,8 +103,7 @@ class ArmsPlan(Displayed):
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:
-        """(T, pairs) distances between arms at times (T,), s, of points of either, m: the proof bounds what lies
-        between them."""
+        """Required clearance, m."""
         t = np.asarray(times, dtype=float)
         lines = [
             _moving(arm, each, DEFAULT_EFFORT.arms.points).at_times(t)

@@ -11,60 +11,58 @@ from ..inverse.joint_path_settings import PathSearch
 
 @dataclass(frozen=True)
 class Shares(Settings):
-    """How the time limit is divided."""
+    """Division of the time limit; fractions of it unless stated otherwise."""
 
     goals: float = 0.6
-    """Of it, after which joint values for a goal of the tip are tried from no further start."""
+    """Time after which no further starts are tried for joint values of a tip goal."""
     search: float = 0.9
-    """Of it, after which the search ends, so that what was found can be reported in time."""
+    """Time after which the search ends, so that the result can be reported in time."""
     report: float = 0.35
-    """Of it, that is kept for the report at most."""
+    """Largest time reserved for the report."""
     report_seconds: float = 2.0
-    """For the report at least, s, within that."""
+    """Smallest time reserved for the report, within that limit, s."""
     postures_seconds: float = 15.0
-    """Below which only the nearest posture for a goal of the tip is tried, s."""
+    """Time, s, below which only the nearest posture for a tip goal is tried."""
     nearest: float = 0.4
-    """Of the time for the search, for the nearest posture where others are tried after it."""
+    """Fraction of the search time for the nearest posture, if others follow."""
     roadmap: float = 0.3
-    """Of the time for the search, which a roadmap is given first."""
+    """Fraction of the search time for a roadmap, which comes first."""
     entry: int = 4
-    """Part of the time that is left, as its reciprocal, which each place of the plate gets to which more than so many
-    others follow."""
+    """While more than `entry` base poses remain, each gets 1/`entry` of the remaining time."""
     late_seconds: float = 0.25
-    """Beyond the time limit at most, s, in which what a proof did not come to is followed, so that it can be
-    returned."""
+    """Largest overrun of the time limit for following an unproved motion to its end, s."""
 
 
 @dataclass(frozen=True)
 class GoalSearch(Settings):
-    """Which joint values are tried where several meet what is asked for."""
+    """Choice of joint values where several meet the goal."""
 
     most: int = 12
-    """Tried at most, the nearest to the start first."""
+    """Maximum number of candidates, nearest to the start first."""
     turns: int = 3
-    """Whole turns of one tube that are tried at most, the nearest to the start."""
+    """Maximum number of full turns of one tube that are tried, nearest to the start first."""
     places: int = 2
-    """Of a region whose other postures are looked for."""
+    """Number of points of a region for which other postures are searched."""
     apart: float = 1e-3
     """Ends closer than this in every coordinate, in units of the joints' scales, are one."""
     tubes: int = 3
-    """Equilibria at joint values are all looked for with so few tubes, or while `seconds` are left; else the one that
-    forward kinematics finds is tried."""
+    """Largest number of tubes for which all equilibria at joint values are searched in any case. For more, `seconds`
+    must be left; otherwise that of forward kinematics is tried.
+    """
     seconds: float = 30.0
-    """Left of the time, s, from which that is done for more tubes too: nothing can cut it short."""
+    """Remaining time, s, needed to search all equilibria of more tubes, because that cannot be interrupted."""
     points: int = 8
-    """Of a roadmap from which joint values for a goal of the tip are looked for, those with the nearest tips first."""
+    """Roadmap nodes, nearest tip first, that start the inverse kinematics of the goal."""
     answers: int = 2
-    """That are enough where ways shall be short: a second one shortens them by a tenth."""
+    """Number of solutions that suffice for short paths; a second one shortens them by a tenth."""
 
 
 @dataclass(frozen=True)
 class ReachSearch(Settings):
-    """Whether places are out of reach, and what share of them is reached."""
+    """Settings for unreachable places and for the reached fraction of places."""
 
     starts: int = 8
-    """From which it is tried whether a place is out of reach: of those in the table, the nearest half, and half that
-    differ."""
+    """Number of starts of the test for unreachable places: half of them nearest in the table, half spread."""
     steps: int = 20
     """Most of Gauss-Newton from each."""
     longest_step: float = 0.4
@@ -72,18 +70,18 @@ class ReachSearch(Settings):
     near: float = 0.02
     """Share of the robot's length: who comes closer than this is not refused."""
     share_points: int = 30
-    """Of a roadmap, those with the nearest tips, that are looked at for each place."""
+    """Number of roadmap nodes with the nearest tips that are considered per place."""
     share_ways: int = 4
-    """Of those to which ways lead, from which the place is approached."""
+    """Number of reachable nodes that approach a place."""
     share_steps: int = 15
     """Most of Gauss-Newton from each."""
     close: float = 0.01
-    """Distance, m, from which on a place that is missed counts nothing in the score of a region."""
+    """Miss, m, beyond which a place counts nothing in the score of a region."""
 
 
 @dataclass(frozen=True)
 class RoadmapSearch(Settings):
-    """How a roadmap is drawn and joined."""
+    """Settings for drawing and connecting a roadmap."""
 
     neighbours: int = 10
     """Nearest points that each point is joined with."""
@@ -93,7 +91,7 @@ class RoadmapSearch(Settings):
 
 @dataclass(frozen=True)
 class Smoothing(Settings):
-    """When a way is smoothed, for how long, from which knots.
+    """Start, duration and knots of the smoothing of a path.
 
     Raises:
         InputError: a count that is no whole number of at least 1 (0 for `refinements`), another number that is not
@@ -101,15 +99,15 @@ class Smoothing(Settings):
     """
 
     seconds: float = 20.0
-    """At most, s."""
+    """Maximum duration, s."""
     share: float = 0.5
-    """Of the time that is left, at most: the proof needs the rest."""
+    """Maximum fraction of the remaining time; the proof needs the rest."""
     least_seconds: float = 1.0
-    """With fewer of which none is begun, s."""
+    """Remaining time below which smoothing is skipped, s."""
     scanned_seconds: float = 2.5
-    """At most, s, for length among scans, where rounded corners are rarely longer."""
+    """Maximum duration for length among scanned obstacles, s; rounded corners are rarely longer there."""
     intervals: int = 24
-    """Between knots at first."""
+    """Initial number of intervals between knots."""
     refinements: int = 3
     """Times that knots are added where the motion between them is not allowed."""
     twist: float = 0.3
@@ -117,39 +115,42 @@ class Smoothing(Settings):
     margin: float = 3e-3
     """Beyond that of the search, which knots keep at first for what is between them."""
     reach: float = 0.1
-    """Distance of knots from bodies, as a share of the longest tube, up to which these may matter."""
+    """Distance of knots from obstacles, as a fraction of the longest tube, within which these count."""
     apart: float = 0.1
     """Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
     left: float = 1e-5
-    """Of margin (and, m, of clearance), where samples are as far apart as they may be: more than what lies between
-    them can be off. It falls with the square of their distance."""
+    """Reserve of the margin (and of the clearance, m) at the largest sample distance; it exceeds the error between
+    samples and falls with the square of that distance.
+    """
     worth: float = 0.02
-    """Share of its length by which a way must exceed the straight line to be smoothed for length in free space."""
+    """Relative excess of a path over the straight line that justifies smoothing for length in free space."""
     worth_among_bodies: float = 0.1
-    """The same among bodies, where that takes twice as long."""
+    """Relative excess that justifies smoothing among obstacles, where it takes twice as long."""
     same_length: float = 2e-3
-    """Share by which lengths and durations may differ that count as the same."""
+    """Largest relative difference of equal lengths and durations."""
 
     _none: ClassVar[tuple[str, ...]] = ("refinements",)
 
 
 @dataclass(frozen=True)
 class PathSolver(Settings):
-    """The program by which a way is smoothed."""
+    """Settings of the program that smooths a path."""
 
     operations: int = 150_000
-    """Of one equilibrium at most, beyond which its derivatives take too long: robots of about six tubes."""
+    """Largest number of operations of one equilibrium; about six tubes. Derivatives take too long beyond."""
     build: float = 5e-5
     """Seconds that it takes at most on most machines to build the program, which nothing can cut short, and to begin to
     solve it: per operation of an equilibrium."""
     build_body: float = 5e-2
-    """The same per obstacle."""
+    """Time to build the program per obstacle, s."""
     build_node: float = 1e-6
-    """The same per node of a table of distances."""
+    """Time to build the program per node of a distance table, s."""
     fields: float = 1e-3
     """Least determinant of the Jacobi fields, which begin as 1."""
     sharpness: float = 400.0
-    """Of the smooth least distance, over the length of the robot: at most log(points) / 400 too small."""
+    """Sharpness of the smooth minimum distance, over the length of the robot: it is at most log(points) / 400 too
+    small.
+    """
     splits: int = 4
     """Points per step of the arm at which its distance from bodies is measured."""
     tips: float = 0.05
@@ -158,22 +159,22 @@ class PathSolver(Settings):
 
 @dataclass(frozen=True)
 class Rounding(Settings):
-    """How the way as it is becomes a curve, and its corners round.
+    """Settings for rounding the corners of a path.
 
     Raises:
         InputError: a count that is no whole number (of at least 0), another number that is not positive.
     """
 
     seconds: float = 5.0
-    """At most, s."""
+    """Maximum duration, s."""
     share: float = 0.3
-    """Of the time that smoothing leaves, at most."""
+    """Maximum fraction of the time that smoothing leaves."""
     spacings: tuple[float, ...] = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
-    """Distances, in units of the joints' scales, of the points of a polyline whose corners are rounded, tried in
-    turn."""
+    """Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
     bend: float = 0.02
-    """Second difference of joint values, in units of their scales, of points of a motion up to which curves keep close
-    to them."""
+    """Largest second difference of joint values, in units of their scales, at which curves still stay close to the
+    points.
+    """
     halvings: int = 4
     """Times that these points are set twice as close at most."""
 
@@ -182,24 +183,26 @@ class Rounding(Settings):
 
 @dataclass(frozen=True)
 class Timing(Settings):
-    """How a curve is timed, and the motion sampled."""
+    """Settings for timing a curve and sampling the motion."""
 
     cells: int = 100
-    """Of the grid on which a curve is timed, evenly spaced at first."""
+    """Number of cells of the first timing grid, evenly spaced."""
     fine_cells: int = 500
-    """Then such that they take the same time."""
+    """Number of cells of the second grid, with equal durations."""
     rate_safety_factor: float = 0.9995
-    """Share of the rates that is used: the tip's speed is taken on the grid, and ends of the path are made exact."""
+    """Safety factor on the rate limits: the tip speed is only checked on a grid, and the ends of the path are made
+    exact.
+    """
     samples: int = 100
-    """At least."""
+    """Minimum number of samples."""
     samples_of_tip: int = 300
-    """At least where the speed of the tip is limited, which changes on the way from one to the next."""
+    """Minimum number of samples with a limit of the tip speed; that speed changes between samples."""
     most_samples: int = 4000
-    """At most."""
+    """Maximum number of samples."""
     sample_step: float = 0.04
     """Largest change of a joint between samples, in units of its scale."""
     max_overspeed: float = 1.1
-    """Over its limit, by which the tip may be too fast between samples of a motion that is then slowed down for it."""
+    """Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
 
 
 @dataclass(frozen=True)
@@ -243,29 +246,30 @@ class ProofSearch(Settings):
 
 @dataclass(frozen=True)
 class EntrySearch(Settings):
-    """By which random arms places of the plate are compared."""
+    """Settings of the random arms that rank base poses."""
 
     arms: int = 1024
-    """Of random joint values."""
+    """Number of random joint values."""
     nearest: int = 12
-    """Of these, those that are looked at for each place of the goal."""
+    """Number of arms considered per goal position, nearest first."""
     points: int = 48
-    """Along each."""
+    """Number of points per arm."""
 
 
 @dataclass(frozen=True)
 class ArmsSearch(Settings):
-    """How several robots leave each other room."""
+    """Settings for the coordination of several robots."""
 
     delays: int = 41
-    """That are tried for a robot beside others, from none to when all before it have come to rest."""
+    """Number of delays tried for a robot, from none to the rest of all earlier ones."""
     instants: int = 80
-    """Of a motion, by which delays are told."""
+    """Number of instants of a motion that determine delays."""
     points: int = 64
-    """Along an arm, by which they are."""
+    """Number of points per arm that determine delays."""
     room: float = 3e-4
-    """To spare between arms that move at a time, m, for what lies between instants and points; more is asked where the
-    proof finds a fault."""
+    """Reserve of the distance between moving arms, m, for the error between instants and points. It grows after a
+    failed proof.
+    """
     rest_chord: float = 2e-3
     """Longest piece of an arm at rest that is taken as straight, m."""
     rest_points: int = 100
@@ -303,7 +307,7 @@ class PlanEffort(PathSearch):
     numbers.
     """
     force_room: float = 1.05
-    """What is kept for how far a force moves the arm, over what is known of the ends of a motion."""
+    """Safety factor on the displacement of the arm by a force, known at the ends of a motion."""
 
 
 DEFAULT_EFFORT = PlanEffort()

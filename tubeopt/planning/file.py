@@ -133,11 +133,12 @@ def save_joint_trajectory(trajectory: Trajectory, path: str | PathLike[str]) -> 
 
 
 def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> TimedJoints:
-    """The trajectory in a CSV file: columns time_s, rotation_1_deg, ... and translation_1_mm, ... (by default home),
-    which the drives read; the answer has the model's joint values.
+    """The trajectory in a CSV file, with the model's joint values.
+
+    Columns: time_s, rotation_1_deg, ... and translation_1_mm, ... (by default home), as readings of the drives.
 
     Args:
-        robot: whose it is; by default that of the file which a comment `# robot: FILE` names.
+        robot: the robot; by default that of the file named in a comment `# robot: FILE`.
 
     Raises:
         InputError: no such file, no robot, columns that are unknown or missing, cells that are no numbers.

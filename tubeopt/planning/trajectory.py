@@ -89,7 +89,7 @@ class Trajectory(Displayed):
     min_margin: float
     """Smallest allowed margin."""
     min_clearance: float
-    """That is kept, m."""
+    """Required clearance, m."""
     rate_limits: RateLimits
     """Limits on speeds and accelerations."""
     proof: Proof
@@ -121,7 +121,7 @@ class Trajectory(Displayed):
 
     @cached_property
     def clearance(self) -> Array:
-        """(T,) least distances of the arm from obstacles, m; infinite without."""
+        """Required clearance, m."""
         scene = scene_of(self.obstacles)
         return np.array([ArmSurface(e).clearance(scene) for e in self.arms])
 

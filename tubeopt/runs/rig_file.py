@@ -143,7 +143,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
 
 
 def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
-    """What a thermal camera saw, in CSV: `time_s`, and a column of temperatures, degC, for every place along the tube.
+    """Recording of a thermal camera in CSV: `time_s`, and a column of temperatures, degC, per point of the tube.
 
     Columns are called by their place from the middle of the curved part, mm: `time_s,-40,-20,0,20,40`. Empty cells are
     places that were not seen.

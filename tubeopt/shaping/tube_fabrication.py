@@ -44,12 +44,12 @@ class Known:
 
 @dataclass(frozen=True, eq=False)
 class TubeFabrication:
-    """How one tube is made."""
+    """Mold and heating of one tube."""
 
     tube: Tube
-    """What it is to become."""
+    """The tube to make."""
     mold: Mold
-    """With one groove, that of the tube."""
+    """Mold with one groove for the tube."""
     rig: Rig
     """The rig with the mold as drawn."""
     heating: HeatingPlan
@@ -57,9 +57,9 @@ class TubeFabrication:
     rounds: int
     """Molds that were drawn."""
     disagreement: str
-    """In words, what mold and heating do not agree on; "" where they do."""
+    """Differences between mold and heating, as text; "" without any."""
     remarks: tuple[str, ...] = ()
-    """What to keep in mind."""
+    """Remarks for making it."""
 
     @property
     def groove(self) -> Groove:
@@ -68,7 +68,7 @@ class TubeFabrication:
 
     @property
     def agreed(self) -> bool:
-        """Whether mold and heating are of one rig, and the mold has what the heating needs."""
+        """True if mold and heating are for one rig, and the mold has what the heating needs."""
         return not self.disagreement
 
 
@@ -78,15 +78,15 @@ def plan_tube(
     """Mold and heating of one tube on one rig, planned for each other.
 
     Args:
-        tube: what is to be made.
-        rig: its material, clamps, side clearance of the groove, least leads and vents rule over those of `mold`.
-        mold: what else is asked of the mold; None takes the defaults of `MoldSpec`.
-        heating: what is asked of the heating; None heats as `mold.heat` says: set temperature, tolerance and hold.
-        number: of the tube, for texts.
+        tube: the tube to make.
+        rig: the rig. Its material, clamps, side clearance, leads and vents take precedence over those of `mold`.
+        mold: other requirements on the mold; None takes the defaults of `MoldSpec`.
+        heating: requirements on the heating; None takes set temperature, tolerance and hold from `mold.heat`.
+        number: number of the tube, for texts.
 
     Raises:
-        InputError: no mold can be drawn for the rig's leads, tube and rig cannot belong together, or there is no
-            recipe for the tube's material.
+        InputError: no mold is possible for the rig's leads, tube and rig do not fit, or there is no recipe for the
+            tube's material.
         SolveError: the optimal control problem of the heating did not converge.
     """
     asked = MoldSpec() if mold is None else mold

@@ -54,32 +54,32 @@ class Evaluates(Protocol):
 
 @dataclass(frozen=True)
 class ProblemStatistics:
-    """How a solve went."""
+    """Effort of a solve."""
 
     verdict: str
-    """IPOPT's own."""
+    """Return status of IPOPT."""
     iterations: int
-    """Of the last solve."""
+    """Iterations of the last solve."""
     seconds: float
-    """Of all solves."""
+    """Duration of all solves, s."""
     unknowns: int
     constraints: int
     reorderings: int = 0
-    """How often breakpoints changed places."""
+    """Number of swaps of breakpoints."""
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """What became of the starts of `Problem.multistart`."""
+    """Results of the starts of `Problem.multistart`."""
 
     started: int
     solved: int
-    """That ended in an optimum."""
+    """Number of starts that ended in an optimum."""
     without_equilibrium: int
-    """That had none to start from."""
+    """Number of starts without an equilibrium."""
     failed: int
     objectives: tuple[float, ...]
-    """Of the optima, least first."""
+    """Objectives of the optima, smallest first."""
 
     def __str__(self) -> str:
         text = f"{self.started} starts: {self.solved} optima, {self.failed} failed"

@@ -29,10 +29,7 @@ ASSUMING = "assuming no external load, weight or friction"
 
 
 class Finding(StatusEnum):
-    """What is known about snapping; every value reads as a sentence, and holds under what `ASSUMING` says.
-
-    CAN_SNAP says that there is a snap; whether it is inside the joint limits says `Verdict.within_limits`.
-    """
+    """Knowledge about snapping; every value reads as a sentence."""
 
     SNAP_FREE = "cannot snap at any rotation"
     CAN_SNAP = "can snap"

@@ -44,7 +44,7 @@ class HeatingLog:
     """
 
     time: Array
-    """(T,) s, increasing."""
+    """(T,) times, s, increasing."""
     duty: Array
     """(T,) counts 0-255, held from each row to the next."""
     temperature: Array | None = None
@@ -54,9 +54,9 @@ class HeatingLog:
     current: Array | None = None
     """(T,) from the battery while the MOSFET conducts, A."""
     position: float | Sequence[float] | Array = 0.0
-    """Of the thermometer from the middle of the curved part, m; (S,) of several."""
+    """Position of the thermometer from the middle of the curved part, m; (S,) for several."""
     lag: float | Array = 0.0
-    """Time constant, s, with which its readings follow the tube; (S,) of several that differ."""
+    """Time constant of the thermometer, s; (S,) for several different ones."""
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -121,12 +121,12 @@ class HeatingLog:
         return found | {name: getattr(self, name) for name in ("voltage", "current") if getattr(self, name) is not None}
 
     def with_camera(self, time: Array, positions: Array, temperature: Array) -> HeatingLog:
-        """With what a camera saw, at times of its own, (C,), at places (P,), m: temperatures (C, P), K.
+        """A copy with the readings of a camera: temperatures (C, P), K, at its own times (C,) and positions (P,), m.
 
-        Duties are those of this log; the camera does not lag; where one has no reading, the other's times have none.
+        Duties are those of this log. The camera has no lag. A missing reading is no reading of the other either.
 
         Raises:
-            InputError: as of the class, or a camera that saw nothing while the log lasts.
+            InputError: as of the class, or a camera that saw nothing during the log.
         """
         inside = (time >= self.time[0]) & (time <= self.time[-1])
         if not inside.any():
@@ -154,7 +154,7 @@ class HeatingLog:
         )
 
     def kept(self, channels: dict[str, Array]) -> HeatingLog:
-        """With other readings in the channels of temperature."""
+        """A copy with other temperature readings."""
         columns = [channels[name] for name in self.thermometers]
         table = columns[0] if len(columns) == 1 else np.column_stack(columns)
         return replace(self, temperature=table)

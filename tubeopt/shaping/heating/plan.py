@@ -123,9 +123,9 @@ class HeatingPlan(Displayed):
     reasons: tuple[str, ...]
     """Reasons why the window is missed, as text; empty if it is kept."""
     problems: tuple[str, ...]
-    """What is broken or missed and why, and what else is wrong in words: a mold or a battery that suffers."""
+    """Violated limits with their reasons, and other problems, as text, such as an overheated mold."""
     cures: tuple[Cure, ...]
-    """Changes that would help, where something is not kept; those that cure it come first."""
+    """Changes that would help if a limit is violated; those that suffice come first."""
     quench_time: float
     """Time from the end of the hold until the whole tube is below 100 degC, out of the mold, s."""
     growth: float

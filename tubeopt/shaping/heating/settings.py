@@ -13,37 +13,37 @@ OPTIMAL_CONTROL = Ipopt(tolerance=1e-4, constraint_tolerance=1e-7, iterations=25
 
 @dataclass(frozen=True)
 class ProgramSolver(Settings):
-    """How the optimal control problem is posed and solved."""
+    """Settings of the optimal control problem."""
 
     ipopt: Ipopt = OPTIMAL_CONTROL
     """Its objective is in units of about 1 K and 30 s: the tolerance is far below what the coarse grid and whole counts
     change."""
     again_iterations: int = 25
-    """Of IPOPT from an earlier answer, from which few are enough; where they are not, a new start is better."""
+    """Maximum number of IPOPT iterations from an earlier solution; a new start follows."""
     room: float = 0.75
-    """Counts of the duty for whose warming room is left below the ramp."""
+    """Reserve below the ramp limit, as heating by this many duty counts."""
     more_room: float = 1.0
-    """The same, where counts fall behind with that."""
+    """Larger reserve, if integer duties fall behind with the first."""
     duty_points: int = 401
-    """Between which the ideal duty is taken to be linear, over heating and hold."""
+    """Number of points of the piecewise linear duty over heating and hold."""
     ramp_kept: float = 0.03
     """Share of the ramp that is kept for the fine grid."""
     ramp_left: float = 0.15
     """Share of it that is left at least when room is made for whole counts."""
     most_miss: float = 1500.0
-    """Of the window, K, which so is always solvable, at a price."""
+    """Largest miss of the window, K; with it the program is always feasible, at a price."""
     guess_slot: float = 0.25
-    """Slots, s, of the controller with whose schedule it begins."""
+    """Slot of the controller that gives the starting schedule, s."""
     guess_miss: float = 20.0
-    """Of the window by a guess, K, from which on it begins with it."""
+    """Miss of the window by the starting schedule, K, above which the program starts with slack."""
 
 
 @dataclass(frozen=True)
 class CountSolver(Settings):
-    """How duties become whole counts, and which are the soonest."""
+    """Settings for integer duties and the shortest schedule of them."""
 
     colder: float = 4.0
-    """What counts held back for the sake of the ramp may cost, K."""
+    """Largest temperature loss by duties reduced for the ramp limit, K."""
     watched: float = 10.0
     """Time of the hold, s, after which no duty comes near the ramp, and counts follow without a look."""
     spared: float = 0.005
@@ -54,7 +54,7 @@ class CountSolver(Settings):
     stall: float = 10.0
     """Time, s, over which it is looked how fast the coldest point warms."""
     sooner: float = 2.0
-    """How many times as fast it may warm later."""
+    """Largest speed-up of later heating."""
     probe: float = 8.0
     """Counts between which temperatures at the end of a slot are taken to be linear."""
 
@@ -85,62 +85,62 @@ class NearestSolver(Settings):
 
 @dataclass(frozen=True)
 class CureSearch(Settings):
-    """How changes that would help are searched for, where the window is missed."""
+    """Settings of the search for changes that help a missed window."""
 
     most: int = 3
-    """That are tried; there may be none."""
+    """Maximum number of changes tried; may be 0."""
     quick_slot: float = 0.1
     """Slots, s, that are proposed for a window that is too narrow for those that were asked for."""
     miss: float = 0.05
-    """Of the window by the program, K, below which a schedule of counts is made to see whether it is held."""
+    """Miss of the window by the program, K, below which an integer schedule is computed as a check."""
     worth: float = 0.1
-    """Share of the miss that a change must take away to be told."""
+    """Smallest relative reduction of the miss that is reported."""
     slot: float = 0.5
-    """To see that a change cures, duties are kept for up to this long, s."""
+    """Longest duration of equal duties in that check, s."""
     swing: float = 0.1
-    """Share of the window's width by which half a count may warm in that time, for duties to be kept so long."""
+    """Largest heating by half a count in that time, as a fraction of the window's width."""
 
     _none: ClassVar[tuple[str, ...]] = ("most",)
 
 
 @dataclass(frozen=True)
 class FabricationSolver(Settings):
-    """How a tube's mold and heating are planned for each other."""
+    """Settings of the joint search over mold and heating of a tube."""
 
     molds: int = 5
-    """That are drawn at most."""
+    """Maximum number of molds drawn."""
     same_length: float = 1e-5
     """Lengths of mold and heating, m, that differ by less are equal."""
     longer_lead: float = 1e-3
-    """What leads get beyond the cold ends, m, where these reach into the curved part."""
+    """Length of the leads beyond cold ends that reach into the curved part, m."""
     lead_peak: float = 0.98
     """Share of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
 
 
 @dataclass(frozen=True)
 class LawSolver(Settings):
-    """How the law of a sensor is chosen."""
+    """Settings of the controller design."""
 
     inside: float = 0.25
-    """Share of the window's width by which the coldest point is inside where a led hold begins."""
+    """Distance of the coldest point inside the window at the start of a controlled hold, as a fraction of its width."""
     rigs: int = 48
-    """On which gains and set-point are chosen; others tell how well they do."""
+    """Number of random rigs for choosing gains and set-point; other rigs test them."""
 
 
 @dataclass(frozen=True)
 class ReplanningSolver(Settings):
-    """How the rest of a heating is planned anew; what its observer expects of a slot."""
+    """Settings for replanning a running heating, and of its observer."""
 
     share: float = 0.5
-    """Greatest by which the heating may be stronger or weaker than the model says."""
+    """Largest relative deviation of the heating power from the model."""
     strength: float = 0.01
     """Change of that share in a slot."""
     drift: float = 1.0
-    """Of the temperature in a slot, K."""
+    """Expected temperature drift per slot, K."""
     rough: float = 2.0
-    """What the model gets wrong of a reading, K, beside the sensor's noise."""
+    """Model error of a reading, K, in addition to the sensor noise."""
     probe: float = 0.05
-    """Share of a planned duty by which it is raised to see what the reading does."""
+    """Relative increase of a planned duty that tests the response."""
 
 
 @dataclass(frozen=True)

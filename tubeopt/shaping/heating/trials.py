@@ -144,7 +144,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class TrialSolver(Settings):
-    """How far trials are trusted; of `calibrate_from_trials`.
+    """Settings of `calibrate_from_trials`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
@@ -155,7 +155,7 @@ class TrialSolver(Settings):
     prior: float = 0.3
     """Standard deviation of the logarithm of the loss factor before any trial; assumed."""
     slots: int = 120
-    """Of the simulation of a trial."""
+    """Number of time steps of the simulation of a trial."""
 
 
 DEFAULT_TRIALS = TrialSolver()

@@ -10,21 +10,22 @@ from ...errors import Settings
 
 @dataclass(frozen=True)
 class PegSearch(Settings):
-    """How pegs on a board are searched for."""
+    """Settings of the search for pegs on a board."""
 
     shifts: int = 6
     """Places of the curve on the lattice of holes that are tried, in x and in y."""
     places: int = 10
-    """Of these at which pegs are set, those first that offer holes most evenly."""
+    """Number of these arrangements that are solved, those with the most even holes first."""
     room: float = 50e-6
-    """Between a peg and the tube, m, that is as bad as a whole spacing along it."""
+    """Gap between a peg and the tube, m, that counts as much as one spacing along it."""
     overrun: float = 2.0
-    """Pitches by which a bend goes on where the tube is cut off at its end: a tube between pegs cannot stop bending at
-    once."""
+    """Length, in pitches, that a bend continues beyond the cut at its end, because the curvature of a tube between pegs
+    cannot end abruptly.
+    """
     reach: float = 0.97
     """Part of a pin's circle within which it is set: near its ends an angle decides little."""
     sampled: float = 0.1e-3
-    """Distance of the places on the curve at which it is looked at, m."""
+    """Spacing of the checked points on the curve, m."""
     element: float = 1.5e-3
     """Greatest length of an element of the tube between its pegs, m."""
 

@@ -26,8 +26,7 @@ CURVE = 160
 
 @picture
 def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | None = None) -> Figure:
-    """Picture of a plan of several arms: all of them to scale at some instants, and the distances between them over
-    time, with what was asked for and what is proved.
+    """Figure of a plan of several arms: all arms to scale at some instants, and their distances over time.
 
     Args:
         title: heading; by default what the arms are called.

@@ -204,8 +204,9 @@ TICKS = 5
 def plot_pair_shares(
     shares: tuple[PairShare, PairShare], *, names: tuple[str, str] = ("one", "other"), title: str = ""
 ) -> Figure:
-    """How far two arms are apart with their tips at any two places, before and after; grey where one of them does not
-    reach its place, or both places are the same.
+    """Figure of the distance of two arms with their tips at any two places, before and after.
+
+    Grey: an arm does not reach its place, or both places are the same.
 
     Args:
         shares: of the robots as given, and of the designs.

@@ -52,7 +52,7 @@ def plot_reach(
     view: tuple[float, float] = (18.0, -60.0),
     opacity: float = 1.0,
 ) -> Figure:
-    """Picture of many arms, or of lines on which tips lie: in space, from above, and folded into one meridian.
+    """Figure of many arms, or of curves of tips: in space, from above, and in the half-plane through z.
 
     Args:
         curves: what to draw, coloured by their values.

@@ -64,8 +64,7 @@ def plot_trajectory(
     title: str = "",
     view: tuple[float, float] | None = None,
 ) -> Figure:
-    """Picture of a trajectory: the swept arm to scale with the way of its tip; joint values, margin and,
-    with obstacles, clearance over time.
+    """Figure of a trajectory: swept arm and path of the tip; joint values, margin and clearance over time.
 
     Args:
         title: heading; by default the robot's name.

@@ -22,9 +22,9 @@ LONG_ENOUGH = 0.16
 
 @picture
 def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
-    """Predicted tips with arrows towards the measured ones, seen along the plate's axis and from the side.
+    """Figure of predicted tips with arrows to the measured ones, along the plate's axis and from the side.
 
-    Arrows are to scale, or lengthened by the factor that the heading tells.
+    Arrows are to scale, or lengthened by the factor in the heading.
 
     Args:
         when: words for the heading, such as "after the fit".

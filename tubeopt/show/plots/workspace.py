@@ -34,8 +34,7 @@ def plot_workspace(
     title: str = "",
     view: tuple[float, float] = (18.0, -60.0),
 ) -> Figure:
-    """Picture of a workspace: tips in space coloured by margin, and folded about z, the share of all directions in
-    which they point, and the largest margin with the places that are lost to snapping.
+    """Figure of a workspace: tips coloured by margin, dexterity, and largest margin in the half-plane through z.
 
     Args:
         loss: of `snapping_loss`.

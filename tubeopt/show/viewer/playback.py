@@ -57,13 +57,14 @@ class Playback:
 
 
 def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
-    """Waypoints in CSV: a trajectory of `tubeopt plan` with time_s, or a path of `tubeopt follow` without.
+    """Waypoints from CSV: a trajectory of `tubeopt plan` with time_s, or a path of `tubeopt follow` without.
 
-    Without times the fastest tube turns by 45 deg/s, or slides by 20 mm/s.
+    Without times the fastest tube rotates by 45 deg/s, or slides by 20 mm/s.
 
     Raises:
-        InputError: no such file, a column that is unknown or missing, a cell that is no number, times that do not
-            increase, joint values out of the robot's limits, no equilibrium at the start with the tip rotations given.
+        InputError: no such file, a column that is unknown or missing, a cell that is no number, or times that do not
+            increase. Joint values out of the robot's limits, or no equilibrium at the start with the given tip
+            rotations.
     """
     if TIME not in read_csv(path).columns:
         found = without_times(robot, load_path(path, robot))
@@ -109,10 +110,10 @@ def paced(rotations: Array, translations: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
-    """Follow the waypoints, from their start; once for all tabs that have them.
+    """Motion through the waypoints from their start; computed once for all tabs.
 
     Raises:
-        SolveError: the branch was lost on the way.
+        SolveError: the branch was lost on the path.
     """
     way = waypoints.rotations, waypoints.translations
     return Playback(waypoints, follow(robot, *way, start=waypoints.start))

@@ -31,13 +31,14 @@ QUICK = InverseOptions(solver=InverseSolver(descent=Descent(steps=20)))
 def pull(
     session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()
 ) -> tuple[Session, str]:
-    """Lead the tip towards `target` (3,) m along its branch, by Gauss-Newton steps that keep all limits.
+    """The session after moving the tip towards `target` (3,), m, on its branch, by Gauss-Newton steps within all
+    limits.
 
-    Every step is a stable equilibrium on the branch of the one before, with a margin of at least `min_margin` (or no
-    less than at the start): the robot does not snap. It stops where the tip comes no nearer.
+    Every step is a stable equilibrium on the same branch with a margin of at least `min_margin` (or that of the start):
+    the robot does not snap. The motion ends when the tip comes no nearer.
 
     Returns:
-        The session, and in words where the tip stops and why, "" on target.
+        The session, and the reason why the tip stopped, "" on target.
 
     Raises:
         InputError: a target that is not three finite numbers, a margin that is not from 0 to 1; a load.

@@ -261,13 +261,12 @@ def other_equilibria(session: Session) -> list[Equilibrium]:
 
 
 def redesign(session: Session, robot: Robot) -> Session:
-    """The same joint values with other tubes, as far as the new limits allow them, on the same branch if it is there.
+    """The session with other tubes at the same joint values, within the new limits and on the same branch if possible.
 
-    Tubes do not change under load in a workshop: where the old shape has no neighbour among the new ones, the robot is
-    assembled afresh, which the log then says.
+    Without a neighbouring shape among the new ones the robot is assembled afresh; the log states this.
 
     Raises:
-        InputError: the robot bears a load.
+        InputError: the robot has a load.
         SolveError: no stable equilibrium with the new tubes.
     """
     if session.equilibrium.load is not None:
