@@ -316,7 +316,7 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     if (count < 2) return TUBEOPT_BAD_INPUT;
     const Answer *a = m->answers + m->here;
     const double *along = a->arc_length, (*place)[3] = a->position, (*frame)[9] = a->frame;
-    int last = (int)a->pieces * STEPS, k = 0;
+    int last = (int)a->pieces * STEPS;
 #if TUBEOPT_LOADS
     if (m->bears) last = tubeopt_bearing_arm((const char *)m + OWN_ROOM, &along, &place, &frame);
 #endif
@@ -327,8 +327,7 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     }
     for (int c = 0; c < count; c++) {
         arc_length[c] = along[last] * c / (count - 1);
-        while (k + 1 < last && along[k + 1] < arc_length[c]) k++;
-        on_curve(along, place, frame, k, arc_length[c], position[c]);
+        on_curve(along, place, frame, piece_at(along, last, arc_length[c]), arc_length[c], position[c]);
     }
     return TUBEOPT_DONE;
 }

@@ -21,18 +21,7 @@ typedef struct {
     double stiffness, moment, phase, rate, wound; /* rate: 1 / GJ */
 } Section;
 
-/* A polynomial of n coefficients, LANES apart, by Clenshaw's recurrence. */
-static double chebyshev(const double *c, int n, double x) {
-    double b = 0, before = 0;
-    for (int k = n - 1; k > 0; k--) {
-        double next = 2 * x * b - before + c[k * LANES];
-        before = b;
-        b = next;
-    }
-    return c[0] + x * b - before;
-}
-
-/* Four polynomials at once. */
+/* Four polynomials of n coefficients, LANES apart, by Clenshaw's recurrence. */
 ALWAYS_INLINE void chebyshev_of_four(const double *c, int n, double x, double *out) {
     Four b = {0}, before = {0};
     for (int k = n - 1; k > 0; k--) {
@@ -76,13 +65,16 @@ static inline Section section_at(const Pieces *t, int tube, int panel, double x,
     double direction = t->direction[tube * t->most + panel];
     const double *c = coefficients_of(t, tube, panel);
     int count = count_of(t, tube, panel, CHANNELS), winding = count_of(t, tube, panel, 4);
-    double here[4];
+    double here[4], turned[4];
     if (count == 1)
         memcpy(here, c, sizeof here);
     else
         chebyshev_of_four(c, count, x, here);
-    double wound = winding <= 2 && t->width > 1 ? c[4] + x * c[4 + LANES] : chebyshev(c + 4, winding, x);
-    Section s = {present ? here[0] : 0, here[2], 0, 1 / here[1], wound};
+    if (winding <= 2 && t->width > 1)
+        turned[0] = c[4] + x * c[4 + LANES];
+    else
+        chebyshev_of_four(c + 4, winding, x, turned);
+    Section s = {present ? here[0] : 0, here[2], 0, 1 / here[1], turned[0]};
     if (isinf(direction)) {
         direction = atan2(here[3], here[2]);
         s.moment = sqrt(here[2] * here[2] + here[3] * here[3]);
@@ -101,12 +93,14 @@ static Section section_of(const Pieces *t, int tube, int panel, double place, in
 static double compliant(const Pieces *t, int tube, double place) {
     int panel = panel_of(t, tube, place);
     const double *breaks = t->breaks + tube * (t->most + 1) + panel;
-    const double *c = coefficients_of(t, tube, panel) + 1;
-    double low = breaks[0], step = fmax(fmin(place, breaks[1]) - low, 0), sum = 0;
+    const double *c = coefficients_of(t, tube, panel);
+    double here[4], low = breaks[0], step = fmax(fmin(place, breaks[1]) - low, 0), sum = 0;
     int count = count_of(t, tube, panel, 1);
-    for (int k = 0; k < QUADRATURE && count > 1; k++)
-        sum += QUADRATURE_WEIGHTS[k] / chebyshev(c, count, fraction(t, tube, panel, low + step * QUADRATURE_NODES[k]));
-    if (count == 1) sum = 1 / c[0];
+    for (int k = 0; k < QUADRATURE && count > 1; k++) {
+        chebyshev_of_four(c, count, fraction(t, tube, panel, low + step * QUADRATURE_NODES[k]), here);
+        sum += QUADRATURE_WEIGHTS[k] / here[1];
+    }
+    if (count == 1) sum = 1 / c[1];
     return t->compliance[tube * t->most + panel] + step * sum;
 }
 
