@@ -84,10 +84,12 @@ export class Kernel {
     return this.#answer(this.c.follow());
   }
 
-  /** The arm let go at joint values: the minimum that it falls into, and frames (positions) on the way. */
-  letGo(joints) {
+  /** The arm let go at joint values: the minimum that it falls into, and frames (positions) on the way. It begins with the
+   * torsion that it has, or with tubes twisted evenly up to `tipRotations`. */
+  letGo(joints, tipRotations = null) {
     this.#putJoints(joints);
-    const count = this.c.let_go();
+    if (tipRotations) this.#put([...tipRotations, ...Array(this.most - this.n).fill(0)], 2 * this.most);
+    const count = this.c.let_go(tipRotations ? 1 : 0);
     const all = this.#out(count * POINTS * 3).slice();
     const frames = Array.from({ length: count }, (_, k) => all.subarray(3 * POINTS * k, 3 * POINTS * (k + 1)));
     return { status: count ? STATUS.done : STATUS.declined, frames, pose: count ? this.pose() : null };

@@ -45,7 +45,7 @@ function spread(tubes) {
 }
 
 /** Shows a robot at joint values; `fresh` where it is another robot than before. */
-function show(robot, joints, { fresh = true, force = [0, 0, 0] } = {}) {
+function show(robot, joints, { fresh = true, force = [0, 0, 0], tipRotations = null } = {}) {
   const tubes = inSI(robot, page.known), at = allowed(tubes, joints ?? spread(tubes));
   if (!page.arm.assemble(tubes, at, fresh || tubes.length !== page.tubes.length)) {
     say("No stable equilibrium was found for these tubes.", "bad");
@@ -55,6 +55,7 @@ function show(robot, joints, { fresh = true, force = [0, 0, 0] } = {}) {
   const others = tubes.length !== page.tubes.length || fresh;
   Object.assign(page, { robot, tubes, ahead: null, wanted: null, fall: null, ghost: null });
   if (others) build();
+  if (tipRotations) page.arm.fall(tipRotations); // where the branch is another one than that of a cold solve
   if (force.some((f) => f)) push(force);
   page.certificateAt = null;
   if (fresh) page.scene.frame(Math.max(...ends(at.translations), 0));
@@ -69,7 +70,7 @@ function build() {
   const { robot, tubes } = page;
   page.parts = {
     joints: jointsPart(tubes, { joint: moveJoint, home: () => move(home(page.tubes)) }),
-    stability: stabilityPart(tubes.length, { pair: (pair) => change(page.parts.stability.choose(pair)) }),
+    stability: stabilityPart(tubes.length, { pair: (pair) => change(page.parts.stability.choose(pair)), fall }),
     tip: tipPart({ mode: setMode, floor: (x) => (page.floor = Math.min(Math.max(x, 0), 0.99)), force: setForce }, page.mode, page.floor),
     tubes: tubesPart(robot, page.arm.kernel.most, { dimension, addTube, removeTube }),
   };
@@ -164,17 +165,30 @@ function named(from, to, snap) {
   return best.words;
 }
 
+/** The arm let go with the tips of two tubes twisted by as much. */
+function fall(pair, twists) {
+  const tips = [...page.pose.tipRotations];
+  pair.forEach((i, k) => (tips[i] = page.pose.rotations[i] + twists[k]));
+  const snap = page.arm.fall(tips);
+  if (snap) animate(snap, `Another equilibrium: the tip jumped ${(snap.jump / MM).toFixed(1)} mm, the energy is ${Math.abs(snap.released / MM).toFixed(3)} mJ ${snap.released > 0 ? "lower" : "higher"}.`);
+  else say(page.arm.loaded ? "Remove the load first: the map is of the arm without load." : "From there the arm returns to this equilibrium.");
+  change();
+}
+
+function animate(snap, words) {
+  say(words, "snap");
+  page.fall = { ...snap, begun: performance.now(), length: snap.picture.length };
+  page.ghost = { picture: snap.picture, until: performance.now() + SNAP_TIME + GHOST_TIME };
+}
+
 function step(seconds) {
   if (page.wanted) {
     const from = page.pose, to = page.wanted;
     page.wanted = null;
     const { snaps, stopped } = page.arm.move(to);
     if (stopped) say(`Stopped: ${stopped}.`, "bad");
-    for (const snap of snaps) {
-      say(`Snap at ${named(from, to, snap)}: the tip jumped ${(snap.jump / MM).toFixed(1)} mm, ${(snap.released / MM).toFixed(3)} mJ released.`, "snap");
-      page.fall = { ...snap, begun: performance.now(), length: snap.picture.length };
-      page.ghost = { picture: snap.picture, until: performance.now() + SNAP_TIME + GHOST_TIME };
-    }
+    for (const snap of snaps)
+      animate(snap, `Snap at ${named(from, to, snap)}: the tip jumped ${(snap.jump / MM).toFixed(1)} mm, ${(snap.released / MM).toFixed(3)} mJ released.`);
   }
   if (page.wantedForce) {
     push(page.wantedForce);
@@ -182,6 +196,7 @@ function step(seconds) {
   }
   if (page.drag?.kind === "move") {
     const answer = page.arm.pull(page.drag.target, seconds, page.floor);
+    page.drag.stuck = Math.abs(page.drag.short - (answer?.distance ?? 0)) < 1e-5;
     page.drag.short = answer?.distance ?? 0;
     page.drag.why = answer?.why ?? 0;
     if (answer?.status !== STATUS.done) say("The tip cannot be moved from here: move a joint first.", "bad");
@@ -195,9 +210,10 @@ const REASONS = [
   [WHY.held, "no step is safe"],
 ];
 
-function explain({ short, why }) {
+function explain({ short, why, stuck }) {
   if (short < 5e-4) return say("");
-  const reason = REASONS.filter(([bit]) => why & bit).map(([, words]) => words).join(", ");
+  const known = REASONS.filter(([bit]) => why & bit).map(([, words]) => words).join(", ");
+  const reason = known || (stuck ? "it comes no closer" : "");
   if (reason) say(`The tip stops ${(short / MM).toFixed(1)} mm short: ${reason}.`);
 }
 
@@ -339,6 +355,8 @@ function paint(now) {
   });
   page.tip = tip;
   scene.draw();
+  if (!page.drawn) performance.mark("picture");
+  page.drawn = true;
 }
 
 // --- pointer -----------------------------------------------------------------------------------------------------------
@@ -482,8 +500,8 @@ async function begin() {
   let shown = false;
   if (location.hash.length > 1)
     try {
-      const { robot, joints, force } = fromHash(location.hash.slice(1), materials, kernel.most);
-      shown = show(robot, joints, { force });
+      const { robot, joints, tipRotations, force } = fromHash(location.hash.slice(1), materials, kernel.most);
+      shown = show(robot, joints, { force, tipRotations });
       const known = robots.findIndex((one) => one.name === robot.name);
       select.value = known < 0 ? OWN : known;
     } catch {
@@ -493,6 +511,7 @@ async function begin() {
   listen(by("scene"));
   files();
   new ResizeObserver(() => change(false)).observe(by("scene"));
+  if (innerWidth < 860) say(by("hint").textContent);
   document.documentElement.dataset.ready = "true";
 }
 

@@ -68,6 +68,19 @@ export class Arm {
     return true;
   }
 
+  /** To another equilibrium at the same joint values, let go from tubes twisted evenly up to tip rotations. The snap, or null
+   * where the arm comes back to where it was, or bears a load. */
+  fall(tipRotations) {
+    if (this.loaded) return null;
+    const before = this.pose, picture = this.picture(), saved = this.kernel.save(false);
+    const fall = this.kernel.letGo(before, tipRotations);
+    const jump = fall.pose ? apart(before.position, fall.pose.position) : 0;
+    if (fall.pose && apart(fall.pose.tipRotations, before.tipRotations) > CLOSE.turn)
+      return { from: before, to: fall.pose, picture, frames: fall.frames, jump, released: before.energy - fall.pose.energy };
+    this.kernel.restore(saved);
+    return null;
+  }
+
   /** A straight motion of the joints: the snaps on it; `stopped` where the arm stays since it would snap under its load. */
   move(to) {
     const snaps = [];
@@ -85,12 +98,23 @@ export class Arm {
       const [low, high] = endOfBranch(this.kernel, from, to);
       if (this.loaded) return { snaps, stopped: "the arm would snap under its load: remove the load to continue" };
       const before = this.pose, picture = this.picture();
-      const fall = this.kernel.letGo(between(from, to, high));
+      // At the very fold the energy is flat: then from a little farther on.
+      let fall = this.kernel.letGo(between(from, to, high));
+      for (let past = 4 * (high - low); fall.status !== STATUS.done && high + past < 1; past *= 4)
+        fall = this.kernel.letGo(between(from, to, high + past));
       if (fall.status !== STATUS.done) return { snaps, stopped: "no stable equilibrium was found beyond this place" };
-      const jump = apart(before.position, fall.pose.position);
-      if (jump > JUMP) snaps.push({ from: before, to: fall.pose, picture, frames: fall.frames, jump, released: before.energy - fall.pose.energy, share: (low + high) / 2 });
+      const snap = { from: before, to: fall.pose, picture, frames: fall.frames, jump: apart(before.position, fall.pose.position), released: before.energy - fall.pose.energy };
+      if (snap.released > 0 && snap.jump > JUMP && !this.#leadsBack(between(from, to, low), before)) snaps.push(snap);
     }
     return { snaps, stopped: "the arm snaps again and again" };
+  }
+
+  /** Whether the branch that the arm is on leads to a pose close by: then steps had become too short for the kernel to be sure
+   * before the branch ended, and nothing has snapped. */
+  #leadsBack(joints, pose) {
+    const landed = this.kernel.save(false), back = this.kernel.follow(joints);
+    this.kernel.restore(landed);
+    return back.status === STATUS.done && apart(back.pose.position, pose.position) < JUMP / 100;
   }
 
   /** The tip towards a place for so many seconds: how far it is from there, and the reasons for what is left. */

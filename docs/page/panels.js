@@ -2,7 +2,7 @@
 
 import { DEG, MM, shiftRange } from "./robot.js";
 import { COLOURS } from "./scene.js";
-import { drawMap } from "./map.js";
+import { drawMap, WINDOW } from "./map.js";
 
 /** An element with properties, style variables (--name) and children. */
 export function make(tag, properties = {}, ...children) {
@@ -119,6 +119,10 @@ export function stabilityPart(n, actions) {
   const none = make("p", { className: "note" });
   const out = part("stability", "Stability", proof, make("h3", {}, "Energy map", ...(pairs.length > 1 ? [choose] : [])), figure, none);
   let pair = pairs[0];
+  canvas.onclick = ({ offsetX, offsetY }) => {
+    const share = [offsetX / canvas.clientWidth, 1 - offsetY / canvas.clientHeight];
+    actions.fall(pair, share.map((x) => (2 * x - 1) * WINDOW));
+  };
   return {
     out,
     pair: () => pair,
@@ -138,7 +142,7 @@ export function stabilityPart(n, actions) {
       const shown = Boolean(data?.map);
       figure.hidden = !shown;
       none.textContent = shown
-        ? "Least energy with the tips of both tubes clamped at given twists (tip minus base). Valleys are stable; a snap falls into another valley."
+        ? "Least energy with the tips of both tubes clamped at given twists (tip minus base). Minima are stable equilibria, and the dot is the arm, without load. Press near another minimum: the arm snaps there."
         : n < 2 ? "One tube has no other to act on." : "These tubes do not act on one another here.";
       if (!shown) return;
       const [one, two] = data.pair;

@@ -127,17 +127,17 @@ export function writeRobot(robot) {
   return `# Made with the page of tubeopt. Tubes from the inner one outwards.\n${dump({ kind, name, tubes, ...rest })}`;
 }
 
-/** Robot, joint values and force as a part of an address, and back; null where it is none. */
-export function toHash(robot, joints, force) {
-  const short = (x) => Number(x.toPrecision(12));
-  const all = { robot, turn: joints.rotations.map((a) => short(a / DEG)), shift: joints.translations.map((d) => short(d / MM)), force };
+/** Robot, pose and force as a part of an address, and back. The tip rotations tell the branch. */
+export function toHash(robot, { rotations, translations, tipRotations }, force) {
+  const inUnit = (list, one, digits = 12) => list.map((x) => Number((x / one).toPrecision(digits)));
+  const all = { robot, turn: inUnit(rotations, DEG), shift: inUnit(translations, MM), tips: inUnit(tipRotations, DEG, 6), force };
   const bytes = new TextEncoder().encode(JSON.stringify(all));
   return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
 }
 
 export function fromHash(hash, known, most) {
   const bytes = Uint8Array.from(atob(hash.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0));
-  const { robot, turn, shift, force } = JSON.parse(new TextDecoder().decode(bytes));
+  const { robot, turn, shift, tips, force } = JSON.parse(new TextDecoder().decode(bytes));
   const numbers = (list, count) => {
     if (!Array.isArray(list) || list.length !== count || !list.every(Number.isFinite)) throw new Error("the address is not complete");
     return list;
@@ -145,5 +145,5 @@ export function fromHash(hash, known, most) {
   const read = readRobot(dump(robot), known, most);
   const n = read.tubes.length;
   const joints = { rotations: numbers(turn, n).map((a) => a * DEG), translations: numbers(shift, n).map((d) => d * MM) };
-  return { robot: read, joints, force: numbers(force, 3) };
+  return { robot: read, joints, tipRotations: numbers(tips, n).map((a) => a * DEG), force: numbers(force, 3) };
 }

@@ -24,6 +24,7 @@ from tubeopt import (
     SolveError,
     Tube,
     find_load_limit,
+    find_snap,
     forward_kinematics,
     load_robot,
 )
@@ -248,6 +249,20 @@ def test_the_branch_is_followed_up_to_the_snap_and_no_farther(thesis: CRobot) ->
     # It stayed where it was.
     again = thesis.follow(last.rotations, last.translations)
     assert again.tip_position == pytest.approx(last.tip_position, abs=1e-12)
+
+
+def test_a_branch_that_begins_soon_behind_the_end_of_another_is_not_taken_for_it(thesis: CRobot) -> None:
+    """Between the fold at 0.487 of the path and the other branch is a gap of half a step; `follow` finds the snap."""
+    start = np.array([-1.063867, 2.740718, -4.086733]), np.array([-0.019295, -0.037549, -0.037175])
+    goal = np.array([-3.660197, -0.811526, 2.205283]), np.array([0.060833, 0.071768, 0.070282])
+    known = find_snap(THESIS, start, goal)
+    assert known is not None
+    assert known.fraction == pytest.approx(0.4875, abs=1e-3)
+    first = thesis.solve(*start)
+    with pytest.raises(SolveError, match="snap"):
+        thesis.follow(*goal)
+    before = [(1 - 0.485) * a + 0.485 * b for a, b in zip(start, goal, strict=True)]
+    assert 0 < thesis.follow(*before).margin < first.margin
 
 
 def test_a_call_follows_at_most_64_steps_of_ordinary_length(thesis: CRobot) -> None:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import http.server
-import importlib.util
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,26 +10,7 @@ import pytest
 
 from tests.show.viewer.browser import CHROMIUM
 
-ROOT = Path(__file__).resolve().parents[2]
-
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
-
-
-def hook() -> Any:
-    """The module `.ci/page.py`."""
-    spec = importlib.util.spec_from_file_location("page_hook", ROOT / ".ci" / "page.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-class Quiet(http.server.SimpleHTTPRequestHandler):
-    """Files, without a word for each."""
-
-    def log_message(self, *_: Any) -> None:
-        pass
+from .serving import FLAGS, build, served
 
 
 @pytest.fixture(scope="session")
@@ -41,21 +18,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page with its kernel."""
     pytest.importorskip("ziglang", reason="NOT TESTED: the robot in the page needs ziglang")
     out: Path = tmp_path_factory.mktemp("page")
-    hook().main(out)
+    build(out)
     return out
 
 
 @pytest.fixture(scope="session")
 def address(folder: Path) -> Iterator[str]:
     """Where the page is served."""
-    handler = functools.partial(Quiet, directory=str(folder))
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}/index.html"
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with served(folder) as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -152,16 +152,34 @@ static int glide(Workspace *w, const double *alpha) {
     return 0;
 }
 
-/* The arm at joint values, let go from what it was: the pose of the next minimum of its energy, without load, which becomes
-   the last one. Frames on the way into OUTPUT behind the pose; their number, 0 where no minimum was found. */
-ASKED(let_go) int let_go(void) {
+/* Tubes twisted evenly from base to tip, at joint values and with the tip rotations behind them in INPUT, as unknowns. */
+static int twisted_evenly(const tubeopt_joints *at, Workspace *w) {
+    double theta[MOST_POINTS][N];
+    const Unknowns *q = &w->fine;
+    if (!lay_out(&ROBOT, at->translations, &w->layout)) return 0;
+    if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return 0;
+    if (!pose_unknowns(&w->coarse, &w->layout, &ROBOT, &COARSE, 0)) return 0;
+    for (int x = 0; x < q->points; x++)
+        for (int i = 0; i < N; i++) {
+            double base = at->rotations[i], held = w->layout.transmission[i], whole = fmax(ROBOT.whole[i], 1e-9);
+            theta[x][i] = base + (INPUT[2 * N + i] - base) * fmin((held + q->s[x]) / whole, 1);
+        }
+    to_unknowns(q, at->rotations, theta, w->state.z);
+    return 1;
+}
+
+/* The arm let go: the pose of the next minimum of its energy, without load, which becomes the last one. It begins with the
+   torsion of the last one, or where `evenly` with even twist. Frames on the way into OUTPUT; their number, 0 where no
+   minimum was found. */
+ASKED(let_go) int let_go(int evenly) {
     tubeopt_joints at = joints_in();
     Workspace *w = &arm->work;
     Answer *next = arm->answers + !arm->here;
     int frames = 0, iterations = 0, there = 0;
     arm->fresh = 0;
     arm->before = NULL;
-    if (!arm->started || !as_it_was(&at, w)) return 0;
+    if (!evenly && !arm->started) return 0;
+    if (!(evenly ? twisted_evenly(&at, w) : as_it_was(&at, w))) return 0;
     arm->bears = 0;
     evaluate(&w->fine, at.rotations, &w->state);
     while (!there && frames < FRAMES) {

@@ -153,6 +153,8 @@ static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w
     Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, m->rotation, m->torsion, last->point,
                    last->point_rotation[0], turn, m->joints.translations};
     if (solve_one(&ROBOT, joints->rotations, joints->translations, &guess, w, next)) return 1;
+    /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
+    if (next->margin < last->margin / 2) return 1;
     return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
 }
 
