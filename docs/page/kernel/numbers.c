@@ -77,9 +77,6 @@ static void use_tubes(int tubes, const Given *given) {
     memset(bent, 0, sizeof bent);
     for (int i = 0; i < N; i++) {
         const Given *g = i < tubes ? given + i : &none;
-        ROBOT.kb[i] = g->kb;
-        ROBOT.kt[i] = g->kt;
-        ROBOT.curvature[i] = g->curvature;
         ROBOT.straight[i] = g->straight;
         ROBOT.whole[i] = g->straight + g->curved;
         MASS[i] = g->mass;
