@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, Friction, Tube
 from tubeopt.equilibrium.friction import sweep
-from tubeopt.stability.rubbing_following import rubbing_start
+from tubeopt.stability.friction_path import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, compare_effects, fit
 from tubeopt.validation.effects import EFFECTS

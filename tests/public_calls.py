@@ -104,7 +104,7 @@ CALLS: dict[str, Call] = {
     "certify": (tubeopt.certify, lambda: {"robot": PAIR}),
     "snap_free_certificate": (tubeopt.snap_free_certificate, lambda: {"robot": PAIR}),
     "deflection_bound": (tubeopt.deflection_bound, lambda: {"robot": PAIR, "max_force": 1e-3}),
-    "judge": (tubeopt.judge, lambda: {"robot": PAIR}),
+    "assess_snapping": (tubeopt.assess_snapping, lambda: {"robot": PAIR}),
     "worst_margin": (tubeopt.worst_margin, lambda: {"robot": PAIR}),
     "worst_certificate": (
         tubeopt.worst_certificate,

@@ -27,17 +27,17 @@ from tubeopt import (
     ProblemSolution,
     Proof,
     Snap,
+    SnapAssessment,
     StabilityMap,
     Trajectory,
     Tube,
-    Verdict,
     Workspace,
+    assess_snapping,
     certify,
     follow,
     forward_kinematics,
     forward_kinematics_batch,
     inverse_kinematics,
-    judge,
     plan_mold,
     stability_map,
     workspace,
@@ -59,7 +59,7 @@ from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
 from tubeopt.stability.motion import SnapStatus
-from tubeopt.stability.verdict import VerdictStatus
+from tubeopt.stability.snap_assessment import SnapAssessmentStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
 from tubeopt.validation.force import ForceStatus
@@ -83,7 +83,7 @@ ANSWERS = (
     Snap,
     StabilityMap,
     Trajectory,
-    Verdict,
+    SnapAssessment,
     Workspace,
 )
 
@@ -105,7 +105,7 @@ STATUSES = (
     ProofStatus,
     SnapStatus,
     Status,
-    VerdictStatus,
+    SnapAssessmentStatus,
 )
 
 
@@ -156,7 +156,7 @@ def test_answers_of_solvers_and_questions() -> None:
 def test_answers_about_stability() -> None:
     """Turned once around, the robot of the thesis snaps once; two weakly curved tubes cannot."""
     way = follow(THESIS, np.radians([[0, 0, 0], [270, 0, 0]]))
-    answers: tuple[Result, ...] = (way, way.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), judge(TWO_TUBE))
+    answers: tuple[Result, ...] = (way, way.snaps[0], certify(TWO_TUBE, [-0.09, -0.06]), assess_snapping(TWO_TUBE))
     assert [str(each.status) for each in answers] == [
         "the robot reached all waypoints, with snaps",
         "the robot snapped to another equilibrium",

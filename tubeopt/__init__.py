@@ -7,7 +7,11 @@ import lazy_loader
 
 __version__ = "0.1.0"
 
-RENAMED = {"lead_by": "design_feedback"}
+RENAMED = {
+    "Verdict": "SnapAssessment",
+    "judge": "assess_snapping",
+    "lead_by": "design_feedback",
+}
 """Old names of the documentation -> their names now; they go after one release."""
 
 # What `__init__.pyi` imports is loaded when it is first used, so that a script waits only for what it needs.

@@ -243,7 +243,7 @@ def test_certify_a_robot_that_snaps_with_the_command_to_repeat_it(run: Run, tmp_
     assert data["exit_code"] == 3
     assert data["within_limits"] is True
     assert data["rotation_limits_deg"] == [pytest.approx([-360, 360])] * 3
-    assert data["way_deg"] == [pytest.approx([0, 0, 0]), pytest.approx([360, 0, 0])]
+    assert data["path_deg"] == [pytest.approx([0, 0, 0]), pytest.approx([360, 0, 0])]
     assert data["margin_found"] == pytest.approx(-0.95567, abs=1e-5)
     assert data["limiting_tubes"] == [1, 2]
     assert data["limiting_section_mm"] == pytest.approx([0, 100])
@@ -274,7 +274,7 @@ def test_certify_when_nothing_is_proved_and_nothing_found(run: Run, tmp_path: Pa
     )
     assert data["snap"] is None
     assert shlex.split(data["repeat"])[2] == str(tmp_path / "robot.yaml")
-    assert data["ways_tried"] > 30
+    assert data["paths_tried"] > 30
 
 
 def turned(limit: float, path: Path) -> str:
@@ -292,7 +292,7 @@ def test_a_snap_that_only_both_tubes_together_reach_is_inside_the_limits(run: Ru
     inner, outer = data["snap"]["rotations_deg"]
     assert inner - outer == pytest.approx(203.90356628, abs=1e-6)
     assert max(abs(inner), abs(outer)) <= 102
-    assert np.abs(data["way_deg"]).max() <= 102 + 1e-9
+    assert np.abs(data["path_deg"]).max() <= 102 + 1e-9
     again = answer(run(*shlex.split(data["repeat"])[1:], "--json"))
     assert again["snap"]["rotations_deg"] == pytest.approx([inner, outer], abs=1e-6)
 

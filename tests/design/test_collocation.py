@@ -13,11 +13,11 @@ from tubeopt import DesignSolution, DesignTask, InputError, optimize_design
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import (
     Avoid,
+    CustomObjective,
+    CustomRequirement,
     Free,
     Length,
     Nesting,
-    OwnObjective,
-    OwnRequirement,
     Poses,
     Quantities,
     Reach,
@@ -32,7 +32,7 @@ POSE = Poses(((0.0, 3.0),), ((-0.02, 0.0),))
 
 
 @dataclass(frozen=True)
-class Aside(OwnRequirement):
+class Aside(CustomRequirement):
     """Distance of the tips from the axis of the plate."""
 
     limit: float
@@ -42,7 +42,7 @@ class Aside(OwnRequirement):
         return ca.vertcat(*(ca.norm_2(pose.tip_position[:2]) for pose in q.poses)) - self.limit
 
 
-class Height(OwnObjective):
+class Height(CustomObjective):
     """Height of the first tip."""
 
     words, unit, factor, sign = "height of the tip", "mm", 1e3, -1

@@ -23,12 +23,12 @@ from tubeopt import (
 from tubeopt.block.quantities import Expression, recorded
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design import (
+    CustomObjective,
+    CustomRequirement,
     Free,
     InfeasibleDesignError,
     Length,
     Objective,
-    OwnObjective,
-    OwnRequirement,
     Poses,
     Quantities,
     Reach,
@@ -49,7 +49,7 @@ MM = 1e-3
 
 
 @dataclass(frozen=True)
-class Certified(OwnRequirement):
+class Certified(CustomRequirement):
     """The certificate at home, as an own requirement."""
 
     limit: float
@@ -60,7 +60,7 @@ class Certified(OwnRequirement):
 
 
 @dataclass(frozen=True)
-class Longest(OwnRequirement):
+class Longest(CustomRequirement):
     """Length of all tubes."""
 
     limit: float
@@ -71,7 +71,7 @@ class Longest(OwnRequirement):
 
 
 @dataclass(frozen=True)
-class Height(OwnRequirement):
+class Height(CustomRequirement):
     """Height of the tip in every pose."""
 
     limit: float
@@ -82,7 +82,7 @@ class Height(OwnRequirement):
 
 
 @dataclass(frozen=True)
-class Changed(OwnObjective):
+class Changed(CustomObjective):
     """The built-in objective "change", of the curvatures of a robot."""
 
     curvature: tuple[float, ...]
@@ -181,7 +181,7 @@ def test_a_small_number_is_minimised_as_exactly_as_any_other(method: str) -> Non
     """The metal of two tubes is 1e-7 m^3 of SI: a thinner wall than the least is not left on the table."""
 
     @dataclass(frozen=True)
-    class Metal(OwnObjective):
+    class Metal(CustomObjective):
         words, unit, factor = "metal of all tubes", "mm3", 1e9
 
         def expression(self, q: Quantities) -> Any:
@@ -223,7 +223,7 @@ def test_infeasible_own_requirement_is_relaxed_in_words() -> None:
     assert optimize_design(caught.value.relaxations[0].task).objective == pytest.approx(0.19, abs=1e-8)
 
 
-class Fixed(OwnRequirement):
+class Fixed(CustomRequirement):
     """A certificate that may not be eased: it has no field `limit`."""
 
     words, limit, size = "fixed certificate", 0.5, 0.1
@@ -246,7 +246,7 @@ def test_what_cannot_be_relaxed_is_kept_while_the_rest_is() -> None:
 
 
 @dataclass(frozen=True)
-class Odd(OwnRequirement):
+class Odd(CustomRequirement):
     """An own requirement of which something is wrong."""
 
     name: str
@@ -281,7 +281,7 @@ def test_what_makes_no_sense_is_refused(name: str, words: str) -> None:
         optimize_design(replace(posed_task(), requirements=(*posed_task().requirements, Odd(name))))
 
 
-class Nameless(OwnObjective):
+class Nameless(CustomObjective):
     """It does not say what it is."""
 
     def expression(self, q: Quantities) -> Any:
@@ -326,7 +326,7 @@ TWISTED = Load(moment=(0.001, 0.002, -0.001))
 
 
 @dataclass(frozen=True)
-class SureUnder(OwnRequirement):
+class SureUnder(CustomRequirement):
     """Every pose keeps a margin under a load."""
 
     limit: float
@@ -361,7 +361,7 @@ def aim_under(force: tuple[float, float, float]) -> Objective:
 
 
 @dataclass(frozen=True)
-class Strained(OwnRequirement):
+class Strained(CustomRequirement):
     limit: float
     words, unit, factor, size, most = "strain of all pieces", "%", 1e2, 1e-3, True
 

@@ -23,8 +23,8 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
+from tubeopt.block.transcription.postprocess import evaluate_arm
 from tubeopt.block.transcription.responsive import Responsive
-from tubeopt.block.transcription.whole_arm import evaluate_arm
 from tubeopt.equilibrium.along import curvature_at
 from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS

@@ -11,7 +11,7 @@ import pytest
 
 from tests.examples import THESIS
 from tubeopt import IkSession, InputError, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics
-from tubeopt.design import OwnObjective, OwnRequirement, Quantities
+from tubeopt.design import CustomObjective, CustomRequirement, Quantities
 from tubeopt.equilibrium.verification import point_at
 from tubeopt.inverse.settings import Starts
 
@@ -21,7 +21,7 @@ SHARE = 2 / 0.36
 
 
 @dataclass(frozen=True)
-class Aside(OwnRequirement):
+class Aside(CustomRequirement):
     """How far the middle of the arm stays on one side."""
 
     limit: float
@@ -31,7 +31,7 @@ class Aside(OwnRequirement):
         return ca.vertcat(*(pose.position(0.5)[0] for pose in q.poses)) - self.limit
 
 
-class Close(OwnObjective):
+class Close(CustomObjective):
     """The built-in objective "nearest", of REFERENCE."""
 
     words = "distance from a reference"
@@ -43,7 +43,7 @@ class Close(OwnObjective):
 
 
 @dataclass(frozen=True)
-class Turning(OwnRequirement):
+class Turning(CustomRequirement):
     """What poses are asked for in designs only."""
 
     limit: float = 0.0
@@ -86,8 +86,8 @@ def test_own_constraint_is_kept_in_every_answer() -> None:
 
 def test_what_makes_no_sense_is_refused() -> None:
     for options, words in (
-        ({"extra_cost": Aside(0.0)}, "extra_cost is .* it must be an OwnObjective"),
-        ({"extra_constraints": (Close(),)}, "extra_constraints holds .* it must be a sequence of OwnRequirement"),
+        ({"extra_cost": Aside(0.0)}, "extra_cost is .* it must be a CustomObjective"),
+        ({"extra_constraints": (Close(),)}, "extra_constraints holds .* it must be a sequence of CustomRequirement"),
         ({"extra_constraints": 3}, "extra_constraints is 3"),
         ({"extra_cost": Close(), "method": "nlp"}, "method 'nlp' does"),
     ):

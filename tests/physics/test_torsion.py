@@ -16,9 +16,9 @@ from scipy.optimize import root
 from tests.examples import DEG, MM, eccentric_assembly, newton
 from tubeopt.block.transcription import arm as arms
 from tubeopt.block.transcription.mesh import make_mesh
+from tubeopt.block.transcription.postprocess import evaluate_arm
 from tubeopt.block.transcription.reduced import evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin, softenings
-from tubeopt.block.transcription.whole_arm import evaluate_arm
 from tubeopt.physics.torsion import cross_section, section_functions
 from tubeopt.robots.assembly import without_offsets
 from tubeopt.typing import Array

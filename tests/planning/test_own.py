@@ -10,14 +10,14 @@ import pytest
 
 from tests.examples import THESIS
 from tubeopt import InputError, PlanOptions, Trajectory, plan_trajectory
-from tubeopt.design import OwnObjective, Quantities
+from tubeopt.design import CustomObjective, Quantities
 
 START = ([0.0, 0.0, 0.0], [-0.05, -0.03, 0.0])
 GOAL = ([1.5, -0.5, 1.0], [-0.02, -0.01, 0.0])
 
 
 @dataclass(frozen=True)
-class Height(OwnObjective):
+class Height(CustomObjective):
     """Height of the tip, m."""
 
     weight: float = 1.0
@@ -29,7 +29,7 @@ class Height(OwnObjective):
         return part[2] if part.numel() > 1 else part
 
 
-def planned(cost: OwnObjective | None) -> tuple[Trajectory, float]:
+def planned(cost: CustomObjective | None) -> tuple[Trajectory, float]:
     """A plan, and the mean height of its tip over time."""
     found = plan_trajectory(THESIS, START, GOAL, options=PlanOptions(extra_cost=cost))
     assert found.proved
@@ -50,7 +50,7 @@ def test_own_cost_is_traded_for_length() -> None:
 def test_what_makes_no_sense_is_refused() -> None:
     with pytest.raises(InputError, match="the cost height of the tip uses margin; on a path it may use"):
         planned(Height(what="margin"))
-    with pytest.raises(InputError, match="extra_cost is 3; it must be an OwnObjective"):
+    with pytest.raises(InputError, match="extra_cost is 3; it must be a CustomObjective"):
         PlanOptions(extra_cost=3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="objective is 'none'"):
         PlanOptions(objective="none", extra_cost=Height())

@@ -74,7 +74,7 @@ def certificate(robot: ConcentricRobot) -> list[float]:
 
 
 def verdict(robot: ConcentricRobot) -> list[float]:
-    found = tubeopt.judge(robot)
+    found = tubeopt.assess_snapping(robot)
     return [found.snap is not None, found.certificate.margin, found.decided]
 
 

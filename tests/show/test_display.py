@@ -63,7 +63,7 @@ def test_an_equilibrium_is_one_line(pose: tubeopt.Equilibrium) -> None:
         lambda e: e.statistics,
         lambda e: tubeopt.Load((0, 0, 0.01)),
         lambda e: tubeopt.forward_kinematics_batch(e.robot, np.zeros((3, 2))),
-        lambda e: tubeopt.judge(e.robot),
+        lambda e: tubeopt.assess_snapping(e.robot),
     ],
 )
 def test_objects_have_a_line_and_a_table(pose: tubeopt.Equilibrium, of: object) -> None:

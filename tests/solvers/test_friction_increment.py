@@ -15,7 +15,7 @@ from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.settings import CONTINUATION
-from tubeopt.stability.rubbing_following import rubbing_start
+from tubeopt.stability.friction_path import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import poses as posing
 from tubeopt.validation.poses import Poses

@@ -18,11 +18,11 @@ from tubeopt import (
     InputError,
     SegmentedEccentricRobot,
     Tube,
+    assess_snapping,
     certify,
     find_snap,
     forward_kinematics,
     forward_kinematics_batch,
-    judge,
     snap_free_certificate,
     worst_certificate,
     worst_margin,
@@ -31,7 +31,7 @@ from tubeopt.block.transcription.second_variation import softenings
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.robot import Robot
-from tubeopt.stability import EccentricVerdict, eccentric_bound
+from tubeopt.stability import EccentricSnapAssessment, eccentric_bound
 from tubeopt.stability.eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from tubeopt.stability.shooting import profiles, to_base
 from tubeopt.typing import Array
@@ -319,8 +319,8 @@ def test_robots_that_only_their_offset_makes_snap(
 ) -> None:
     robot = on_the_edge(outer_diameter, tightness, centred)
     assert snap_free_certificate(replace(robot, offset=0.0)) == pytest.approx(centred, abs=1e-9)
-    verdict = judge(robot)
-    assert isinstance(verdict, EccentricVerdict)
+    verdict = assess_snapping(robot)
+    assert isinstance(verdict, EccentricSnapAssessment)
     assert verdict.finding is Finding.CAN_SNAP
     assert not verdict.certificate.snap_free
     assert verdict.untwisted is not None
@@ -344,9 +344,9 @@ def test_shorter_is_proved_longer_snaps_and_between_is_open(tightness: float, tr
     assert snap_free_certificate(longer(robot, 0.97 * edge)) > 0
     between = longer(robot, 0.99999 * edge)
     assert snap_free_certificate(between) < 0
-    assert judge(longer(robot, 1.002 * edge)).snap is not None
+    assert assess_snapping(longer(robot, 1.002 * edge)).snap is not None
     if tightness == 0.1:
-        verdict = judge(between)
+        verdict = assess_snapping(between)
         assert verdict.finding is Finding.OPEN
         assert verdict.snap is None
         assert verdict.worst is not None
@@ -371,7 +371,7 @@ def test_segmented_robots() -> None:
     assert snap_free_certificate(segmented(0.95 * edge)) > 0
     robot = segmented(1.003 * edge)
     assert snap_free_certificate(robot) < 0
-    verdict = judge(robot)
+    verdict = assess_snapping(robot)
     assert verdict.finding is Finding.CAN_SNAP
     assert verdict.snap is not None
     assert abs(verdict.snap.before.margin) < 1e-8
@@ -421,7 +421,7 @@ def test_nothing_is_proved_of_other_arrangements(kind: type[EccentricRobot]) -> 
     assert snap_free_certificate(robot) == -np.inf
     assert not certify(robot).snap_free
     assert forward_kinematics(robot, np.zeros(3)).margin > 0.9
-    assert judge(robot).finding is Finding.OPEN
+    assert assess_snapping(robot).finding is Finding.OPEN
 
 
 @pytest.mark.parametrize("kind", [Uneven, Unequal])

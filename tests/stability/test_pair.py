@@ -15,10 +15,10 @@ from tubeopt import (
     ConcentricRobot,
     Piece,
     Tube,
+    assess_snapping,
     certify,
     follow,
     forward_kinematics_batch,
-    judge,
     snap_free_certificate,
     worst_margin,
 )
@@ -148,10 +148,10 @@ def test_pairs_that_can_oppose_each_other_all_along_have_the_certificate_of_pair
 def test_what_is_proved_turns_without_a_snap_and_what_is_not_is_shown() -> None:
     """The verdict on both sides of the threshold; where it cannot snap, full turns both ways meet nothing."""
     free, bad = (replace(CASES["an S in a plain tube"], scale=f).robot for f in (0.9, 1.6))
-    assert judge(free).finding is Finding.SNAP_FREE
+    assert assess_snapping(free).finding is Finding.SNAP_FREE
     turned = follow(free, np.radians([[0, 0], [360, 0], [-360, 0], [0, 360]]))
     assert not turned.snaps
     assert turned.equilibria[-1].margin == pytest.approx(turned.equilibria[0].margin, abs=1e-9)
-    verdict = judge(bad)
+    verdict = assess_snapping(bad)
     assert verdict.finding is Finding.CAN_SNAP
     assert verdict.decided

@@ -26,7 +26,7 @@ from .composed import ComposedBlock
 from .stability import checked
 from .transcription.chain import Chain
 from .transcription.model import Model
-from .transcription.panel import CHANNELS
+from .transcription.section_properties import CHANNELS
 
 
 @dataclass(frozen=True, eq=False)

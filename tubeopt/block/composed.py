@@ -20,7 +20,7 @@ from .given import LENGTHS, assembly_at, given_of, push_of
 from .guess import Shape, columns_of, poses_of, shape_at_start
 from .near import N
 from .program import as_program
-from .transcription import burdened, functions
+from .transcription import external_load, functions
 from .transcription.collocated import Grid
 from .transcription.layout import FREE_REFINEMENT, Layout, gap_names, layout
 from .transcription.model import Model, numbers_of, unknowns_of
@@ -127,7 +127,7 @@ class ComposedBlock(Generic[N]):
             self.numbers = self.program.parameter(self.label + "layout", self.layout.numbers())
         unknowns = self.matrices(self.columns)
         values = {**self._given.values, **self.fittings}
-        self.model = burdened.arm_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
+        self.model = external_load.arm_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
         begin = self._start_model(self._given.start)
         self._set_guess(begin, shape_at_start(self.near, begin))
 
@@ -140,7 +140,7 @@ class ComposedBlock(Generic[N]):
         self.begin_numbers = dict(numbers)
         values = {**{key: ca.DM(value) for key, value in numbers.items()}, **self.fittings}
         zero = tuple(ca.DM.zeros(*shape) for shape in self.shapes.values())
-        return burdened.arm_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
+        return external_load.arm_of(self._grid, numbers_of(self.layout), zero, values).at(lambda part: part)
 
     def _set_guess(self, model: Model, shape: Shape) -> None:
         """Start from these rotations and torsions on the pieces of `model`."""

@@ -19,8 +19,8 @@ from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .near import Near
 from .pieces import piece_numbers, tubes_at
-from .transcription.burdened import Push
 from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of
+from .transcription.external_load import Push
 
 LENGTHS = ("translations", "straight_length", "curved_length", "piece_length")
 """What moves breakpoints."""

@@ -17,7 +17,7 @@ from ..robots.series import Quantity, Series
 from ..robots.tubes import Tube
 from ..typing import Array
 from .transcription.chain import Chain, chain_of, own_stiffness, panels
-from .transcription.panel import CHANNELS
+from .transcription.section_properties import CHANNELS
 
 
 def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, ...]:

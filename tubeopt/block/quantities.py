@@ -1,4 +1,4 @@
-"""What an own requirement or objective may speak of: tubes, poses and certificates, as expressions.
+"""What a custom requirement or objective may speak of: tubes, poses and certificates, as expressions.
 
 An expression is written once, in these quantities. Recorded on symbols, it gives values and derivatives with respect to
 whatever the quantities depend on: where equilibria are solved inside, by the chain rule; in a program of equilibrium

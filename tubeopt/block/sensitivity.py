@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import InputError, choice
 from .composed import JOINTS, ComposedBlock
 from .given import LENGTHS
-from .transcription.burdened import arm_of
 from .transcription.chain import OF_TUBE
+from .transcription.external_load import arm_of
 from .transcription.model import numbers_of
 
 

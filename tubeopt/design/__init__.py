@@ -1,6 +1,6 @@
 """Tube design: robots that cannot snap, as nonlinear programs over tubes and task poses."""
 
-from ..block.own import OwnObjective, OwnRequirement
+from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Quantities
 from .objectives import Objective
 from .optimize import DesignSolution, optimize_design
@@ -34,6 +34,8 @@ from .task import DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
 from .verify import Verification, count_snaps
 
+OwnObjective, OwnRequirement = CustomObjective, CustomRequirement  # names before 0.2, for one release
+
 __all__ = [
     "Avoid",
     "Candidate",
@@ -41,6 +43,8 @@ __all__ = [
     "Check",
     "Corridor",
     "Coverage",
+    "CustomObjective",
+    "CustomRequirement",
     "Deployment",
     "DesignNotFoundError",
     "DesignSolution",
@@ -53,8 +57,6 @@ __all__ = [
     "Length",
     "Nesting",
     "Objective",
-    "OwnObjective",
-    "OwnRequirement",
     "ParetoFront",
     "Poses",
     "Quantities",

@@ -16,8 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.custom import CustomRequirement
 from ..block.equilibrium_block import EquilibriumBlock, OrderWarning
-from ..block.own import OwnRequirement
 from ..block.quantities import PoseNumber, Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -39,7 +39,7 @@ from .requirements import Avoid, Coverage, Length, Nesting, Poses, Reach, SnapFr
 from .rows import linear_rows
 from .task import DesignTask
 
-TAKEN = (OwnRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
+TAKEN = (CustomRequirement, Coverage, Length, Nesting, Poses, Reach, SnapFree, SnapFreeInUse, Strain, Stroke, Wall)
 """Requirements that the program takes."""
 
 HELD = (3e-7, 3e-6)

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..block.own import OwnRequirement
+from ..block.custom import CustomRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from .deployment import SHARES
 from .requirements import (
@@ -86,7 +86,7 @@ def statements(
     task poses for others. `points` are those of a box in the program for Coverage, the translations of the certificate
     for SnapFree.
     """
-    n, count, own = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, OwnRequirement)
+    n, count, own = len(pieces), max(poses, default=-1) + 1, isinstance(requirement, CustomRequirement)
 
     def record(function: Function, limit: Limit) -> Expression:
         return recorded(function, n, count, limit.words, pieces)
@@ -100,7 +100,7 @@ def statements(
 def _stated(one: Requirement, n: int, poses: Poses, points: Points) -> Stated:
     """Every limit, what is left of it, and the vector whose length it limits: of tubes and certificates."""
     match one:
-        case OwnRequirement():
+        case CustomRequirement():
             movable = one.relaxed(one.size) is not None
             limit = Limit(one.words, float(one.limit), bool(one.most), one.unit, one.factor, one.size, movable)
             yield limit, one.expression, None
@@ -199,7 +199,7 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
             k, field = [each for each in both if each[1] == "tolerance" or targets[each[0]].direction is not None][part]
             eased = replace(targets[k], **{field: getattr(targets[k], field) + amount})
             return replace(requirement, targets=(*targets[:k], eased, *targets[k + 1 :]))
-        case OwnRequirement():
+        case CustomRequirement():
             return requirement.relaxed(amount) or requirement
     field, sign = LIMITS[type(requirement)]
     moved = getattr(requirement, field) + sign * amount

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..block.own import OwnRequirement
+from ..block.custom import CustomRequirement
 from ..block.quantities import recorded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
@@ -190,7 +190,7 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
 
 def _of_one_pose(one: Requirement, n: int) -> bool:
     """Whether a requirement can be asked of any pose: an own one that speaks of poses by number says nothing of it."""
-    if not isinstance(one, OwnRequirement):
+    if not isinstance(one, CustomRequirement):
         return True
     try:
         return bool(recorded(one.expression, n, 1, one.words, (1,) * n).quantities)

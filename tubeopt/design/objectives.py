@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ..block.own import OwnObjective
+from ..block.custom import CustomObjective
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
 from ..display import Displayed
 from ..errors import InputError, numbers, vector
@@ -153,7 +153,7 @@ class Objective(Displayed):
         return KINDS[self.kind]
 
 
-AnyObjective = Objective | OwnObjective
+AnyObjective = Objective | CustomObjective
 """A built-in aim or an own one."""
 
 
@@ -178,10 +178,12 @@ def aim(
     """
     if isinstance(one, Objective) and one.kind == "change":
         return None
-    numbers = one.expression if isinstance(one, OwnObjective) else partial(_numbers, one, poses, certified, depth_pose)
+    numbers = (
+        one.expression if isinstance(one, CustomObjective) else partial(_numbers, one, poses, certified, depth_pose)
+    )
     last = max([*poses, depth_pose or 0] if isinstance(one, Objective) else poses, default=-1)
     found = recorded(numbers, len(pieces), last + 1, one.words, pieces)
-    if isinstance(one, OwnObjective) and found.value.numel_out() != 1:
+    if isinstance(one, CustomObjective) and found.value.numel_out() != 1:
         raise InputError(f"the objective {one.words} has {found.value.numel_out()} numbers; it must be one")
     return found
 

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from ..block.transcription.arm import ArmShape
+from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.responsive import Responsive
-from ..block.transcription.whole_arm import evaluate_arm
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import Point

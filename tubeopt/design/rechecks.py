@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block.own import OwnRequirement
+from ..block.custom import CustomRequirement
 from ..block.quantities import CLEARANCES, Look, Quantity, recorded
 from ..equilibrium.answer import sure_margin
 from ..equilibrium.kinematics import under_load
@@ -27,7 +27,7 @@ from .requirements import Length, Nesting, Requirement, Strain, Stroke, Wall
 from .state import STRONGEST
 
 MISSED = 1e-6
-"""Part of a limit, or of a step of an own requirement, by which it may be missed."""
+"""Part of a limit, or of a step of a custom requirement, by which it may be missed."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,8 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
     return look
 
 
-def check_own(one: OwnRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
-    """What becomes of an own requirement."""
+def check_own(one: CustomRequirement, robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Check:
+    """What becomes of a custom requirement."""
     pieces = [len(tube.pieces) or 1 for tube in robot.tubes]
     expression = recorded(one.expression, robot.n_tubes, len(equilibria), one.words, pieces)
     try:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..arguments import typed
-from ..block.own import OwnRequirement
+from ..block.custom import CustomRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles
@@ -297,7 +297,7 @@ def deviations(q: Quantities, poses: Sequence[int]) -> Any:
 
 
 @dataclass(frozen=True)
-class Deployment(Checked, OwnRequirement):
+class Deployment(Checked, CustomRequirement):
     """On its way out to every task pose, its tubes drawn back straight, the arm lies where the whole arm will be: to
     within `limit`, m, at SHARES of its length, ALONG it."""
 
@@ -373,7 +373,7 @@ Requirement = (
     | Coverage
     | Poses
     | Avoid
-    | OwnRequirement
+    | CustomRequirement
 )
 """Anything that a design may have to keep."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..block.own import OwnObjective, OwnRequirement
+from ..block.custom import CustomObjective, CustomRequirement
 from ..display import Displayed
 from ..errors import InputError, instance, items
 from ..robots.concentric import ConcentricRobot
@@ -162,7 +162,7 @@ def _check_requirements(task: DesignTask) -> None:
                 raise InputError(f"{type(one).__name__} needs task poses; the task must have Reach, Coverage or Poses")
             case StrokeForce():
                 _given_poses(task, "requirement StrokeForce")
-            case OwnRequirement():
+            case CustomRequirement():
                 one.checked()
             case _:
                 pass
@@ -219,7 +219,7 @@ def _check_slots(space: DesignSpace) -> None:
 def _check_objectives(task: DesignTask) -> None:
     certified = bool(of_kind(task.requirements, SnapFree))
     for one in task.objectives:
-        if isinstance(one, OwnObjective):
+        if isinstance(one, CustomObjective):
             one.checked()
             if one.words in KINDS:
                 raise InputError(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arguments import typed
-from ..block.own import OwnRequirement
+from ..block.custom import CustomRequirement
 from ..block.quantities import Quantity
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -110,7 +110,7 @@ def verify(
     program: Program, robot: ConcentricRobot, x: Array, equilibria: tuple[Equilibrium, ...], *, turns: int = 6
 ) -> Verification:
     """Check a design again: certificates against search and against random full turns, poses by forward kinematics,
-    tubes by what they are and by the strain in their poses, own requirements by their expressions at all of that."""
+    tubes by what they are and by the strain in their poses, custom requirements by their expressions at all of that."""
     checks: list[Check] = []
     for one in program.task.requirements:
         if isinstance(one, SnapFree):
@@ -128,7 +128,7 @@ def verify(
             checks.append(_stroke_force(one, robot, equilibria))
         elif isinstance(one, Avoid):
             checks.append(_anatomy(one, robot, equilibria))
-        elif isinstance(one, OwnRequirement):
+        elif isinstance(one, CustomRequirement):
             checks.append(check_own(one, robot, equilibria))
         checks += check_tubes(one, robot, equilibria)
     checks += _order(program, robot, equilibria)

@@ -28,10 +28,10 @@ from ..block.transcription.contact import (
 from ..block.transcription.green import sections_at
 from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem
 from ..block.transcription.loaded_arm import loaded_arm
+from ..block.transcription.postprocess import EXTRA_POINTS
 from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
-from ..block.transcription.whole_arm import EXTRA_POINTS
 from ..errors import InputError, SolveError
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.friction import Friction, check_friction

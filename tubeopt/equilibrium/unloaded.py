@@ -11,6 +11,7 @@ import numpy as np
 from ..block.transcription import arm as arms
 from ..block.transcription.arm import CollocationPoints, Found
 from ..block.transcription.mesh import make_mesh
+from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.reduced import (
     Evaluation,
     ReducedProblem,
@@ -22,7 +23,6 @@ from ..block.transcription.reduced import (
     to_unknowns,
 )
 from ..block.transcription.second_variation import margin, softest, unstable_directions
-from ..block.transcription.whole_arm import evaluate_arm
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, descend, leave_saddle, torsional_turn

@@ -26,8 +26,8 @@ from ..block.transcription.collocated import Grid, symbols, torsion_of
 from ..block.transcription.functions import determinant_function
 from ..block.transcription.march import marched_fields
 from ..block.transcription.model import TorsionModel
-from ..block.transcription.panel import slid
 from ..block.transcription.program import Structure, add_torsion
+from ..block.transcription.section_properties import slid
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
 from ..physics.shape import GAUSS_POINTS, magnus_step

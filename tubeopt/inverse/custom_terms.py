@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..block.own import OwnObjective, OwnRequirement
+from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
 from ..equilibrium.along import curvature_at, place_at, position_at
 from ..errors import InputError
@@ -24,8 +24,8 @@ T = TypeVar("T")
 class Extras:
     """Own cost and constraints with their expressions."""
 
-    cost: tuple[OwnObjective, Expression] | None = None
-    constraints: tuple[tuple[OwnRequirement, Expression], ...] = ()
+    cost: tuple[CustomObjective, Expression] | None = None
+    constraints: tuple[tuple[CustomRequirement, Expression], ...] = ()
 
     def room(self, at: Posture) -> Array:
         """(c,) of every number of every constraint, in steps of its size, >= 0 where it is kept."""
@@ -62,25 +62,25 @@ class Extras:
 NOTHING = Extras()
 
 
-def extras(cost: OwnObjective | None, constraints: Sequence[OwnRequirement], n: int) -> Extras:
+def extras(cost: CustomObjective | None, constraints: Sequence[CustomRequirement], n: int) -> Extras:
     """Own cost and constraints, checked and recorded."""
     for one in constraints:
-        if not isinstance(one, OwnRequirement):
-            raise InputError(f"extra_constraints contains {one!r}; it must be a sequence of OwnRequirement")
+        if not isinstance(one, CustomRequirement):
+            raise InputError(f"extra_constraints contains {one!r}; it must be a sequence of CustomRequirement")
         one.checked()
     if cost is None:
         found = None
-    elif isinstance(cost, OwnObjective):
+    elif isinstance(cost, CustomObjective):
         cost.checked()
         found = cost, recorded(cost.expression, n, 1, cost.words)
         if found[1].value.numel_out() != 1:
             raise InputError(f"the cost {cost.words} has {found[1].value.numel_out()} numbers; it must be one")
     else:
-        raise InputError(f"extra_cost is {cost!r}; it must be an OwnObjective")
+        raise InputError(f"extra_cost is {cost!r}; it must be a CustomObjective")
     return Extras(found, tuple((one, recorded(one.expression, n, 1, one.words)) for one in constraints))
 
 
-def _asked(one: OwnObjective | OwnRequirement, ask: Callable[[], T]) -> T:
+def _asked(one: CustomObjective | CustomRequirement, ask: Callable[[], T]) -> T:
     try:
         return ask()
     except FloatingPointError:

@@ -68,7 +68,7 @@ class Goal:
 
     @property
     def hindered(self) -> bool:
-        """Whether obstacles or own constraints are in the way."""
+        """Whether obstacles or custom constraints are in the way."""
         return bool(self.scene.bodies) or bool(self.extras.constraints)
 
     @property
@@ -131,8 +131,8 @@ class Goal:
         return at.admissible and at.margin >= self.floor and self.violation(at) <= slack
 
     def violation(self, at: Posture) -> float:
-        """By how much the arm is too close to the obstacle that it violates most, m, or steps of an own constraint are
-        missing, as lengths of the robot; 0 where it is clear."""
+        """Missing clearance from the worst obstacle, m, or steps missing to a custom constraint, times the robot's
+        length; 0 without a violation."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
         close = self.gap - at.outline.clearance(self.scene, self.gap)
         if close > 0 and len(self.scene.bodies) > self.solver.descent.bodies:
@@ -140,7 +140,7 @@ class Goal:
         return max(0.0, close, missing)
 
     def collisions(self, at: Posture) -> tuple[Array, Array]:
-        """(v,) clearances that are missing, over length, steps of own constraints that are, and their slopes (v, m):
+        """(v,) clearances that are missing, over length, steps of custom constraints that are, and their slopes (v, m):
         what a search has to make 0."""
         values, rows = [np.zeros(0)], [np.zeros((0, len(at.q)))]
         if self.extras.constraints:
@@ -163,8 +163,9 @@ class Goal:
         return at.outline.contacts(self.scene, within, self.solver.descent.bodies, frozenset(self.touched))
 
     def demands(self, at: Posture) -> tuple[Array, Array, Index]:
-        """Rows and bounds of a step to where all is kept, to first order: joints, order, margin, own constraints, and
-        clearances; and (c,) numbers that name them, by which the rows of two postures can be compared."""
+        """Linearised constraints of a step, rows and bounds, and (c,) identifiers for comparing them between postures.
+
+        Joints, order, margin, custom constraints, and clearances."""
         rows, bounds = self.space.inequalities(at.q)
         slope = at.margin_slope()
         rows = np.vstack([rows, slope])

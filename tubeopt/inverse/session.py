@@ -266,7 +266,7 @@ def _between(goal: Goal, first: Posture, share: float) -> Goal:
 
 
 def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple[Posture, _Slopes, Order | None, bool]]:
-    """Where to step from, with which derivatives, and whether the step is guarded by obstacles and own constraints:
+    """Where to step from, with which derivatives, and whether the step is guarded by obstacles and custom constraints:
     with derivatives of earlier steps, unguarded; with new ones, guarded if there is nothing to spare or else it failed;
     then, since derivatives change with the order of breakpoints, without a change of order, and from beyond each change
     that is close."""

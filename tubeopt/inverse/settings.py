@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from ..arguments import typed
-from ..block.own import OwnObjective, OwnRequirement
+from ..block.custom import CustomObjective, CustomRequirement
 from ..display import Displayed
 from ..errors import InputError, Settings, instance, positive
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Range, Typical, check_fields, check_size, unit
@@ -276,11 +276,11 @@ class InverseOptions(Displayed):
     """Answers of `all_solutions` differ somewhere along the arm by this share of its length."""
     time_limit: float = TIME_LIMIT
     """Time limit of the whole call for any method, s; computations in progress end early. `math.inf` sets none."""
-    extra_cost: OwnObjective | None = None
-    """An own objective, added to `objective`: its expression of the quantities of the one pose, `q.poses[0]`, times its
-    weight. The fast path then searches alone."""
-    extra_constraints: tuple[OwnRequirement, ...] = ()
-    """Own requirements that every answer keeps. The fast path then searches alone."""
+    extra_cost: CustomObjective | None = None
+    """Custom objective that is added to `objective`: an expression of the quantities of the pose, `q.poses[0]`, times
+    its weight. Only the fast path supports it."""
+    extra_constraints: tuple[CustomRequirement, ...] = ()
+    """Custom requirements that every solution satisfies. Only the fast path supports them."""
     solver: InverseSolver = DEFAULT_SOLVER
     """Settings of the search."""
 
@@ -294,7 +294,7 @@ class InverseOptions(Displayed):
             positive("time_limit", self.time_limit)
         if not isinstance(self.extra_constraints, (list, tuple)):
             raise InputError(
-                f"extra_constraints is {self.extra_constraints!r}; it must be a sequence of OwnRequirement"
+                f"extra_constraints is {self.extra_constraints!r}; it must be a sequence of CustomRequirement"
             )
         object.__setattr__(self, "extra_constraints", tuple(self.extra_constraints))
         if self.method == "nlp" and (self.extra_cost is not None or self.extra_constraints):

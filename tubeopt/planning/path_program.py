@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from ..block.own import OwnObjective
+from ..block.custom import CustomObjective
 from ..block.quantities import Expression, recorded
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.corridors import MeshObstacle
@@ -87,8 +87,7 @@ class PathQuestion:
     """Of the robot, m."""
     solver: PathSolver
     extra: tuple[Expression, float] | None = None
-    """An own cost: its expression of the quantities of one pose, and its weight, which is negative where more of it is
-    better."""
+    """Custom cost: an expression of the quantities of one pose, and its weight; negative if it is maximised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +217,11 @@ _among_bodies = lru_cache(maxsize=4)(_program)
 """What is cached keeps its bodies, which may be tables of 100 MB."""
 
 PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
-"""What an own cost on the path may speak of, at every knot."""
+"""What a custom cost on the path may speak of, at every knot."""
 
 
 def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> tuple[Any, Any]:
-    """The mean of an own cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
+    """The mean of a custom cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
     assert question.extra is not None
     (expression, weight), knots = question.extra, question.intervals + 1
     last = [known["arm"][0].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
@@ -237,8 +236,8 @@ def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> 
     return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, given.shape[0])) @ slope
 
 
-def path_cost(extra: OwnObjective, n: int) -> Expression:
-    """An own cost on the path as an expression of one of its poses.
+def path_cost(extra: CustomObjective, n: int) -> Expression:
+    """A custom cost on the path as an expression of one of its poses.
 
     Raises:
         InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
@@ -267,8 +266,7 @@ def _squares(joints: Any, rates: Any, h: Any) -> Any:
 
 
 def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
-    """Hessian of the objective, of an own cost (given) and of the bounds on rates, in the form that CasADi's interface
-    to IPOPT wants."""
+    """Hessian of objective, custom cost and bounds on rates, in the form of CasADi's interface to IPOPT."""
     x, p = problem["x"], problem["p"]
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
     first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])

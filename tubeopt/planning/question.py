@@ -9,7 +9,7 @@ from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from ..block.own import OwnObjective
+from ..block.custom import CustomObjective
 from ..block.quantities import Expression
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
@@ -82,7 +82,7 @@ class PlanOptions(Displayed):
     modulo_turns: Annotated[bool, "accept goal rotations plus any number of full turns"] = False
     """The trajectory states the number of full turns."""
     seed: Annotated[int, NOT_NEGATIVE, "random seed of the search"] = 0
-    extra_cost: OwnObjective | None = None
+    extra_cost: CustomObjective | None = None
     """Custom objective of smoothing: an expression of the joint values and the tip of one pose, `q.poses[0]`. Its mean
     along the path, times its weight, is added to the objective. There the length of the path found counts 1.
     """
@@ -93,7 +93,7 @@ class PlanOptions(Displayed):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        instance("extra_cost", self.extra_cost, OwnObjective, optional=True)
+        instance("extra_cost", self.extra_cost, CustomObjective, optional=True)
         if self.extra_cost is not None and self.objective == "none":
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         if self.roadmap is not None and not hasattr(self.roadmap, "shortest_path"):

@@ -21,13 +21,13 @@ from ..stability import (
     Finding,
     Path,
     Snap,
+    SnapAssessment,
     StabilityMap,
-    Verdict,
     WorstCertificate,
+    assess_snapping,
     find_equilibria,
     find_snap,
     follow,
-    judge,
     snap_free_certificate,
     stability_map,
     worst_certificate,
@@ -146,7 +146,7 @@ class Certification(Displayed):
 
     robot: Robot
     """On which it is."""
-    verdict: Verdict
+    verdict: SnapAssessment
     """At the translations of the least certificate in `box` where a box was asked for."""
     box: WorstCertificate | None
     """The least certificate over a box of translations; None where not asked for."""
@@ -202,10 +202,12 @@ class CertifyStudy(Timed):
         return self.box or self.lower_mm is not None or self.upper_mm is not None
 
     def run(self, progress: Progress | None = None) -> Certification:
-        """The verdict; raises SolveError where `judge` does."""
+        """The verdict; raises SolveError where `assess_snapping` does."""
         worst = self._worst() if self.over_box else None
         shift = self._shift("translations_mm") if worst is None else worst.certificate.translations
-        found = Certification(self.robot, judge(self.robot, shift, progress=progress), worst, self._robot_file)
+        found = Certification(
+            self.robot, assess_snapping(self.robot, shift, progress=progress), worst, self._robot_file
+        )
         if self.max_tip_force_mN is None:
             return found
         force = self.si("max_tip_force_mN")

@@ -13,7 +13,7 @@ from rich.text import Text
 from ..equilibrium.readings import to_readings
 from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
 from ..runs.stability_studies import Certification
-from ..stability import ASSUMING, EccentricVerdict, Finding, Verdict, WorstCertificate
+from ..stability import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, WorstCertificate
 from ..typing import Array
 from .formatting import degrees, flag
 from .quantities import Quantity, line
@@ -42,10 +42,10 @@ def sentence(a: Certification) -> str:
     return f"{_finding(a.verdict)}, {ASSUMING}"
 
 
-def _finding(verdict: Verdict) -> str:
+def _finding(verdict: SnapAssessment) -> str:
     proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
     found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
-    if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricVerdict):
+    if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricSnapAssessment):
         return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
     if verdict.finding is Finding.SNAP_FREE:
         return f"{verdict.finding} (margin {proved} proved; {found} found)"
@@ -65,7 +65,7 @@ def _finding(verdict: Verdict) -> str:
     )
 
 
-def _way(verdict: Verdict) -> list[Array]:
+def _way(verdict: SnapAssessment) -> list[Array]:
     """Rotations from the relaxed pose to beyond the snap, none without one."""
     return [angles for angles in (verdict.start, verdict.end) if angles is not None]
 
@@ -108,7 +108,7 @@ def _certificate(a: Certification) -> str:
     margin = a.verdict.certificate.margin
     if not np.isfinite(margin):
         return "none"
-    if isinstance(a.verdict, EccentricVerdict):
+    if isinstance(a.verdict, EccentricSnapAssessment):
         return f"{margin:.6f}, the share of torsional stiffness that may be lost with the proof still holding"
     return f"{margin:.6f}, a lower bound of the margin at all rotations"
 
@@ -145,10 +145,10 @@ def _limited(a: Certification) -> str | None:
 
 def _searched(a: Certification) -> str | None:
     verdict = a.verdict
-    if verdict.snap is not None or not verdict.ways:
+    if verdict.snap is not None or not verdict.paths:
         return None
     lost = f", its equilibria were lost on {verdict.failed} of them" if verdict.failed else ""
-    return f"{verdict.ways} ways from the relaxed pose, none with a snap{lost}"
+    return f"{verdict.paths} paths from the relaxed pose, none with a snap{lost}"
 
 
 def _snap_words(a: Certification) -> str | None:
@@ -204,7 +204,7 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("certificate_under_force", "lower bound on the margin at all rotations and under all such forces",
              lambda a: a.forced, label="under a force on the tip", words=_forced, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",
-             lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricVerdict) else None),
+             lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricSnapAssessment) else None),
     Quantity("margin_found", "smallest margin found",
              lambda a: None if a.verdict.worst is None else a.verdict.worst.margin, words=_least,
              label="least margin found"),
@@ -218,14 +218,14 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
              label="takes from the margin", words=_takes),
     Quantity("gradient", "derivatives of the certificate by the parameters of each tube, per unit of the key",
              _gradient),
-    Quantity("ways_tried", "number of paths searched for a snap", lambda a: a.verdict.ways),
-    Quantity("ways_lost", "number of these paths where the equilibrium was lost", lambda a: a.verdict.failed),
+    Quantity("paths_tried", "number of paths searched for a snap", lambda a: a.verdict.paths),
+    Quantity("paths_lost", "number of these paths where the equilibrium was lost", lambda a: a.verdict.failed),
     line("the snap", _snap_words),
     Quantity("rotation_limits_deg", "allowed rotations", lambda a: np.array(a.robot.limits.rotations), words=_limits,
              label="rotations allowed"),
     line("the search for a snap", _searched),
     Quantity("within_limits", "true if the snap is within the limits", lambda a: a.verdict.within_limits),
-    Quantity("way_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
+    Quantity("path_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
     Quantity("snap", "the snap found", lambda a: a.verdict.snap, of=SNAP),
     Quantity("repeat", "command that reproduces the snap", command),
     Quantity("box", "the searched box of translations", of=BOX, label="box",
@@ -263,7 +263,7 @@ class CertificationReport(Report[Certification]):
             )
         if not verdict.followed:
             notes.append("The snap is too shallow to be met by following the robot; it is computed from its fold.")
-        if isinstance(verdict, EccentricVerdict):
+        if isinstance(verdict, EccentricSnapAssessment):
             notes += _eccentric_notes(verdict)
         return notes
 
@@ -288,7 +288,7 @@ class CertificationReport(Report[Certification]):
         raise typer.Exit(EXIT_CODES[self.answer.finding])
 
 
-def _eccentric_notes(verdict: EccentricVerdict) -> list[str]:
+def _eccentric_notes(verdict: EccentricSnapAssessment) -> list[str]:
     """What is known in closed form, or why nothing is proved."""
     if verdict.untwisted is None:
         return [

@@ -25,8 +25,8 @@ from ..stability import (
     EnergyMap,
     LoadLimit,
     Snap,
+    SnapAssessment,
     StabilityMap,
-    Verdict,
     WorstCertificate,
     WorstMargin,
 )
@@ -75,12 +75,12 @@ CERTIFICATE: tuple[Quantity[Certificate], ...] = (
     line("limited by", lambda c: None if c.pair is None else f"tubes {c.pair[0] + 1} and {c.pair[1] + 1}"),
 )
 
-VERDICT: tuple[Quantity[Verdict], ...] = (
+VERDICT: tuple[Quantity[SnapAssessment], ...] = (
     line("robot", lambda v: v.robot.name or "robot"),
     line("finding", lambda v: str(v.finding)),
     line("certificate", lambda v: f"{v.certificate.margin:.6g}"),
     line("least margin found", lambda v: "0, at a fold" if v.worst is None else f"{v.worst.margin:.4f}"),
-    line("searched", lambda v: counted(v.ways, "way")),
+    line("searched", lambda v: counted(v.paths, "path")),
 )
 
 WORST_MARGIN: tuple[Quantity[WorstMargin], ...] = (
@@ -181,7 +181,7 @@ SUMMARIES: Mapping[type, Summary] = {
     SnappingLoss: Summary(LOSS),
     StabilityMap: Summary(STABILITY_MAP, "maps.plot_stability_map"),
     Tube: Summary(TUBE),
-    Verdict: Summary(VERDICT, "snap.plot_snap", lambda v: v.snap),
+    SnapAssessment: Summary(VERDICT, "snap.plot_snap", lambda v: v.snap),
     Verification: Summary(VERIFICATION),
     Workspace: Summary(WORKSPACE, "workspace.plot_workspace"),
     WorstCertificate: Summary(WORST_CERTIFICATE),

@@ -11,15 +11,15 @@ from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .motion import Snap
 from .settings import EquilibriaSearch, SnapSearch
+from .snap_assessment import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, assess_snapping
 from .stroke import find_stroke_force
-from .verdict import ASSUMING, EccentricVerdict, Finding, Verdict, judge
 from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
     "ASSUMING",
     "Branch",
     "Certificate",
-    "EccentricVerdict",
+    "EccentricSnapAssessment",
     "EnergyMap",
     "EquilibriaSearch",
     "Finding",
@@ -27,11 +27,12 @@ __all__ = [
     "LoadLimit",
     "Path",
     "Snap",
+    "SnapAssessment",
     "SnapSearch",
     "StabilityMap",
-    "Verdict",
     "WorstCertificate",
     "WorstMargin",
+    "assess_snapping",
     "certify",
     "deflection_bound",
     "energy_map",
@@ -41,7 +42,6 @@ __all__ = [
     "find_stroke_force",
     "follow",
     "friction_band",
-    "judge",
     "snap_free_certificate",
     "stability_map",
     "trace_branch",

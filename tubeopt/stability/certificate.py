@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.arm import profile
 from ..block.transcription.buffered import mapped
+from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
 from ..block.transcription.responsive import Responsive
 from ..block.transcription.second_variation import least as least_value
-from ..block.transcription.whole_arm import evaluate_arm
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import Point

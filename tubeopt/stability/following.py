@@ -27,8 +27,8 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, StatusEnum
+from .friction_path import rubbing_legs
 from .motion import Event, Snap, family_between, leg, motion
-from .rubbing_following import rubbing_legs
 
 T = TypeVar("T")
 

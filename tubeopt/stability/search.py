@@ -15,12 +15,12 @@ from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.sampling import sobol
 from ..typing import Array, Mask
+from .branch_surface import TURN, folds, stable_sheet
 from .folds import fall
 from .following import find_snap
 from .motion import Event, Snap
 from .pair import PairFold, farthest_fold, pair_fold, pair_of
 from .settings import DEFAULT_SEARCH, SnapSearch
-from .sheet import TURN, folds, stable_sheet
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def search_snap(
 
     Two coupled tubes are decided: the snap is found if there is one, however far away, of tubes made of pieces unless
     it is too shallow to be followed. For more, a robot is turned inside its joint limits along full turns of every
-    tube; across the folds at which the sheet of stable equilibria around its relaxed pose ends (see `stability.sheet`);
+    tube; across folds at the edge of the stable equilibria around its relaxed pose (see `stability.branch_surface`);
     and along other full turns and random directions, up to 720 deg where the limits allow it. Then it is turned beyond
     the limits, unless no unstable equilibrium is known.
     `unstable` (B, n): tip angles of unstable equilibria.

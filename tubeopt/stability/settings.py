@@ -10,8 +10,9 @@ from ..errors import Settings
 
 @dataclass(frozen=True)
 class SnapSearch(Settings):
-    """Settings of the search for snaps and worst cases where no proof decides; for `judge`, `worst_margin` and
-    `worst_certificate`.
+    """Settings of the search for snaps and worst cases where no proof decides.
+
+    For `assess_snapping`, `worst_margin` and `worst_certificate`.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..block.transcription.arm import Arm
-from ..block.transcription.whole_arm import evaluate_arm
+from ..block.transcription.postprocess import evaluate_arm
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.friction import Held, sweep, swept, to_held_equilibrium
@@ -22,7 +22,7 @@ from ..robots.friction import Friction
 from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed
-from ..stability.rubbing_following import rubbing_leg, rubbing_start
+from ..stability.friction_path import rubbing_leg, rubbing_start
 from ..typing import Array, Index, Mask
 
 

@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from tests.examples import THESIS
-from tubeopt import IkSession, Load, find_load_limit, forward_kinematics, judge, stability_map, worst_margin
+from tubeopt import IkSession, Load, assess_snapping, find_load_limit, forward_kinematics, stability_map, worst_margin
 from tubeopt.inverse import gauss_newton
 from tubeopt.solvers.parallel.blas import _libraries, small
 from tubeopt.solvers.quadratic import LeastSquares
@@ -86,7 +86,7 @@ def test_searches_and_fits_run_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(THESIS), "assembly", look)
     monkeypatch.setattr(type(THESIS), "n_tubes", property(look))
     questions: tuple[Callable[[], object], ...] = (
-        lambda: judge(THESIS),
+        lambda: assess_snapping(THESIS),
         lambda: worst_margin(THESIS),
         lambda: stability_map(THESIS),
         lambda: find_load_limit(THESIS, start.rotations, None, Load((0.01, 0.0, 0.0)), equilibrium=start),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...robots.series import Quantity, Series, breaks_of, extremes, on_panels
 from ...robots.tubes import Tube, stretches
 from ...typing import Array
-from .panel import compliance_function
+from .section_properties import compliance_function
 
 PIECES = (
     "piece_length",

@@ -18,8 +18,8 @@ from ...typing import Array
 from .arm import Profile, rotations_at
 from .collocated import Grid
 from .model import TorsionModel, unknowns_of
-from .panel import at_points, width
 from .reduced import ReducedProblem
+from .section_properties import at_points, width
 
 
 class Program(Protocol):

@@ -29,7 +29,7 @@ import scipy
 
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
-from ...block.transcription.whole_arm import SHAPE_RATIO
+from ...block.transcription.postprocess import SHAPE_RATIO
 from ...errors import InputError
 from ...files.files import write_text
 from ...physics.certificate import coupling_rate_function

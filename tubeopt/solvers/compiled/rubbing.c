@@ -1,5 +1,5 @@
 /* A motion of tubes that rub along each other, increment by increment: what equilibrium/friction.py, solvers/friction_increment.py and
-   stability/rubbing_following.py do where all goes well. What does not (a step that Newton's method is not at ease with, a
+   stability/friction_path.py do where all goes well. What does not (a step that Newton's method is not at ease with, a
    snap, a state that is held by friction alone) ends it, and is left to them. */
 #include "sticking.c"
 

@@ -1,4 +1,4 @@
-"""Own requirements and objectives: written outside of the library, treated like the built-in ones."""
+"""Custom requirements and objectives: written outside of the library, treated like the built-in ones."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..errors import InputError, finite, positive
 from .quantities import Quantities
 
 
-class Own(ABC):
-    """What an own requirement and an own objective share; a subclass is a frozen dataclass of its data.
+class Custom(ABC):
+    """What a custom requirement and a custom objective share; a subclass is a frozen dataclass of its data.
 
     words: what is limited or wanted.  unit, factor: how it is shown: the unit, and what turns SI into it.
     """
@@ -33,7 +33,7 @@ class Own(ABC):
             raise InputError(f"factor of {what} is 0; it must turn SI into the unit that is shown")
 
 
-class OwnRequirement(Own):
+class CustomRequirement(Custom):
     """A requirement: every number of its `expression` is at least 0 where it is kept.
 
     limit: the number that the expression is compared with, in its own unit, SI: a field where it may be relaxed.
@@ -44,7 +44,7 @@ class OwnRequirement(Own):
         >>> import casadi
         >>> from dataclasses import dataclass
         >>> @dataclass(frozen=True)
-        ... class Height(OwnRequirement):
+        ... class Height(CustomRequirement):
         ...     limit: float
         ...     words, unit, factor, size = "height of the tips", "mm", 1e3, 1e-3
         ...
@@ -73,7 +73,7 @@ class OwnRequirement(Own):
         finite(f"limit of {type(self).__name__}", self.limit)
 
 
-class OwnObjective(Own):
+class CustomObjective(Custom):
     """An objective: `expression` is one number, SI.
 
     sign: 1 where less of it is better, -1 where more is.  weight: where there are several objectives, what it is

@@ -16,14 +16,14 @@ from tubeopt import (
     JointLimits,
     Material,
     Tube,
+    assess_snapping,
     find_snap,
-    judge,
     worst_certificate,
     worst_margin,
 )
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import SnapSearch, snap_free_certificate
-from tubeopt.stability.sheet import folds, stable_sheet
+from tubeopt.stability.branch_surface import folds, stable_sheet
 from tubeopt.typing import Array
 
 
@@ -40,19 +40,19 @@ def scaled(robot: ConcentricRobot, certificate: float, shift: Array | None = Non
 
 
 def test_a_robot_that_cannot_snap() -> None:
-    verdict = judge(scaled(THESIS, 0.1))
+    verdict = assess_snapping(scaled(THESIS, 0.1))
     assert verdict.finding is Finding.SNAP_FREE
     assert verdict.certificate.margin == pytest.approx(0.1, abs=1e-9)
     assert verdict.worst is not None
     assert verdict.worst.margin >= 0.1
     assert verdict.snap is None
-    assert verdict.ways == 0
+    assert verdict.paths == 0
 
 
 @pytest.mark.parametrize(("robot", "turn"), [(THESIS, 214.222427), (TWO_TUBE, 203.90356628)], ids=["thesis", "two"])
 def test_a_robot_that_snaps_and_the_way_to_it(robot: ConcentricRobot, turn: float) -> None:
     steps: list[tuple[int, int]] = []
-    verdict = judge(robot, progress=lambda done, total: steps.append((done, total)))
+    verdict = assess_snapping(robot, progress=lambda done, total: steps.append((done, total)))
     assert verdict.finding is Finding.CAN_SNAP
     assert verdict.snap is not None
     assert verdict.start is not None
@@ -66,14 +66,14 @@ def test_a_robot_that_snaps_and_the_way_to_it(robot: ConcentricRobot, turn: floa
 
 
 def test_neither_proved_nor_found() -> None:
-    verdict = judge(scaled(THESIS, -0.01))
+    verdict = assess_snapping(scaled(THESIS, -0.01))
     assert verdict.finding is Finding.OPEN
     assert verdict.worst is not None
     assert verdict.worst.margin == pytest.approx(
         1 - 1.01 * (1 - worst_margin(THESIS).margin) / 1.9960831654838389, abs=1e-6
     )
     assert verdict.worst.margin > 0
-    assert verdict.ways > 30
+    assert verdict.paths > 30
 
 
 def pairs() -> list[tuple[ConcentricRobot, Array]]:
@@ -104,7 +104,7 @@ def lengthened(robot: ConcentricRobot, extra: float) -> ConcentricRobot:
 def test_two_tubes_are_decided() -> None:
     found = {Finding.CAN_SNAP: 0, Finding.SNAP_FREE: 0}
     for robot, shift in pairs():
-        verdict = judge(robot, shift)
+        verdict = assess_snapping(robot, shift)
         found[verdict.finding] += 1
         relaxed = np.pi if robot.tubes[0].curvature * robot.tubes[1].curvature < 0 else 0.0
         turn = first_fold(bundle(robot, shift), relaxed)
@@ -131,13 +131,13 @@ def test_two_tubes_snap_after_more_than_a_turn(lever: float, within: bool) -> No
     fold = float(closed_form(1.44, 1.0, lever, np.linspace(0.0, np.pi, 100001)).max())
     assert fold > TURN
     assert (fold < 2 * TURN) == within
-    verdict = judge(robot)
+    verdict = assess_snapping(robot)
     assert verdict.snap is not None
     assert verdict.within_limits is within
     assert np.ptp(verdict.snap.rotations) == pytest.approx(fold, abs=1e-8)
     assert (np.abs(verdict.snap.rotations).max() <= TURN) == within
     wide = replace(robot, joint_limits=JointLimits(((0.0, 0.0), (-4 * TURN, 4 * TURN)), robot.limits.translations))
-    again = judge(wide)
+    again = assess_snapping(wide)
     assert again.snap is not None
     assert again.within_limits
     assert np.abs(again.snap.rotations) == pytest.approx([0.0, fold], abs=1e-8)
@@ -158,7 +158,7 @@ def test_three_tubes_that_only_snap_where_all_are_turned() -> None:
     relaxed = [np.pi, np.pi, 0.0]
     for end in ([-np.pi, np.pi, 0.0], [np.pi, -np.pi, 0.0]):
         assert find_snap(robot, (relaxed, None), (end, None)) is None
-    verdict = judge(robot)
+    verdict = assess_snapping(robot)
     assert verdict.finding is Finding.CAN_SNAP
     assert verdict.within_limits
     assert verdict.snap is not None
@@ -173,7 +173,7 @@ def test_three_tubes_that_only_snap_where_all_are_turned() -> None:
 def test_narrow_limits() -> None:
     for limit, within in ((2.0, True), (1.0, False)):
         narrow = JointLimits(((-limit, limit),) * 3, THESIS.limits.translations)
-        verdict = judge(replace(THESIS, joint_limits=narrow))
+        verdict = assess_snapping(replace(THESIS, joint_limits=narrow))
         assert verdict.finding is Finding.CAN_SNAP
         assert verdict.within_limits is within
         assert verdict.snap is not None
@@ -195,7 +195,7 @@ def test_the_sheet_ends_at_folds() -> None:
 
 def test_tubes_that_curve_to_the_other_side_start_relaxed() -> None:
     mirrored = bent(THESIS, tuple(-tube.curvature if i == 0 else tube.curvature for i, tube in enumerate(THESIS.tubes)))
-    verdict = judge(mirrored)
+    verdict = assess_snapping(mirrored)
     assert verdict.start is not None
     assert verdict.snap is not None
     np.testing.assert_allclose(verdict.start / DEG, [180, 0, 0], atol=1e-12)
@@ -211,7 +211,7 @@ def test_every_robot_with_an_unstable_shape_snaps_on_some_way() -> None:
     for k in range(3):
         base = (THESIS, CRL)[k % 2]
         curvatures = tuple(random.uniform(0.2, 1.2) * tube.curvature for tube in base.tubes)
-        verdict = judge(scaled(bent(base, curvatures), random.uniform(-0.1, 0.0)))
+        verdict = assess_snapping(scaled(bent(base, curvatures), random.uniform(-0.1, 0.0)))
         found[verdict.finding] += 1
         assert verdict.worst is None or (verdict.worst.margin <= 0) == (verdict.finding is Finding.CAN_SNAP)
         if verdict.snap is not None:

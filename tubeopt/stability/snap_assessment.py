@@ -15,13 +15,13 @@ from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, StatusEnum
+from .branch_surface import TURN
 from .certificate import Certificate, certify
 from .eccentric_certificate import DIRECTIONS, Untwisted, segments_of, softest_untwisted, untwisted_tips
 from .following import find_snap
 from .motion import Snap
 from .search import search_snap
 from .settings import DEFAULT_SEARCH, SnapSearch
-from .sheet import TURN
 from .worst import WorstMargin, worst_margin
 
 ASSUMING = "assuming no external load, weight or friction"
@@ -36,7 +36,7 @@ class Finding(StatusEnum):
     OPEN = "it is not proved that the robot cannot snap, and search found no snap"
 
 
-class VerdictStatus(StatusEnum):
+class SnapAssessmentStatus(StatusEnum):
     """A finding as a sentence by itself."""
 
     SNAP_FREE = f"the robot {Finding.SNAP_FREE.value}"
@@ -45,17 +45,17 @@ class VerdictStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class VerdictStatistics:
-    """What a verdict took."""
+class SnapAssessmentStatistics:
+    """Numbers of paths tried for a snap, and of those where the equilibrium was lost."""
 
-    ways: int
-    """That were tried for a snap."""
+    paths: int
+    """Number of paths tried."""
     failed: int
-    """On how many of them the equilibria were lost."""
+    """Number of these paths where the equilibrium was lost."""
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict(Displayed):
+class SnapAssessment(Displayed):
     """Whether a robot can snap at given translations, with the proof or the snap."""
 
     _brief = ("robot", "finding", "certificate")
@@ -72,7 +72,7 @@ class Verdict(Displayed):
     """(n,) where it ends."""
     snap: Snap | None = None
     """Snap on that path, or None."""
-    ways: int = 0
+    paths: int = 0
     """Number of paths tried."""
     failed: int = 0
     """Number of these paths where the equilibrium was lost."""
@@ -91,14 +91,14 @@ class Verdict(Displayed):
         return None if self.finding is Finding.OPEN else self.finding is Finding.CAN_SNAP
 
     @property
-    def status(self) -> VerdictStatus:
+    def status(self) -> SnapAssessmentStatus:
         """The finding, as a sentence."""
-        return VerdictStatus[self.finding.name]
+        return SnapAssessmentStatus[self.finding.name]
 
     @property
-    def statistics(self) -> VerdictStatistics:
+    def statistics(self) -> SnapAssessmentStatistics:
         """Numbers of paths tried and lost."""
-        return VerdictStatistics(self.ways, self.failed)
+        return SnapAssessmentStatistics(self.paths, self.failed)
 
     @property
     def finding(self) -> Finding:
@@ -118,8 +118,8 @@ class Verdict(Displayed):
 
 
 @dataclass(frozen=True, eq=False)
-class EccentricVerdict(Verdict):
-    """A `Verdict` that knows a closed form too."""
+class EccentricSnapAssessment(SnapAssessment):
+    """A `SnapAssessment` that knows a closed form too."""
 
     untwisted: float | None = None
     """Margin of the softest shape with one tube of a segment against the two others, all of them equilibria. Below 0
@@ -136,14 +136,14 @@ class EccentricVerdict(Verdict):
 @typed
 @small
 @limited
-def judge(
+def assess_snapping(
     robot: Robot,
     translations: ArrayLike | None = None,
     *,
     effort: SnapSearch = DEFAULT_SEARCH,
     progress: Callable[[int, int], object] | None = None,
     time_limit: float = TIME_LIMIT,
-) -> Verdict:
+) -> SnapAssessment:
     """Proof that a robot cannot snap at given translations, or a snap.
 
     If the certificate is not above 0, rotations are searched for a snap. The paths start at the relaxed pose, with all
@@ -170,7 +170,7 @@ def judge(
     Examples:
         >>> import tubeopt
         >>> robot = tubeopt.load_robot("configs/robots/thesis_ctr.yaml")
-        >>> print(tubeopt.judge(robot).finding)
+        >>> print(tubeopt.assess_snapping(robot).finding)
         can snap
     """
     certificate = certify(robot, translations)
@@ -181,11 +181,11 @@ def judge(
     if robot.assembly(certificate.translations).eccentric:
         return _eccentric(robot, certificate, worst, progress)
     if certificate.snap_free:
-        return Verdict(robot, certificate, worst)
+        return SnapAssessment(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     found, search = search_snap(robot, certificate.translations, unstable, effort, progress)
     decided = len(search.coupled) == 2 and (found is not None or robot.even)
-    verdict = Verdict(robot, certificate, worst, ways=search.ways, failed=search.failed, decided=decided)
+    verdict = SnapAssessment(robot, certificate, worst, paths=search.ways, failed=search.failed, decided=decided)
     if found is None:
         return verdict
     start, end = found.way
@@ -194,11 +194,11 @@ def judge(
 
 def _eccentric(
     robot: Robot, certificate: Certificate, worst: WorstMargin | None, progress: Callable[[int, int], object] | None
-) -> EccentricVerdict:
+) -> EccentricSnapAssessment:
     """The verdict on tubes off the centreline."""
     segments = segments_of(robot.assembly(certificate.translations))
     shapes = sorted(map(softest_untwisted, segments or ()), key=lambda shape: shape.margin)
-    verdict = EccentricVerdict(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
+    verdict = EccentricSnapAssessment(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
     if certificate.snap_free:
         return verdict
     bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
@@ -211,8 +211,8 @@ def _eccentric(
         except SolveError:
             continue
         if snap is not None:
-            return replace(verdict, start=start, end=end, snap=snap, ways=k + 1)
-    return replace(verdict, ways=len(ways))
+            return replace(verdict, start=start, end=end, snap=snap, paths=k + 1)
+    return replace(verdict, paths=len(ways))
 
 
 def _ways(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
