@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ PARTS = 4
 """Pieces of the centreline between two shape points, at whose ends the arm is looked around from."""
 
 
-def cubic(begin: Array, end: Array, slope: Array, last: Array, x: Array, length: Array | float = 1.0) -> Array:
+def cubic(begin: Any, end: Any, slope: Any, last: Any, x: Any, length: Any = 1.0) -> Any:
     """Cubic interpolation at shares x of a length, from values at both ends and slopes there."""
     y = 1 - x
     return y * y * (begin * (1 + 2 * x) + slope * (length * x)) + x * x * (end * (1 + 2 * y) - last * (length * y))
@@ -349,4 +350,4 @@ def _hermite(s: Array, value: Array, slope: Array, at: Array) -> Array:
         return np.repeat(value, len(at), axis=0)
     k = np.searchsorted(s[1:-1], at, side="right")
     h = (s[k + 1] - s[k])[:, None]
-    return cubic(value[k], value[k + 1], slope[k], slope[k + 1], (at - s[k])[:, None] / h, h)
+    return np.asarray(cubic(value[k], value[k + 1], slope[k], slope[k + 1], (at - s[k])[:, None] / h, h))

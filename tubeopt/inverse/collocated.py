@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..block.transcription.collocated import Grid, symbols, torsion_of
+from ..block.transcription.collocated import Grid, shape_of, symbols, torsion_of
 from ..block.transcription.functions import determinant_function
 from ..block.transcription.march import marched_fields
 from ..block.transcription.model import TorsionModel
@@ -30,7 +30,7 @@ from ..block.transcription.program import Structure, add_torsion
 from ..block.transcription.section_properties import slid
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
-from ..physics.shape import GAUSS_POINTS, magnus_step
+from ..physics.shape import GAUSS_POINTS, rotation_matrix
 from ..solvers.problem import Problem
 from ..solvers.settings import Ipopt
 
@@ -179,18 +179,17 @@ def _shape(arm: TorsionModel) -> tuple[Any, Any, Any, Any]:
 def _piece_shape(grid: Grid) -> ca.Function:
     """(R, p, arguments of a piece) -> R, p where it ends, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
     torsion = torsion_of(symbols(grid))
-    first = frame, position = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
-    h, bend, points = torsion.piece.length / STEPS, ca.SX(0), []
-    u = torsion.curvature(((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel())
-    for k in range(STEPS):
-        own = u[:, 3 * k : 3 * k + 3]
-        before, ahead = position, frame[:, 2]
-        frame, position = magnus_step(frame, position, own, h)
+    frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
+    h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
+    for turn, shift, _ in shape_of(torsion, steps=STEPS):
+        position, turned = begin + frame @ shift, frame @ rotation_matrix(turn)
         # Halfway on the cubic with the tangents at both ends.
-        points += [(before + position) / 2 + h * (ahead - frame[:, 2]) / 8, position]
-        bend += h * ca.dot(ca.DM([5, 8, 5]) / 18, ca.sum1(own**2).T)
-    outputs = [frame, position, ca.horzcat(*points), bend]
-    return ca.Function("shape", [*first, *torsion.piece.arguments], outputs, {"cse": True})
+        points += [(before + position) / 2 + h * (ahead - turned[:, 2]) / 8, position]
+        before, ahead = position, turned[:, 2]
+    u = torsion.curvature(((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel())
+    bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, STEPS, 1), ca.sum1(u**2).T)
+    outputs = [turned, position, ca.horzcat(*points), bend]
+    return ca.Function("shape", [frame, begin, *torsion.piece.arguments], outputs, {"cse": True})
 
 
 def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:

@@ -80,7 +80,7 @@ class Arms:
         h = along[own, k + 1] - start
         x = (np.where(h > 0, (s - start) / np.where(h > 0, h, 1.0), 1.0))[..., None]
         p, q, a, b = self.points[row, k], self.points[row, k + 1], self.tangents[row, k], self.tangents[row, k + 1]
-        return cubic(p, q, a, b, x, h[..., None])
+        return np.asarray(cubic(p, q, a, b, x, h[..., None]))
 
 
 @lru_cache(maxsize=128)

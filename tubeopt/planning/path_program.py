@@ -33,6 +33,7 @@ from ..bodies.corridors import MeshObstacle
 from ..bodies.distance_field import DistanceField
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
+from ..inverse.arm_surface import cubic
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
 from .effort import PathSolver
@@ -346,8 +347,7 @@ def _places(kind: Kind, count: int, splits: int) -> ca.Function:
     for k in range(count - 1):
         h = s[k + 1] - s[k]
         for x in np.arange(1, splits + 1) / splits:
-            ends = points[:, k] * (1 + 2 * x) * (1 - x) ** 2 + points[:, k + 1] * x**2 * (3 - 2 * x)
-            places.append(ends + h * (tangents[:, k] * x * (1 - x) ** 2 - tangents[:, k + 1] * x**2 * (1 - x)))
+            places.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
             # A tube shows on all of a section: steps do not reach across its end.
             thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))
     out = [ca.horzcat(*places), ca.horzcat(*thick)]

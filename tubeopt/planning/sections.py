@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..equilibrium.result import Equilibrium
+from ..inverse.arm_surface import cubic
 from ..typing import Array, Index, Mask
 from .cross_sections import Bending, Constants, Drift, Jet, linear
 
@@ -128,8 +129,7 @@ class Arms:
         from the tip and from the plate."""
         k, after, h, fraction = self._steps(which, s)
         x = fraction[..., None]
-        ends = values[0][k] * (1 + 2 * x) * (1 - x) ** 2 + values[1][after] * x**2 * (3 - 2 * x)
-        return np.asarray(ends + h[..., None] * (slopes[0][k] * x * (1 - x) ** 2 - slopes[1][after] * x**2 * (1 - x)))
+        return np.asarray(cubic(values[0][k], values[1][after], slopes[0][k], slopes[1][after], x, h[..., None]))
 
     def hermite_error(self, which: Index, s: Array, third: Array) -> Array:
         """(..., c) bound of the error of `hermite`, from h^3 |f'''| (P, c) in the steps that follow the points; 0 at

@@ -269,14 +269,14 @@ def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
     return defect, piece.theta + h * slope @ t.weights, energy_of(free)
 
 
-def shape_of(torsion: Torsion, fraction: Any = 1.0) -> list[tuple[Any, Any, Any]]:
-    """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each step up to `fraction`
-    of it, which may be a symbol."""
+def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = STEPS) -> list[tuple[Any, Any, Any]]:
+    """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each of `steps` up to
+    `fraction` of it, which may be a symbol."""
     turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
     out = []
-    step = fraction / STEPS
-    for k in range(STEPS):
-        x = (k + GAUSS_POINTS) / STEPS
+    step = fraction / steps
+    for k in range(steps):
+        x = (k + GAUSS_POINTS) / steps
         u = torsion.curvature(fraction * ca.SX(ca.DM(x)) if isinstance(fraction, ca.SX) else fraction * x)
         turn, shift = magnus_quaternion(turn, shift, u, torsion.piece.length * step)
         out.append((turn, shift, (k + 1) * step))

@@ -15,6 +15,7 @@ their own equations.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -182,16 +183,9 @@ def _sections(n: int) -> ca.Function:
     """(translations, kb, moment, straight and whole lengths (n,) each) -> by columns of the 2n sections their length,
     stiffness and moment (n,); and the transmissions (n,)."""
     shift, kb, moment, straight, whole = (ca.SX.sym(k, n) for k in ("d", "kb", "m", "straight", "whole"))
-    transition, end = shift, shift - straight + whole
-    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in (*ca.vertsplit(transition), *ca.vertsplit(end))])]
     columns = []
-    for a, b in pairwise(cuts):
-        middle = (a + b) / 2
-        present = middle < end
-        # The middle of a section without length, or with one of a rounding error, may lie at the end of all tubes:
-        # whichever it has, they must not divide by 0.
-        stiffness = ca.if_else(ca.sum1(present) > 0, kb * present, kb)
-        columns.append((b - a, stiffness, moment * present * (middle > transition)))
+    for a, b, here, there in _along(ca.horzcat(shift, shift - straight + whole)):
+        columns.append((b - a, _stiff(kb, there), moment * there * here[:, 1]))
     tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
     return ca.Function("sections", [shift, kb, moment, straight, whole], [*tables, ca.fmax(straight - shift, 0)])
 
@@ -206,24 +200,33 @@ def _stretches(n: int, count: int) -> ca.Function:
     *tables, end = ca.vertsplit(robot, [0, *(n * count * np.arange(1, 7)).tolist(), kind.size])
     own, kb, kt, moment, lead, twist = (ca.reshape(table, n, count) for table in tables)
     held = ca.fmax(own[:, 0] - shift, 0)
-    places = own - ca.repmat(held, 1, count)
-    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in ca.vertsplit(ca.vec(places))])]
     columns = []
     before = ca.horzcat(ca.SX.zeros(n), own[:, :-1])
-    for a, b in pairwise(cuts):
-        middle = ca.repmat((a + b) / 2, n, 1)
-        # One stretch of every tube: the last one also behind its end.
-        later = ca.horzcat(*(middle >= places[:, c] for c in range(count - 1)), ca.SX.zeros(n))
-        here = ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later
-        there = middle < places[:, -1]
+    for a, b, here, there in _along(own - ca.repmat(held, 1, count)):
         stiffness, pull, torsional, ahead, rate = (ca.sum2(here * part) for part in (kb, moment, kt, lead, twist))
-        stiff = ca.if_else(ca.sum1(there) > 0, stiffness * there, stiffness)
-        columns.append([b - a, stiff, pull * there, torsional, ahead + rate * (b + held), rate])
+        columns.append([b - a, _stiff(stiffness, there), pull * there, torsional, ahead + rate * (b + held), rate])
     after = [each[3] for each in columns[1:]] + [columns[-1][3]]
     tables = [ca.densify(ca.horzcat(*table)) for table in zip(*columns, strict=True)]
     tables.append(ca.horzcat(*(b / a[3] for a, b in zip(columns, after, strict=True))))
     inside = ca.fmin(ca.fmax(ca.repmat(held, 1, count) - before, 0), own - before)
     return ca.Function("stretches", [shift, robot], [*tables, ca.sum2(inside / kt) * columns[0][3], end])
+
+
+def _along(places: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
+    """The sections of tubes whose stretches end at arc lengths (n, C): where each begins and ends, which stretch of
+    every tube is there (n, C), the last one also behind its end, and which tubes are there (n,)."""
+    n, count = places.shape
+    cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in ca.vertsplit(ca.vec(places))])]
+    for a, b in pairwise(cuts):
+        middle = ca.repmat((a + b) / 2, n, 1)
+        later = ca.horzcat(*(middle >= places[:, c] for c in range(count - 1)), ca.SX.zeros(n))
+        yield a, b, ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later, middle < places[:, -1]
+
+
+def _stiff(stiffness: Any, there: Any) -> Any:
+    """(n,) of the tubes that are there. The middle of a section without length, or with one of a rounding error, may
+    lie at the end of all tubes: whichever it has, they must not divide by 0."""
+    return ca.if_else(ca.sum1(there) > 0, stiffness * there, stiffness)
 
 
 def _sorted(values: list[Any]) -> list[Any]:
