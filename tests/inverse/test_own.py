@@ -87,7 +87,7 @@ def test_own_constraint_is_kept_in_every_answer() -> None:
 def test_what_makes_no_sense_is_refused() -> None:
     for options, words in (
         ({"extra_cost": Aside(0.0)}, "extra_cost is .* it must be a CustomObjective"),
-        ({"extra_constraints": (Close(),)}, "extra_constraints holds .* it must be a sequence of CustomRequirement"),
+        ({"extra_constraints": (Close(),)}, "extra_constraints contains .* it must be a sequence of CustomRequirement"),
         ({"extra_constraints": 3}, "extra_constraints is 3"),
         ({"extra_cost": Close(), "method": "nlp"}, "method 'nlp' does"),
     ):
