@@ -16,14 +16,19 @@ ROOT = Path(__file__).resolve().parents[2]
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 
-def build(folder: Path) -> None:
-    """The page with its kernel into a folder, by `.ci/page.py`."""
+def hook() -> Any:
+    """The module `.ci/page.py`."""
     spec = importlib.util.spec_from_file_location("page_hook", ROOT / ".ci" / "page.py")
     assert spec is not None
     assert spec.loader is not None
-    module: Any = importlib.util.module_from_spec(spec)
+    module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.main(folder)
+    return module
+
+
+def build(folder: Path) -> None:
+    """The page with its kernel into a folder."""
+    hook().main(folder)
 
 
 class Quiet(http.server.SimpleHTTPRequestHandler):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,7 @@ from tubeopt import (
     Tube,
     energy_map,
     find_equilibria,
+    find_load_limit,
     find_snap,
     follow,
     forward_kinematics,
@@ -28,6 +30,9 @@ from tubeopt import (
 )
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled.library import compiler
+
+from .serving import hook
 
 DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 
@@ -241,6 +246,40 @@ def test_random_motions_with_snaps_end_where_those_of_python_do(page: Any, name:
     assert count_of_snaps > count / 2
 
 
+def test_an_arm_under_a_load_stops_where_it_would_snap(page: Any) -> None:
+    """And without the load it continues."""
+    limit = find_load_limit(THESIS, np.radians([200, 0, 0]), np.zeros(3), Load(force=(0.1, 0.1, 0.1)))
+    assert limit is not None
+    found = page.evaluate(
+        f"""async ([tubes, limit]) => {{
+            {KERNEL}
+            const {{ Arm }} = await import('./motion.js');
+            const at = (deg) => ({{ rotations: [deg * Math.PI / 180, 0, 0], translations: [0, 0, 0] }});
+            const arm = new Arm(kernel), push = (share) => arm.push(limit.map((f) => share * f));
+            arm.assemble(tubes, at(200), true);
+            const borne = [push(0.98), push(1.02)];
+            arm.push([0, 0, 0]);
+            arm.assemble(tubes, at(0), true);
+            borne.push(arm.push([5e-3, 0, 0]));
+            const force = arm.force;
+            const there = arm.move(at(260)), last = arm.pose;
+            arm.push([0, 0, 0]);
+            return {{ borne, force, there, last, free: arm.move(at(260)) }};
+        }}""",
+        [given(THESIS), (limit.factor * 0.1 * np.ones(3)).tolist()],
+    )
+    assert found["borne"] == [True, False, True]
+    assert found["force"] == [5e-3, 0, 0]
+    assert "load" in found["there"]["stopped"]
+    assert not found["there"]["snaps"]
+    # The arm must be stable with the load and without.
+    start, end = ((np.radians([deg, 0.0, 0.0]), np.zeros(3)) for deg in (0, 260))
+    known = [find_snap(THESIS, start, end, load=load) for load in (None, Load(force=(5e-3, 0.0, 0.0)))]
+    first = min(snap.rotations[0] for snap in known if snap is not None)
+    assert math.degrees(found["last"]["rotations"][0]) == pytest.approx(math.degrees(first), abs=0.3)
+    assert len(found["free"]["snaps"]) == 1
+
+
 def test_the_energy_map_is_that_of_python(page: Any) -> None:
     """To 1 % of its range: the page's is on coarser elements."""
     robot, rotations = load_robot("configs/robots/two_tube.yaml"), np.array([2.5, 0.0])
@@ -430,3 +469,15 @@ def test_the_page_is_small_and_fetches_nothing_else(page: Any, folder: Path) -> 
     assert "http://" not in text
     assert "https://" not in text
     assert "default-src 'none'" in text
+
+
+def test_the_text_of_the_kernel_is_c(tmp_path: Path) -> None:
+    """Seen also where no compiler for WebAssembly is."""
+    own = compiler()
+    if own is None:
+        pytest.skip("no C compiler")
+    texts = hook().sources()
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    files = [name for name in texts if name.endswith(".c")]
+    subprocess.run([*own, "-fsyntax-only", "-std=gnu99", "-w", *files], cwd=tmp_path, check=True, timeout=60)
