@@ -1,4 +1,7 @@
-"""A page of the site for every script in `problems/`: what is asked, what one learns, the pictures, the code.
+"""A page of the site for every script in `problems/` and for every notebook.
+
+The page of a script has its question, what one learns, the pictures and the code. That of a notebook has its cells with
+the outputs that are saved in it.
 
 A hook of MkDocs. Pages are made from the scripts whenever the site is built, so that they cannot drift from them. Where
 TUBEOPT_GALLERY names a directory in which `tests/test_problems.py` has left what every script printed and drew, the
@@ -17,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-PROBLEMS, IMAGES = ROOT / "problems", ROOT / "docs" / "images"
+PROBLEMS, IMAGES, NOTEBOOKS = ROOT / "problems", ROOT / "docs" / "images", ROOT / "notebooks"
 NIGHT = ROOT / "tests" / "night.txt"
 LEARNED = "One learns: "
 
@@ -127,20 +130,50 @@ def page(problem: Problem) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def group(problem: Problem) -> str:
-    """Under which heading a problem stands."""
-    return next(heading for start, heading in GROUPS.items() if problem.name.startswith(start))
+def notebook_page(path: Path) -> str:
+    """A notebook in Markdown, with its saved outputs."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        parts += [shown for output in cell.get("outputs", ()) if (shown := _output(output))]
+    parts.append(f"*From `notebooks/{path.name}`.*")
+    return "\n\n".join(parts) + "\n"
+
+
+def _output(output: dict[str, Any]) -> str:
+    """An output of a cell: HTML before a picture before text."""
+    data = {kind: "".join(text) for kind, text in output.get("data", {}).items()}
+    if "text/html" in data:
+        return "<div>" + "\n".join(line.strip() for line in data["text/html"].splitlines() if line.strip()) + "</div>"
+    if "image/png" in data:
+        return f'<img alt="Picture of the notebook" src="data:image/png;base64,{"".join(data["image/png"].split())}">'
+    text = "".join(output.get("text", data.get("text/plain", "")))
+    return f"```text\n{text.rstrip()}\n```" if text.strip() else ""
+
+
+def notebooks() -> list[Path]:
+    """All notebooks, in their order."""
+    return sorted(NOTEBOOKS.glob("*.ipynb"))
+
+
+def group(name: str) -> str:
+    """Heading of the problem with this name."""
+    return next(heading for start, heading in GROUPS.items() if name.startswith(start))
 
 
 def index(problems: list[Problem]) -> str:
     """The page with all of them."""
+    titles = [(path, notebook_page(path).partition("\n")[0].lstrip("# ")) for path in notebooks()]
     parts = [
         "# Gallery",
-        "Each page is a script of `problems/` that poses one problem with the public interface: what is asked, the "
-        "picture, what one learns, the code.",
+        "Scripts of `problems/` pose one problem each with the public interface: question, picture, result, code. "
+        "Notebooks are a guided tour.",
+        "## Notebooks",
+        "\n".join(f"- [{title}]({path.stem}.md)" for path, title in titles),
     ]
     for heading in dict.fromkeys(GROUPS.values()):
-        mine = [problem for problem in problems if group(problem) == heading]
+        mine = [problem for problem in problems if group(problem.name) == heading]
         if mine:
             parts += [
                 f"## {heading}",
@@ -165,9 +198,13 @@ def _records() -> Path | None:
 
 
 def on_config(config: Any) -> Any:
-    """Enter all pages below "Gallery" in the navigation."""
-    pages = ["gallery/index.md", *(f"gallery/{script.stem}.md" for script in _scripts())]
-    config.nav = [{"Gallery": pages} if "Gallery" in entry else entry for entry in config.nav]
+    """Enter all pages below "Gallery" in the navigation, by group."""
+    pages: dict[str, list[str]] = {"Notebooks": [f"gallery/{path.stem}.md" for path in notebooks()]}
+    pages |= {heading: [] for heading in GROUPS.values()}
+    for script in _scripts():
+        pages[group(script.stem)].append(f"gallery/{script.stem}.md")
+    below = ["gallery/index.md", *({heading: each} for heading, each in pages.items())]
+    config.nav = [{"Gallery": below} if "Gallery" in entry else entry for entry in config.nav]
     return config
 
 
@@ -183,6 +220,8 @@ def on_files(files: Any, config: Any) -> Any:
     files.append(File.generated(config, "gallery/index.md", content=index(problems)))
     for problem in problems:
         files.append(File.generated(config, f"gallery/{problem.name}.md", content=page(problem)))
+    for notebook in notebooks():
+        files.append(File.generated(config, f"gallery/{notebook.stem}.md", content=notebook_page(notebook)))
     for path in {path for problem in problems for path in problem.pictures}:  # two scripts may show the same
         files.append(File.generated(config, f"gallery/images/{path.name}", abs_src_path=str(path)))
     return files

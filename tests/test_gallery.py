@@ -47,6 +47,17 @@ def test_a_page_shows_what_the_script_printed(gallery: Any, tmp_path: Path) -> N
     assert "```text\nforth: snaps at 214.222427 deg\n```" in gallery.page(problem)
 
 
+def test_a_notebook_is_a_page_with_its_outputs(gallery: Any) -> None:
+    path = ROOT / "notebooks" / "1_first_steps.ipynb"
+    page = gallery.notebook_page(path)
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert all("".join(cell["source"]) in page for cell in cells)
+    assert "```text\n" in page
+    assert "<div>" in page
+    assert "data:image/png;base64," in page
+    assert f"({path.stem}.md)" in gallery.index([])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
