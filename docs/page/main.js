@@ -154,13 +154,13 @@ function push(force) {
 
 const JOINTS = { rotations: ["rotation", DEG, "°", 1], translations: ["translation", MM, " mm", 2] };
 
-/** Which joint has moved most, and where it is. */
+/** Which joint has moved most, and where it was last before a snap. */
 function named(from, to, snap) {
   let best = { size: 0, words: "" };
   for (const [kind, [word, unit, sign, digits]] of Object.entries(JOINTS))
     to[kind].forEach((value, i) => {
       const size = Math.abs(value - from[kind][i]) / (kind === "rotations" ? 1 : 0.05);
-      if (size > best.size) best = { size, words: `${word} ${number(snap.to[kind][i] / unit, digits)}${sign} of tube ${i + 1}` };
+      if (size > best.size) best = { size, words: `${word} ${number(snap.from[kind][i] / unit, digits)}${sign} of tube ${i + 1}` };
     });
   return best.words;
 }
@@ -515,5 +515,8 @@ async function begin() {
   document.documentElement.dataset.ready = "true";
 }
 
-begin().catch((error) => say(error.message, "bad"));
+begin().catch((error) => {
+  say(error.message, "bad");
+  clearTimeout(message); // it stays: there is nothing else to see
+});
 window.tubeoptPage = page; // for tests and the console
