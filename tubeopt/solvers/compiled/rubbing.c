@@ -276,6 +276,7 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
     } else {
         h = &w->held[!m->now];
         if (!begin_held(m, shift, h)) return NULL;
+        if ((guess = h->rows == old->rows)) memcpy(h->sign, old->sign, h->rows); /* most go on as they did */
         for (int x = 0; x < h->q.points; x++)
             for (int i = 0; i < N; i++) {
                 w->theta[x][i] = theta_at(old, i, h->q.s[x]);
