@@ -7,7 +7,7 @@ import { jointsPart, make, stabilityPart, tipPart, tubesPart } from "./panels.js
 import { allowed, DEG, faults, fromHash, inSI, MM, readRobot, shiftRange, toHash, writeRobot } from "./robot.js";
 import { Scene } from "./scene.js";
 
-const SNAP_TIME = 700; // ms, of the animation
+const SNAP_TIME = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : 700; // ms, of the animation
 const GHOST_TIME = 5000; // ms, for which the arm before a snap is seen
 const GRAB = 34; // px around the tip
 const FORCE_PER_METRE = 0.4; // N, of a force that is dragged; its arrow is as long
