@@ -343,10 +343,21 @@ def test_output_that_nobody_reads_on() -> None:
 
 
 def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run, tmp_path: Path) -> None:
-    outcome = run("fk", THESIS, *ACTUATED, "--out", str(tmp_path), "--format", "svg,pdf,urdf,mjcf", "--width-mm", "88")
+    outcome = run(
+        "fk",
+        THESIS,
+        *ACTUATED,
+        "--out",
+        str(tmp_path),
+        "--format",
+        "svg,pdf,urdf,mjcf,eps,tiff",
+        "--width-mm",
+        "88",
+        "--no-title",
+    )
     assert outcome.code == 0
     names = {path.name for path in tmp_path.iterdir()}
-    pictures = {f"{name}.{form}" for name in ("shape", "torsion") for form in ("svg", "pdf")}
+    pictures = {f"{name}.{form}" for name in ("shape", "torsion") for form in ("svg", "pdf", "eps", "tiff")}
     assert names == {"result.json", "arrays.npz", "arm.urdf", "arm.xml", *pictures}
     head = (tmp_path / "shape.svg").read_text(encoding="utf-8")[:2000]
     assert f'width="{88 / 25.4 * 72:.6f}pt"'[:14] in head
@@ -355,9 +366,12 @@ def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run,
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["--format", "jpg"], "--format is 'jpg'; it must be one of png, pdf, svg, parquet, stl, glb, urdf, mjcf"),
-        (["--width-mm", "5"], "--width-mm is 5; it must be a number from 60 to 400"),
-        (["--width-mm", "wide"], "--width-mm is wide; it must be a number from 60 to 400"),
+        (
+            ["--format", "jpg"],
+            "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, parquet, stl, glb, urdf, mjcf",
+        ),
+        (["--width-mm", "5"], "--width-mm is 5; it must be a number from 50 to 300"),
+        (["--width-mm", "wide"], "--width-mm is wide; it must be a number from 50 to 300"),
     ],
 )
 def test_formats_that_are_not_known_are_refused(run: Run, flags: list[str], words: str) -> None:

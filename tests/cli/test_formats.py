@@ -10,7 +10,7 @@ from tests.command_line import THESIS, Run, refused
 from tubeopt.cli.commands import COMMANDS, Asked
 from tubeopt.show.reports import formats_of, reports
 
-PICTURES = ("png", "pdf", "svg")
+PICTURES = ("png", "pdf", "svg", "eps", "tiff")
 
 
 @pytest.mark.parametrize(
@@ -38,14 +38,14 @@ def test_every_command_that_asks_has_a_report_of_its_name() -> None:
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (("certify", THESIS, "--format", "stl"), "--format is 'stl'; `tubeopt certify` saves png, pdf, svg"),
+        (("certify", THESIS, "--format", "stl"), "--format is 'stl'; `tubeopt certify` saves png, pdf, svg, eps, tiff"),
         (
             ("plan", "plan_thesis_turn", "--format", "pdf,glb"),
-            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, parquet",
+            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, eps, tiff, parquet",
         ),
         (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
         (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet"),
-        (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; it must be one of png, pdf, svg, "),
+        (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, "),
     ],
 )
 def test_a_format_that_a_command_does_not_have(run: Run, tmp_path: Path, typed: tuple[str, ...], said: str) -> None:

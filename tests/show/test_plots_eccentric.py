@@ -128,5 +128,5 @@ def test_permutations_are_named_and_scaled(tmp_path: Path) -> None:
     words = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert {"012", "210", "d = 0", "elsewhere: 0.36 mm", "0.0138 mm at 40°"} <= set(words)
     assert (tmp_path / "six.png").exists()
-    with pytest.raises(InputError, match=r"must end in \.png, \.pdf, \.svg$"):
+    with pytest.raises(InputError, match=r"must end in \.png, \.pdf, \.svg, .eps, .tiff$"):
         plot_permutations(data, tmp_path / "six.gif", title="six")

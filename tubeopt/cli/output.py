@@ -16,17 +16,17 @@ from rich.console import Console
 
 from ..errors import InputError, NotProvedError, SolveError, choice
 from ..files.units import TO_MM, parse_number
-from ..show.page import WIDTH
+from ..show.page import TITLED, WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from ..show.reports import formats_of, report
 from .failures import error_record, failure
 from .interruption import keeping
 from .messages import LOGGER, warnings
 
-NARROWEST_MM, WIDEST_MM = 60, 400
+NARROWEST_MM, WIDEST_MM = 50, 300
 
 
-OF_PICTURES = ("plot", "formats", "width_mm")
+OF_PICTURES = ("plot", "formats", "width_mm", "no_title")
 """Fields of an output that a command without pictures does not have."""
 
 
@@ -66,7 +66,7 @@ class Output:
         typer.Option(
             "--format",
             metavar="F,..",
-            help="File formats to save with --out, separated by commas: png, pdf or svg for plots; for some commands "
+            help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots; for some commands "
             "also parquet (tables) and stl, glb, urdf or mjcf (the robot).",
         ),
     ] = PICTURE_FORMATS[0]
@@ -75,9 +75,12 @@ class Output:
         typer.Option(
             "--width-mm",
             metavar="MM",
-            help="Width of saved plots in mm, 60 to 400; a journal column has about 88, a page 180.",
+            help="Width of saved plots in mm, 50 to 300, at 600 dpi; a journal column has about 88, a page 180.",
         ),
     ] = None
+    no_title: Annotated[
+        bool, typer.Option("--no-title", help="Save plots without a heading, for a paper with captions.")
+    ] = False
 
     def __post_init__(self) -> None:
         for form in self.wanted:
@@ -89,7 +92,12 @@ class Output:
                     f"--width-mm is {self.width_mm}; it must be a number from {NARROWEST_MM} to {WIDEST_MM}"
                 )
         if self.out is None and not self.plot:
-            for flag, idle in (("--format", self.formats == PICTURE_FORMATS[0]), ("--width-mm", self.width_mm is None)):
+            given = (
+                ("--format", self.formats == PICTURE_FORMATS[0]),
+                ("--width-mm", self.width_mm is None),
+                ("--no-title", not self.no_title),
+            )
+            for flag, idle in given:
                 if not idle:
                     LOGGER.warning(f"{flag} has no effect without --out or --plot: nothing is saved")
 
@@ -113,11 +121,13 @@ class Output:
 def _saved_as(output: Output, picture: str) -> Iterator[None]:
     """Let reports write in the formats of an output, pictures in one of them, and as wide as it says."""
     format_token, width_token = FORMATS.set((picture, *output.wanted)), WIDTH.set(output.width)
+    title_token = TITLED.set(not output.no_title)
     try:
         yield
     finally:
         FORMATS.reset(format_token)
         WIDTH.reset(width_token)
+        TITLED.reset(title_token)
 
 
 def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()) -> None:

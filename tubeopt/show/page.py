@@ -6,3 +6,6 @@ from contextvars import ContextVar
 
 WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 """Of pictures, m, where they are to be laid out anew for a page; letters keep their size. None leaves each as it is."""
+
+TITLED: ContextVar[bool] = ContextVar("TITLED", default=True)
+"""Whether pictures have a heading; a paper has a caption below."""

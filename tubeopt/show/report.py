@@ -30,7 +30,7 @@ Drawing = Callable[..., Any]
 """Draws a picture, and saves it where it is given a path; returns the figure."""
 
 
-PICTURE_FORMATS = ("png", "pdf", "svg")
+PICTURE_FORMATS = ("png", "pdf", "svg", "eps", "tiff")
 TABLE_FORMATS = ("parquet",)
 SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
 

@@ -18,7 +18,7 @@ from ...typing import Array
 from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
 from .maps import draw_map
-from .style import FAINT, INK, Axes, Figure, colour_bar, disk, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, colour_bar, disk, entitle, headed, new_figure, picture
 
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
@@ -134,7 +134,7 @@ def plot_front(front: ParetoFront) -> Figure:
         )  # fmt: skip
     axes.set_xlabel("margin demanded")
     axes.set_ylabel(f"{wanted.words} ({wanted.unit})" if wanted.unit else wanted.words)
-    axes.set_title(front.task.name or front.task.robot.name, loc="left")
+    entitle(axes, front.task.name or front.task.robot.name)
     return figure
 
 

@@ -15,7 +15,7 @@ from ...typing import Array
 from ..formatting import released
 from .path import Value, draw_broken, place_of, stretches
 from .stage import note
-from .style import Axes, Figure, angle_ticks, new_figure, picture
+from .style import Axes, Figure, angle_ticks, entitle, new_figure, picture
 
 
 class Way(NamedTuple):
@@ -72,7 +72,7 @@ def plot_hysteresis(
     for way in ways:
         _name_snaps(panels[0], way, quantities[0][1])
     figure.align_ylabels(panels)
-    panels[0].set_title(title, loc="left")
+    entitle(panels[0], title)
     panels[0].legend(loc="best")
     panels[-1].set_ylim(min(0.0, panels[-1].get_ylim()[0]), None)
     panels[-1].set_xlabel("rotation (deg)")

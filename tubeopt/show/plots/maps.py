@@ -15,7 +15,7 @@ from ...solvers.parallel.blas import small
 from ...stability import EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
-from .style import INK, Axes, Figure, angle_ticks, colour_bar, narrow, new_figure, picture, rotations_in_words
+from .style import INK, Axes, Figure, angle_ticks, colour_bar, entitle, narrow, new_figure, picture, rotations_in_words
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -134,7 +134,7 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
     figure = new_figure(5.6, 4.9)
     axes = figure.add_subplot()
     image, handles = draw_map(axes, stability_map)
-    axes.set_title(title, loc="left")
+    entitle(axes, title)
     colour_bar(figure, image, "stability margin", cax=axes.inset_axes((1.03, 0, 0.035, 1)))
     figure.legend(handles=handles, loc="outside lower center", ncols=1 if narrow() else 3)
     return figure

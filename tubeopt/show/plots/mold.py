@@ -20,7 +20,7 @@ from ...shaping.mold.springback import Calibration
 from ...typing import Array
 from ..colours import tube_colour
 from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows
-from .style import FAINT, INK, Axes, Figure, disk, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, new_figure, picture
 
 if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
@@ -40,7 +40,7 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     draw_mold(axes, mold)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
-    axes.set_title(f"{_named(mold, title)}\nradius of the groove  {radii}", loc="left")
+    entitle(axes, f"{_named(mold, title)}\nradius of the groove  {radii}")
     return figure
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
+from ..page import WIDTH
 from .style import Figure, new_figure
 
 INCH = 25.4
@@ -12,9 +14,20 @@ A4 = (297.0, 210.0)
 EDGE = 12.0
 
 
+@contextmanager
+def a_page() -> Iterator[None]:
+    """A sheet keeps its size, whatever the width of other pictures."""
+    token = WIDTH.set(None)
+    try:
+        yield
+    finally:
+        WIDTH.reset(token)
+
+
 def new_sheet(heading: str) -> Figure:
     """A page with a heading; its panels are put where they belong."""
-    figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
+    with a_page():
+        figure = new_figure(A4[0] / INCH, A4[1] / INCH, layout=None)
     write(figure, EDGE, A4[1] - EDGE, heading, size=13, weight="bold")
     return figure
 

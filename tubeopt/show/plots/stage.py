@@ -18,6 +18,10 @@ from .style import INK, Axes, narrow, number
 
 if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection
+    from matplotlib.text import Annotation
+
+SCALE = "scale"
+"""`gid` of the numbers along the edges of a box."""
 
 RULE = "#DADDE1"
 FLOOR = "#F6F7F8"
@@ -156,7 +160,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
         points = np.tile(edge, (len(rules), 1))
         points[:, axis] = rules
         for value, at in zip(rules, view.project(points / TO_MM)[:, :2], strict=True):
-            note(axes, number(value, 3), at, 5 * outward)
+            note(axes, number(value, 3), at, 5 * outward).set_gid(SCALE)
         if axis < 2:
             note(axes, f"{name} (mm)", (start + stop) / 2, 21 * outward, size=9)
         else:
@@ -194,11 +198,11 @@ def note(
     rotation: float = 0,
     colour: str = INK,
     level: bool = False,
-) -> None:
+) -> Annotation:
     """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it; `level`, its middle line."""
     horizontal = "left" if shift[0] > 2 else "right" if shift[0] < -2 else "center"
     vertical = "center" if level or abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
-    axes.annotate(
+    return axes.annotate(
         text,
         (float(at[0]), float(at[1])),
         (float(shift[0]), float(shift[1])),

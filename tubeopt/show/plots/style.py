@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from os import PathLike
@@ -19,7 +20,7 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..formatting import in_a_word, tip_in_words
 from ..load_words import load_in_words
-from ..page import WIDTH
+from ..page import TITLED, WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -36,7 +37,9 @@ D = TypeVar("D", contravariant=True)
 
 INK = "#222222"
 FAINT = "#8A8A8A"
-DPI = 200
+DPI, PAGE_DPI = 200, 600
+"""Dots per inch of pictures that are made of dots: as they are, and for the page of a journal."""
+
 PNG_LEVEL = 1
 """How hard PNG is packed: harder takes half as long again for a sixth less."""
 LAYOUT_PASSES = 3
@@ -44,7 +47,7 @@ LAYOUT_PASSES = 3
 them; fewer where nothing moves any more by `STILL`, a part of the picture."""
 STILL = 1e-3
 
-FORMATS = ("png", "pdf", "svg")
+FORMATS = ("png", "pdf", "svg", "eps", "tiff")
 
 RC = {
     "axes.axisbelow": True,
@@ -64,6 +67,7 @@ RC = {
     "legend.frameon": False,
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,
+    "ps.fonttype": 42,
     "savefig.facecolor": "white",
     "svg.fonttype": "none",
     "svg.hashsalt": "tubeopt",
@@ -116,15 +120,21 @@ class Picture(Protocol[D, P]):
 def picture(draw: Callable[Concatenate[D, P], Figure]) -> Picture[D, P]:
     """The frame of every picture around a function that draws one: its look, its layout, and how it is saved.
 
-    The function that comes out takes, after what is drawn, a `path` to save the picture under (PNG, PDF or SVG by its
-    ending; None, the default, saves nothing), and raises InputError where the name does not end so.
+    The function that comes out takes, after what is drawn, a `path` to save the picture under (PNG, TIFF, PDF, SVG or
+    EPS by its ending; None, the default, saves nothing), and raises InputError where the name does not end so.
     """
 
     @wraps(draw)
     @styled
     def wrapper(*given: Any, **keywords: Any) -> Figure:
         path = given[1] if len(given) > 1 else None
-        return finish(draw(*given[:1], *given[2:], **keywords), path)
+
+        def drawn() -> Figure:
+            return draw(*given[:1], *given[2:], **keywords)
+
+        if WIDTH.get() is None:
+            return finish(drawn(), path)
+        return saved(fitted(drawn), path)
 
     return cast(Picture[D, P], wrapper)
 
@@ -150,9 +160,15 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
 def headed(figure: Figure, heading: str) -> Figure:
     """Put a heading, if there is one, above everything in a figure, to the left."""
-    if heading:
+    if heading and TITLED.get():
         figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
+
+
+def entitle(axes: Axes, heading: str, **look: Any) -> None:
+    """Put the heading of a picture above its one panel, to the left."""
+    if TITLED.get():
+        axes.set_title(heading, loc="left", **look)
 
 
 def disk(axes: Axes, centre: ArrayLike, radius: float, **look: Any) -> None:
@@ -201,13 +217,16 @@ SHADE = 0.4
 
 @styled
 def save_figure(figure: Figure, path: str | PathLike[str]) -> Path:
-    """Write `figure` as PNG (200 dpi), PDF or SVG, as the name ends; whole, or not at all."""
+    """Write `figure` as PNG or TIFF (200 dpi, 600 for a page), PDF, SVG or EPS, by the ending; whole, or not at all."""
     kind = picture_format(path)
     # A picture depends on its data alone, so that the same data give the same file.
-    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    packed: dict[str, Any] = {"pil_kwargs": {"compress_level": PNG_LEVEL}} if kind == "png" else {}
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(kind)
+    packing: dict[str, Any] = {"png": {"compress_level": PNG_LEVEL}, "tiff": {"compression": "tiff_lzw"}}
+    packed = {"pil_kwargs": packing[kind]} if kind in packing else {}
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, format=kind, dpi=DPI, metadata=metadata, **packed)
+        figure.savefig(
+            temporary, format=kind, dpi=DPI if WIDTH.get() is None else PAGE_DPI, metadata=metadata, **packed
+        )
     return Path(path)
 
 
@@ -226,23 +245,128 @@ def colour_bar(figure: Figure, drawn: Any, label: str, **where: Any) -> Colorbar
     return bar
 
 
+ATTEMPTS = tuple((letters, stacked) for letters in (1.0, 0.8, 0.65, 0.5) for stacked in (True, False))
+"""How a picture is tried to fit a page: the size of its letters, and whether its columns stand below each other."""
+
+
 def finish(figure: Figure, path: str | PathLike[str] | None) -> Figure:
     """Return `figure`, laid out, and saved under `path` if that is given."""
-    from .figure import NotebookFigure, as_it_stands, stack
-
     if WIDTH.get() is not None:
-        if narrow() and isinstance(figure, NotebookFigure):
-            stack(figure)
-        _fold(figure)
-    _lay_out(figure)
-    moved = [_uncover(axes) for axes in figure.axes]
-    if any(moved):
-        _lay_out(figure)
+        arrange(figure, stacked=narrow())
+    else:
+        _settle(figure)
+    return saved(figure, path)
+
+
+def saved(figure: Figure, path: str | PathLike[str] | None) -> Figure:
+    """Return a figure that is laid out, and save it under `path` if that is given."""
+    from .figure import as_it_stands
+
     if path is not None:
         with as_it_stands(figure):
             save_figure(figure, path)
     figure.stale = False  # until somebody changes it, it need not be laid out again
     return figure
+
+
+def fitted(draw: Callable[[], Figure]) -> Figure:
+    """A figure laid out for the page, drawn anew with smaller letters until no text overlaps another or is clipped.
+
+    Smaller letters are tried too where panels would fill less than `ROOMY` of the page. Of several attempts that are
+    not free of both, the one with fewest faults and the largest panels is returned. A sheet of a given size keeps it.
+    """
+    from .crowding import faults
+
+    best: tuple[tuple[int, float], Figure] | None = None
+    for letters, stacked in ATTEMPTS:
+        if stacked and not narrow() and letters > 0.7:
+            continue
+        figure = draw()
+        if figure.get_layout_engine() is None:  # its parts have places of their own
+            return figure
+        if not arrange(figure, stacked=stacked, letters=letters):
+            continue
+        merit = len(faults(figure)), -min(_filled(figure), ROOMY)
+        if best is None or merit < best[0]:
+            best = merit, figure
+        if merit == (0, -ROOMY):
+            break
+    if best is not None:
+        return best[1]
+    figure = draw()
+    arrange(figure, stacked=narrow(), letters=ATTEMPTS[-1][0])
+    figure.set_layout_engine("none")
+    return figure
+
+
+ROOMY = 0.3
+"""Part of a page that panels fill at least, where smaller letters can reach it."""
+
+
+def _filled(figure: Figure) -> float:
+    """Part of a figure that its panels fill."""
+    return sum(float(np.prod(axes.get_position().size)) for axes in figure.axes)
+
+
+def arrange(figure: Figure, *, stacked: bool, letters: float = 1.0) -> bool:
+    """Lay a figure out for the page; whether its panels have any room."""
+    from .crowding import TALLEST, clipped, relieve
+    from .figure import NotebookFigure, stack
+
+    if stacked and isinstance(figure, NotebookFigure):
+        stack(figure)
+    width, height = figure.get_size_inches()
+    figure.set_figheight(min(height, TALLEST * width))
+    if letters != 1.0:
+        _scale_letters(figure, letters)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # before names are broken, panels may have no room
+        _fold(figure)
+        _lay_out(figure)
+        _fold_labels(figure)
+        _settle(figure)
+        relieve(figure)
+        if narrower := clipped(figure):
+            for text, room in narrower:
+                _fold_lines(text, room)
+            _lay_out(figure)
+            relieve(figure)
+        warnings.simplefilter("error", UserWarning)
+        try:
+            figure.draw_without_rendering()
+        except UserWarning:
+            return False
+    figure.set_layout_engine("none")  # what was measured stays where it is
+    return True
+
+
+def _settle(figure: Figure) -> None:
+    """Lay a figure out, and move legends off what is drawn."""
+    _lay_out(figure)
+    moved = [_uncover(axes) for axes in figure.axes]
+    if any(moved):
+        _lay_out(figure)
+
+
+def _scale_letters(figure: Figure, scale: float) -> None:
+    """Make all letters smaller, and what stands off a point by a number of points nearer to it."""
+    from matplotlib.text import Annotation, Text
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            labels = axis.get_ticklabels()
+            if labels:
+                axis.set_tick_params(labelsize=labels[0].get_fontsize())
+    for found in figure.findobj(Text):
+        text: Any = found
+        text.set_fontsize(scale * text.get_fontsize())
+        if isinstance(text, Annotation) and text.anncoords == "offset points":
+            text.xyann = (scale * text.xyann[0], scale * text.xyann[1])
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            labels = axis.get_ticklabels()
+            if labels:
+                axis.set_tick_params(labelsize=labels[0].get_fontsize())
 
 
 def _lay_out(figure: Figure) -> None:
@@ -309,36 +433,89 @@ def _places(figure: Figure) -> Array:
 def _fold(figure: Figure) -> None:
     """Break headings, and stack legends, that are wider than the room they have."""
     figure.draw_without_rendering()
-    room = figure.bbox.width * 0.98
+    room = figure.bbox.width * 0.96
     for heading in figure.texts:
         _fold_lines(heading, room)
     for axes in figure.axes:
         inside = axes.get_subplotspec()
         columns = 1 if inside is None else inside.get_gridspec().ncols / len(inside.colspan)
-        _fold_lines(axes.title if axes.get_title() else axes._left_title, 0.9 * room / columns)  # type: ignore[attr-defined]  # noqa: SLF001
+        for title in (axes.title, axes._left_title):  # type: ignore[attr-defined]  # noqa: SLF001
+            if title.get_text():
+                _fold_lines(title, 0.85 * room / columns)
+        _narrow_legend(axes, 0.85 * room / columns)
     for legend in list(figure.legends):
         entries = [text.get_text() for text in legend.get_texts()]
         columns = int(len(entries) * room / legend.get_window_extent().width)
         if columns < len(entries):
             handles: Any = legend.legend_handles
+            size = legend.get_texts()[0].get_fontsize()
             legend.remove()
-            figure.legend(handles, entries, loc="outside lower center", ncols=max(columns, 1))
+            made = figure.legend(handles, entries, loc="outside lower center", ncols=max(columns, 1), fontsize=size)
+            for text in made.get_texts():
+                _fold_lines(text, 0.85 * room)
 
 
-def _fold_lines(text: Text, room: float) -> None:
-    """Break a heading where it says one thing after another, so that it is no wider than `room` pixels."""
+def _narrow_legend(axes: Axes, room: float) -> None:
+    """Give the legend of a panel fewer columns where it is wider than `room` pixels, and break its names."""
+    legend = axes.get_legend()
+    if legend is None or not legend.get_texts():
+        return
+    width, own = legend.get_window_extent().width, legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+    if width > room and own > 1:
+        handles: Any = legend.legend_handles
+        names, size = [text.get_text() for text in legend.get_texts()], legend.get_texts()[0].get_fontsize()
+        place: Any = legend.get_bbox_to_anchor().transformed(axes.transAxes.inverted()).bounds
+        where: Any = {"loc": legend._loc, "bbox_to_anchor": place}  # type: ignore[attr-defined]  # noqa: SLF001
+        columns = max(int(own * room / width), 1)
+        legend = axes.legend(handles, names, ncols=columns, fontsize=size, handlelength=1.2, columnspacing=1.0, **where)
+    for text in legend.get_texts():
+        _fold_lines(text, 0.4 * room if own == 1 else room)
+
+
+def _fold_labels(figure: Figure) -> None:
+    """Break names of axes that are longer than their axis."""
+    for axes in figure.axes:
+        spec = axes.get_subplotspec()
+        own = axes.bbox if spec is None else spec.get_position(figure).transformed(figure.transFigure)
+        for axis, room in ((axes.xaxis, own.width), (axes.yaxis, own.height)):
+            if axes.axison and axis.label.get_text() and axes.name != "3d":
+                _fold_lines(axis.label, 0.9 * room, upright=axis is axes.yaxis)
+
+
+def _fold_lines(text: Text, room: float, *, upright: bool = False) -> None:
+    """Break a text so that it is no wider than `room` pixels: where it says one thing after another, else at blanks."""
     done: list[str] = []
     for line in text.get_text().split("\n"):
         first, *others = re.split(r"(?<=:)  |(?<=,)  ", line)
-        done.append(first)
+        done += _broken(text, first, room, upright=upright)
         for part in others:
-            text.set_text(f"{done[-1]}  {part}")
-            if text.get_window_extent().width < room:
-                done[-1] = text.get_text()
+            joined = f"{done[-1]}  {part}"
+            if _length(text, joined, upright=upright) < room:
+                done[-1] = joined
             else:
                 done[-1] = done[-1].rstrip(",:")
-                done.append(part)
+                done += _broken(text, part, room, upright=upright)
     text.set_text("\n".join(done))
+
+
+def _broken(text: Text, line: str, room: float, *, upright: bool) -> list[str]:
+    """A line in as many as it needs."""
+    done: list[str] = []
+    for word in line.split(" "):
+        if done and (joined := f"{done[-1]} {word}") and _length(text, joined, upright=upright) < room:
+            done[-1] = joined
+        else:
+            done.append(word)
+    return done
+
+
+def _length(text: Text, words: str, *, upright: bool) -> float:
+    """Pixels that words take along their line."""
+    before = text.get_text()
+    text.set_text(words)
+    box = text.get_window_extent()
+    text.set_text(before)
+    return float(box.height if upright else box.width)
 
 
 def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) -> str:

@@ -13,7 +13,7 @@ from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
 from ..colours import tube_colour
-from .style import FAINT, INK, Axes, Figure, caption, name_above, new_figure, picture, widen
+from .style import FAINT, INK, Axes, Figure, caption, entitle, name_above, new_figure, picture, widen
 
 JUMP = 1e-3
 """Share of the range of theta' from which a difference across a breakpoint is drawn as a jump."""
@@ -53,7 +53,7 @@ def _torsions(equilibria: Sequence[Equilibrium], titles: Sequence[str]) -> Figur
         _draw_inputs(above, equilibrium)
         rows = _mark_sections(above, below, equilibrium, room=0.12 if count == 1 else 0.22)
         below.set_xlabel("arc length s from the base plate (mm)")
-        above.set_title(caption(equilibrium, title, narrow=count > 1), loc="left", pad=8 + 9 * rows)
+        entitle(above, caption(equilibrium, title, narrow=count > 1), pad=8 + 9 * rows)
     above, below = panels[:, 0]
     above.set_ylabel("rotation \N{GREEK SMALL LETTER THETA} (deg)")
     below.set_ylabel("torsion \N{GREEK SMALL LETTER THETA}\N{PRIME} (deg/mm)")

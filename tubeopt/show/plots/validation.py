@@ -12,7 +12,7 @@ from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
 from .stage import note, round_below
-from .style import FAINT, INK, Axes, Figure, disk, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, new_figure, picture
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -170,6 +170,8 @@ def _draw_histogram(axes: Axes, v: Validation) -> None:
         axes.annotate(
             f"{name} {value * TO_MM:.2f}",
             (value * TO_MM, height * top),
+            (0, 0),
+            textcoords="offset points",
             ha="center",
             va="center",
             fontsize=7,
@@ -231,5 +233,5 @@ def plot_simulated_circles(table: ErrorTable, *, circles: Sequence[Array], title
     axes.grid()
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     figure.legend(title="simulated tips; separation", loc="outside lower center", ncols=2)
-    axes.set_title(title, loc="left")
+    entitle(axes, title)
     return figure

@@ -1,0 +1,181 @@
+"""Pictures for a page: no text overlaps another or is clipped, and none is higher than 1.2 widths.
+
+By day some kinds of pictures at the narrowest width; by night all kinds at three, and every picture of `problems/`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import tubeopt
+from tubeopt.shaping import plan_mandrel, plan_pegs, rank_mold_materials
+from tubeopt.show.page import TITLED, WIDTH
+from tubeopt.show.plots import style
+from tubeopt.show.plots.crowding import faults
+from tubeopt.show.plots.style import entitle, headed, new_figure, picture
+
+ROOT = Path(__file__).resolve().parents[2]
+TURN = np.radians([200.0, 30.0, 0.0])
+
+
+@cache
+def pose() -> Any:
+    return tubeopt.load_robot("thesis_ctr").fk(np.radians([0.0, 57.3, 114.6]))
+
+
+@cache
+def walked() -> Any:
+    return tubeopt.follow(pose().robot, np.radians(np.linspace(0, 360, 13))[:, None] * [1.0, 0, 0])
+
+
+@cache
+def pair() -> Any:
+    return tubeopt.load_robot("two_tube")
+
+
+@cache
+def mold() -> Any:
+    return tubeopt.plan_mold(pose().robot.tubes[0])
+
+
+@cache
+def helix() -> Any:
+    piece = tubeopt.Piece(0.05, (20.0, 0.0, 30.0))
+    return tubeopt.Tube.of_pieces(1.2e-3, 1.0e-3, [piece], straight_length=0.02)
+
+
+@cache
+def drawings() -> dict[str, Callable[[], Any]]:
+    """A kind of picture -> what draws a small one."""
+    from tubeopt.show import plots
+    from tubeopt.show.plots import mandrel, pegs, workspace
+    from tubeopt.show.plots import mold as molds
+
+    robot = pose().robot
+    loaded = tubeopt.forward_kinematics(robot, TURN, load=tubeopt.Load(force=(0.01, 0.0, 0.02)))
+    return {
+        "shape": lambda: plots.plot_shape(loaded),
+        "shapes": lambda: plots.plot_shapes([pose(), walked().equilibria[3]], titles=["home", "turned"]),
+        "torsion": lambda: plots.plot_torsion(pose()),
+        "torsions": lambda: plots.plot_torsions([pose(), loaded]),
+        "equilibria": lambda: plots.plot_equilibria(tubeopt.find_equilibria(robot, np.radians([180.0, 0, 0]))),
+        "path": lambda: plots.plot_path(walked()),
+        "snap": lambda: plots.plot_snap(walked().snaps[0]),
+        "hysteresis": lambda: plots.plot_hysteresis((walked(), walked()), angles_deg=np.linspace(0, 360, 13)),
+        "branch": lambda: plots.plot_branch(tubeopt.trace_branch(pair(), [0.0, 0.0], [6.28, 0.0])),
+        "map": lambda: plots.plot_stability_map(tubeopt.stability_map(robot, samples=5)),
+        "energy": lambda: plots.plot_energy_maps([tubeopt.energy_map(pair(), [2.0, 0.0], samples=7)] * 2),
+        "workspace": lambda: workspace.plot_workspace(tubeopt.workspace(robot, samples=60, seed=1)),
+        "mold": lambda: molds.plot_mold(mold()),
+        "milled": lambda: molds.plot_milled(mold()),
+        "setup sheet": lambda: molds.plot_setup_sheet(mold()),
+        "materials": lambda: molds.plot_materials(rank_mold_materials(robot.tubes[0])),
+        "pegs": lambda: pegs.plot_pegs(plan_pegs(robot.tubes[0])),
+        "mandrel": lambda: mandrel.plot_mandrel(plan_mandrel(helix())),
+    }
+
+
+@contextmanager
+def page(width_mm: float, *, titled: bool = True) -> Iterator[None]:
+    """Pictures of this width."""
+    tokens = WIDTH.set(width_mm * 1e-3), TITLED.set(titled)
+    try:
+        yield
+    finally:
+        WIDTH.reset(tokens[0])
+        TITLED.reset(tokens[1])
+
+
+KINDS = (
+    *("shape", "shapes", "torsion", "torsions", "equilibria", "path", "snap", "hysteresis", "branch", "map", "energy"),
+    *("workspace", "mold", "milled", "materials", "pegs", "mandrel", "setup sheet"),
+)
+
+
+@pytest.mark.parametrize("width_mm", [60, 88, 180])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_text_overlaps_another_or_is_clipped(kind: str, width_mm: float) -> None:
+    with page(width_mm):
+        figure = drawings()[kind]()
+    assert [str(fault) for fault in faults(figure)] == []
+    if kind != "setup sheet":  # a page A4
+        assert sum(np.prod(axes.get_position().size) for axes in figure.axes) > 0.15  # nothing shrinks to nothing
+        assert figure.get_figwidth() == pytest.approx(width_mm / 25.4)
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "problems").glob("*.py")), ids=lambda script: script.stem)
+def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = importlib.util.spec_from_file_location(script.stem, script)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: list[str] = []
+
+    def saved(figure: Any, path: Any) -> Any:
+        found.extend(f"{Path(path or '').name} at {width_mm} mm: {fault}" for fault in faults(figure))
+        return figure
+
+    monkeypatch.setattr(style, "saved", saved)
+    for width_mm in (60, 88, 180):
+        with page(width_mm):
+            module.main(tmp_path)
+    assert found == []
+
+
+@picture
+def crowded(words: str) -> Any:
+    """A picture with a long heading, a long name of an axis and many wide numbers."""
+    figure = new_figure(7.0, 4.0)
+    axes = figure.subplots()
+    axes.plot([0, 1e6], [0, 1])
+    axes.set_xticks(np.linspace(0, 1e6, 21), [f"{x:.1f}" for x in np.linspace(0, 1e6, 21)])
+    axes.set_ylabel(words)
+    return headed(figure, words)
+
+
+def test_faults_are_found() -> None:
+    figure = new_figure(2.0, 3.0)
+    figure.text(0.5, 0.5, "one")
+    figure.text(0.5, 0.5, "two")
+    figure.text(0.95, 0.2, "outside")
+    assert [fault.kind for fault in faults(figure)] == ["high", "clipped", "overlap"]
+
+
+def test_what_is_crowded_is_relieved() -> None:
+    words = " ".join(["word"] * 30)
+    assert faults(crowded(words)) != []
+    with page(60):
+        assert faults(crowded(words)) == []
+
+
+def test_a_picture_without_heading() -> None:
+    with page(88, titled=False):
+        assert crowded("a heading").get_suptitle() == ""
+        axes = new_figure(3.0, 2.0).subplots()
+        entitle(axes, "a heading")
+        assert axes.get_title("left") == ""
+
+
+@pytest.mark.parametrize("form", ["png", "tiff", "eps", "pdf", "svg"])
+def test_files_have_the_width_and_600_dots_per_inch(form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"picture.{form}"
+    with page(60):
+        crowded("words", path)
+    if form in ("png", "tiff"):
+        with Image.open(path) as image:
+            assert image.width == pytest.approx(60 / 25.4 * 600, abs=1)
+            assert image.info["dpi"][0] == pytest.approx(600, abs=0.1)
+    elif form == "eps":
+        box = next(line for line in path.read_text("latin-1").splitlines() if line.startswith("%%HiResBoundingBox"))
+        left, _, right, _ = map(float, box.split()[1:])
+        assert right - left == pytest.approx(60 / 25.4 * 72, abs=0.1)
