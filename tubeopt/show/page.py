@@ -9,3 +9,6 @@ WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 
 TITLED: ContextVar[bool] = ContextVar("TITLED", default=True)
 """Whether pictures have a heading; a paper has a caption below."""
+
+SCALE = "scale"
+"""`gid` of the numbers along the edges of a scene, of which some may be left out."""

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
-from .stage import SCALE
+from ..page import SCALE
 
 SLACK = (1.0, 1.5)
 """Points by which two texts may overlap across and upwards: letters fill less than the box of their text."""

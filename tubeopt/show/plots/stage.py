@@ -13,15 +13,13 @@ import numpy as np
 
 from ...files.units import TO_MM
 from ...typing import Array
+from ..page import SCALE
 from .mesh import Mesh
 from .style import INK, Axes, narrow, number
 
 if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection
     from matplotlib.text import Annotation
-
-SCALE = "scale"
-"""`gid` of the numbers along the edges of a box."""
 
 RULE = "#DADDE1"
 FLOOR = "#F6F7F8"
