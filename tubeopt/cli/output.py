@@ -66,8 +66,8 @@ class Output:
         typer.Option(
             "--format",
             metavar="F,..",
-            help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots; for "
-            "some commands also parquet (tables) and stl, glb, urdf or mjcf (the robot).",
+            help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots. "
+            "Some commands also have parquet (tables) and stl, glb, urdf or mjcf (the robot).",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[
