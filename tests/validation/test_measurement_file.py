@@ -101,14 +101,14 @@ def test_many_problems_are_counted(tmp_path: Path) -> None:
     [
         ("", False, ["the file is empty; its first line must name the columns"]),
         (HEAD, False, ["there are no rows below the header"]),
-        ("rotation_1_deg;x_mm\n", False, ["the columns are separated by semicolons; they must be separated by commas"]),
+        ("rotation_1_deg;x_mm\n", False, ["there are no rows below the header"]),
         (HEAD + "0,0,1,2\n", False, ["row 1 (line 2) has 4 cells; the header names 5 columns"]),
         ("x_mm,x_mm,\n0,0,0\n", False, ["column 3 has no name", "column x_mm is given twice"]),
         (
-            "rotation_1_rad,rotation_2_deg,x_mm,y_mm\n0,0,0,0\n",
+            "rotation_1_cm,rotation_2_deg,x_mm,y_mm\n0,0,0,0\n",
             False,
             [
-                "column rotation_1_rad is not known; did you mean 'rotation_1_deg'?",
+                "column rotation_1_cm is not known; did you mean 'rotation_1_deg'?",
                 "column z_mm is missing",
                 "column rotation_1_deg is missing",
             ],

@@ -1,20 +1,23 @@
-"""Tables in CSV: comments, a header of names with units, rows of cells; every bad cell named with row and column."""
+"""Tables of text: comments, a header of names with units, rows of cells; every bad cell named with row and column."""
 
 from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
-from decimal import Decimal
+from dataclasses import dataclass, field, replace
+from decimal import Context, Decimal
 from os import PathLike
 
 import numpy as np
 
 from ..errors import InputError
 from ..typing import Array
-from .files import read_text
-from .units import decimal, meant, parse_number, to_si
+from .files import read_bytes
+from .units import UNITS, decimal, meant, others, parse_number, parted, to_si
+
+CONTEXT = Context(prec=60)
 
 MOST_PROBLEMS = 20
 """Problems told at once; the others are counted."""
@@ -107,36 +110,187 @@ def refuse(path: str | PathLike[str], problems: Sequence[str]) -> None:
     raise InputError("\n".join(f"{path}: {line}" for line in lines))
 
 
-def read_csv(path: str | PathLike[str]) -> CsvTable:
-    """The table in a CSV file: cells separated by commas, the first line names the columns.
+def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable:
+    """The table in a text file: the first line names the columns.
 
-    Empty lines and lines that begin with # are skipped.
+    Cells are separated by commas, semicolons, tabs or blanks; numbers may have decimal commas where commas separate no
+    cells. Text is UTF-8, UTF-16 or Latin-1, with any line ends. Empty lines, lines that begin with #, and empty
+    columns at the end are skipped. Columns of other names and units become those of `known` that they mean.
 
     Raises:
-        InputError: no such file, not text, no header, a column without a name or named twice, no rows, rows with
-            another number of cells than the header.
+        InputError: no such file, another kind of file, no header, a column without a name or named twice, no rows, rows
+            with another number of cells than the header, decimal commas beside decimal points.
     """
-    lines = [line.strip() for line in read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines()]
-    numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip(", ") and not line.startswith("#")]
+    content = read_bytes(path)
+    if kind := kind_of(content):
+        raise InputError(f"{path}: this is {kind}; it must be a table as text, such as CSV")
+    lines = [line.strip(" ") for line in re.split(r"\r\n|\r|\n", decoded(content))]
+    numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip(",; \t") and not line.startswith("#")]
+    separator = ""
+    if numbered and (said := re.fullmatch(r'"?sep=(.)"?', numbered[0][1])):  # a line that Excel writes and reads
+        separator = said[1]
+        numbered = numbered[1:]
     if not numbered:
         raise InputError(f"{path}: the file is empty; its first line must name the columns")
-    header = _cells(numbered[0][1])
-    if len(header) == 1 and ";" in header[0]:
-        raise InputError(f"{path}: the columns are separated by semicolons; they must be separated by commas")
+    separator = separator or _separator(numbered[0][1])
+    cells = [_cells(line, separator) for _, line in numbered]
+    width = max(len(row) - next((k for k, cell in enumerate(reversed(row)) if cell), len(row)) for row in cells)
+    header, *rows = [row[:width] for row in cells]
     problems = [f"column {k} has no name" for k, name in enumerate(header, start=1) if not name]
     problems += [f"column {name} is given twice" for name in sorted({c for c in header if c and header.count(c) > 1})]
-    if len(numbered) == 1:
+    if not rows:
         problems.append("there are no rows below the header")
-    rows = [_cells(line) for _, line in numbered[1:]]
     for k, (row, (line, _)) in enumerate(zip(rows, numbered[1:], strict=True), start=1):
         if len(row) != len(header):
-            problems.append(f"row {k} (line {line}) has {len(row)} cells; the header names {len(header)} columns")
+            hint = "; decimal commas need semicolons between the cells" if len(row) == 2 * len(header) else ""
+            problems.append(f"row {k} (line {line}) has {len(row)} cells; the header names {len(header)} columns{hint}")
     refuse(path, problems)
-    return CsvTable(str(path), tuple(header), tuple(map(tuple, rows)), tuple(line for line, _ in numbered[1:]))
+    if separator != ",":
+        rows = _with_points(path, rows)
+    table = CsvTable(str(path), tuple(header), tuple(map(tuple, rows)), tuple(line for line, _ in numbered[1:]))
+    return _renamed(table, known)
 
 
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line]))]
+SIGNATURES = {
+    b"PK\x03\x04": "an Excel workbook or another ZIP archive",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook",
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"\x89HDF": "an HDF5 file, such as MATLAB writes",
+    b"MATLAB": "a MATLAB file",
+    b"PAR1": "a Parquet file",
+    b"\x93NUMPY": "a NumPy file",
+    b"\x1f\x8b": "a gzip archive",
+    b"{": "a JSON file",
+    b"<": "an HTML or XML file",
+}
+"""How files begin that are no tables, and what they are."""
+
+
+def kind_of(content: bytes) -> str:
+    """What a file is that is no table of text; "" where it may be one."""
+    start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
+    for signature, kind in SIGNATURES.items():
+        if start.startswith(signature):
+            return kind
+    if b"\0" in content and not _wide(content):
+        return "a binary file"
+    return ""
+
+
+def _wide(content: bytes) -> str:
+    """The encoding of text in units of two bytes, with a mark of their order or by its zeros; "" for other text."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    even, odd = content[:400:2].count(0), content[1:400:2].count(0)
+    half = len(content[:400]) / 2
+    return "utf-16-le" if odd > 0.9 * half and not even else "utf-16-be" if even > 0.9 * half and not odd else ""
+
+
+def decoded(content: bytes) -> str:
+    """Text in UTF-8 or UTF-16, with or without a mark, else in Latin-1 as Windows has it."""
+    if wide := _wide(content):
+        return content.decode(wide, errors="replace").removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
+
+
+def _separator(header: str) -> str:
+    """What separates the cells of a header: the likeliest of tab, semicolon, comma and blanks."""
+    bare = re.sub(r'"[^"]*"', "", header)
+    for one in ("\t", ";", ","):
+        if one in bare:
+            return one
+    names = bare.split()
+    return " " if len(names) > 1 and all(re.fullmatch(r"\w+", name) for name in names) else ","
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+
+
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,(?:[eE][-+]?\d+)?")
+DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
+
+
+def _with_points(path: str | PathLike[str], rows: list[list[str]]) -> list[list[str]]:
+    """Rows with decimal points where they have decimal commas."""
+    cells = [cell for row in rows for cell in row]
+    if not any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
+        return rows
+    if any(DECIMAL_POINT.fullmatch(cell) for cell in cells):
+        refuse(path, ["some numbers have a decimal comma and others a decimal point; it must be one of them"])
+    return [[cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in row] for row in rows]
+
+
+NAMES = {
+    "t": "time",
+    "timestamp": "time",
+    **dict.fromkeys(("alpha", "rot", "angle", "theta"), "rotation"),
+    **dict.fromkeys(("trans", "insertion", "displacement"), "translation"),
+    **{f"{word}_{axis}": axis for word in ("pos", "position", "tip", "p", "target") for axis in "xyz"},
+    **{f"{axis}_{word}": axis for word in ("pos", "position", "tip", "target") for axis in "xyz"},
+    **{f"{word}{axis}": axis for word in ("p", "t") for axis in "xyz"},
+}
+"""Other names of columns -> those of tubeopt; without unit and number."""
+
+SPELLED = {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "sec": "s", "seconds": "s"}
+"""Other spellings of units."""
+
+
+def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
+    """A table whose columns have the names and units of `known` where they mean one of them."""
+    wanted = {parted(name)[0]: name for name in known}
+    columns, sizes, problems = list(table.columns), [Decimal(1)] * len(table.columns), list[str]()
+    for k, name in enumerate(table.columns):
+        if name in known or not known:
+            continue
+        word, unit = _read_name(name)
+        target = wanted.get(word, "")
+        if not target or target in columns:
+            continue
+        own = parted(target)[1]
+        if not unit and own:
+            problems.append(f"column {name} has no unit; call it {target}, or {word} with another unit")
+        elif unit == own:
+            columns[k] = target
+        elif (size := dict(others(own)).get(unit)) is not None:
+            columns[k] = target
+            sizes[k] = CONTEXT.divide(size, dict(others(unit))[own])
+    refuse(table.path, problems)
+    if tuple(columns) == table.columns:
+        return table
+    rows = tuple(tuple(_scaled(cell, size) for cell, size in zip(row, sizes, strict=True)) for row in table.rows)
+    return replace(table, columns=tuple(columns), rows=rows)
+
+
+def _read_name(name: str) -> tuple[str, str]:
+    """The name and unit that a column means: "Rot1 [°]" is rotation_1 in deg."""
+    found = re.fullmatch(r"(.*?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?", name.strip())
+    word, unit = (found[1], found[2]) if found else _with_unit(name)
+    word = re.sub(r"[\s.\-]+", "_", word.strip().lower()).strip("_")
+    numbered = re.fullmatch(r"([a-z_]+?)_?(\d+)", word)
+    base, number = (numbered[1], f"_{numbered[2]}") if numbered else (word, "")
+    return NAMES.get(base, base) + number, SPELLED.get(unit.lower(), unit)
+
+
+def _with_unit(name: str) -> tuple[str, str]:
+    """A name and the unit behind its last blank or underscore."""
+    found = re.fullmatch(r"(.+)[_\s](\S+)", name.strip())
+    if found and (SPELLED.get(found[2].lower(), found[2]) in UNITS or list(others(found[2]))):
+        return found[1], found[2]
+    return name, ""
+
+
+def _scaled(cell: str, size: Decimal) -> str:
+    """A cell in another unit; as it is where it is no number."""
+    value = parse_number(cell) if cell and size != 1 else cell
+    return str(CONTEXT.multiply(decimal(value), size)) if isinstance(value, Decimal) else cell
 
 
 def to_csv(columns: Sequence[str], rows: Iterable[Sequence[object]], comment: str = "") -> str:

@@ -14,8 +14,8 @@ import numpy as np
 from ..equilibrium.readings import to_model, to_readings
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
-from ..files.csv_file import read_csv, to_csv
-from ..files.files import read_text, write_text
+from ..files.csv_file import decoded, read_csv, to_csv
+from ..files.files import read_bytes, write_text
 from ..files.shipped import resolved
 from ..files.units import DEG, MM, RAD, in_unit
 from ..robots.file import load_robot
@@ -143,13 +143,14 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     Raises:
         InputError: no such file, no robot, columns that are unknown or missing, cells that are no numbers.
     """
-    comments = [line.lstrip("# ").strip() for line in read_text(path).splitlines() if line.startswith("#")]
+    comments = [line.lstrip("# ").strip() for line in decoded(read_bytes(path)).splitlines() if line.startswith("#")]
     named = [line.removeprefix(ROBOT) for line in comments if line.startswith(ROBOT)]
-    table = read_csv(path)  # first: an empty file names no robot, either
+    read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
         raise InputError(f"{path}: the file has no robot; give --robot ROBOT.yaml")
     own = robot if robot is not None else load_robot(resolved(named[0], Path(path).parent))
     turns, shifts = joint_columns(own.n_tubes)
+    table = read_csv(path, (TIME, *turns, *shifts))
     moved = table.expect([TIME, *turns], together=shifts)
     time, rotations = table.numbers([TIME], RAD)[:, 0], table.numbers(turns, DEG)
     home = np.tile(own.home_readings, (len(table.rows), 1))

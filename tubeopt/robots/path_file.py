@@ -61,8 +61,8 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
         InputError: no such file, a column that is unknown or missing, a cell that is no number: one line for each
             problem.
     """
-    table = read_csv(path)
     turns, shifts = joint_columns(robot.n_tubes)
+    table = read_csv(path, (*turns, *shifts))
     listed = f"{turns[0]} to {turns[-1]} and {shifts[0]} to {shifts[-1]}"
     moved = table.expect(turns, together=shifts, shown=listed)
     rotations = table.numbers(turns, DEG)

@@ -18,7 +18,7 @@ from ..files.shipped import resolved
 from ..files.units import DEG, MM, RAD, in_unit, to_si
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot
-from ..robots.path_file import check_joints
+from ..robots.path_file import check_joints, joint_columns
 from ..robots.robot import Robot
 from ..typing import Array
 from ..validation.comparison import ErrorTable
@@ -29,6 +29,7 @@ from .tracker_file import QUATERNION
 
 MIRROR = {"direction_deg": "direction", "separation_deg": "separation"}
 ASSIGNMENT, NOTE = "assignment", "note"
+POSITION = ("x_mm", "y_mm", "z_mm")
 
 
 @typed
@@ -60,7 +61,8 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
     path = resolved(path)
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         return load_mapped(path, robot)
-    table = read_csv(path)
+    joints = (name for columns in joint_columns(robot.n_tubes) for name in columns)
+    table = read_csv(path, (*joints, *POSITION, *MIRROR, "time_s"))
     columns, mirrored = _columns(path, table, robot)
     check_joints(table, robot)
     table.check()

@@ -39,7 +39,7 @@ def load_targets(path: str | PathLike[str]) -> Targets:
         InputError: no such file, a column that is unknown or missing, a cell that is no number, a direction without
             length: one line for each problem.
     """
-    table = read_csv(path)
+    table = read_csv(path, (*POSITION, *DIRECTION))
     given = table.expect(POSITION, together=DIRECTION)
     position = table.numbers(POSITION, MM)
     direction = table.numbers(DIRECTION, RAD) if given else None

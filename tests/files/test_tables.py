@@ -1,0 +1,113 @@
+"""Tables as other programs write them are read right, or refused in a sentence that names what the file is."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tubeopt
+from tubeopt import InputError
+from tubeopt.files.csv_file import read_csv
+from tubeopt.robots.path_file import load_waypoints
+from tubeopt.runs.measurement_file import load_measurements
+from tubeopt.runs.target_file import load_targets
+
+PLAIN = "x_mm,y_mm,z_mm\n10.5,-20.25,150\n0,1e1,140.125\n"
+MM = np.array([[10.5, -20.25, 150.0], [0.0, 10.0, 140.125]])
+COMMAS = PLAIN.replace(",", ";").replace(".", ",")
+ROBOT = tubeopt.load_robot("two_tube")
+
+
+def workbook() -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+    return out.getvalue()
+
+
+READ = {
+    "as tubeopt writes it": PLAIN.encode(),
+    "semicolons": PLAIN.replace(",", ";").encode(),
+    "semicolons, decimal commas": COMMAS.encode(),
+    "tabs": PLAIN.replace(",", "\t").encode(),
+    "tabs, decimal commas": COMMAS.replace(";", "\t").encode(),
+    "blanks": PLAIN.replace(",", "  ").encode(),
+    "a line that names the separator": ("sep=;\n" + COMMAS).encode(),
+    "trailing commas": PLAIN.replace("\n", ",\n").encode(),
+    "trailing semicolons in the rows alone": COMMAS.replace("\n", ";;\n").replace("z_mm;;", "z_mm").encode(),
+    "a mark of UTF-8": PLAIN.encode("utf-8-sig"),
+    "UTF-16 with a mark": PLAIN.encode("utf-16"),
+    "UTF-16, the high byte first": b"\xfe\xff" + PLAIN.encode("utf-16-be"),
+    "UTF-16 without a mark": PLAIN.encode("utf-16-le"),
+    "Latin-1": ("# gemessen am Gerät 3\n" + PLAIN).encode("latin-1"),
+    "CR": PLAIN.replace("\n", "\r").encode(),
+    "CRLF": PLAIN.replace("\n", "\r\n").encode(),
+    "no last line end": PLAIN.rstrip().encode(),
+    "quotes": b'"x_mm","y_mm","z_mm"\n"10.5","-20.25","150"\n"0","1e1","140.125"\n',
+    "other names": PLAIN.replace("x_mm,y_mm,z_mm", "Tip X [mm],Tip Y [mm],Tip Z [mm]").encode(),
+    "metres": b"pos_x_m,pos_y_m,pos_z_m\n0.0105,-0.02025,0.15\n0,0.01,0.140125\n",
+    "centimetres": b"x (cm);y (cm);z (cm)\n1,05;-2,025;15\n0;1;14,0125\n",
+}
+"""21 variants of the same table."""
+
+
+@pytest.mark.parametrize("variant", READ)
+def test_variants_are_read_right(variant: str, tmp_path: Path) -> None:
+    path = tmp_path / "targets.csv"
+    path.write_bytes(READ[variant])
+    np.testing.assert_array_equal(load_targets(path).position, np.vectorize(_si)(MM))
+
+
+def _si(value: float) -> float:
+    """mm in m, rounded once."""
+    return float(f"{value:.12g}e-3")
+
+
+REFUSED = {
+    "an Excel workbook": (workbook(), "Excel workbook"),
+    "JSON": (b'{"x_mm": [1]}', "JSON file"),
+    "a picture": (b"\x89PNG\r\n\x1a\n\0\0", "picture"),
+    "bytes": (bytes(range(256)), "binary file"),
+    "commas for decimals and cells": (PLAIN.replace(".", ",").replace("0,1e1", "0,5,1,5").encode(), "decimal commas"),
+    "commas and points": (b"x_mm;y_mm;z_mm\n1,5;2.5;3\n", "decimal comma"),
+    "no units": (b"x,y,z\n1,2,3\n", "x has no unit"),
+}
+
+
+@pytest.mark.parametrize("variant", REFUSED)
+def test_what_cannot_be_read_is_named(variant: str, tmp_path: Path) -> None:
+    content, words = REFUSED[variant]
+    path = tmp_path / "targets.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        load_targets(path)
+
+
+def test_joint_values_by_other_names_and_units(tmp_path: Path) -> None:
+    path = tmp_path / "path.csv"
+    header = "alpha1 [rad];Alpha 2 (\N{DEGREE SIGN});trans_1_m;translation_2_cm"
+    path.write_text(f"{header}\n0,5;90;-0,01;-0,5\n", encoding="utf-8")
+    read = load_waypoints(path, ROBOT)
+    np.testing.assert_allclose(read.rotations, [[0.5, np.pi / 2]], rtol=1e-15)
+    np.testing.assert_allclose(read.translations, [[-0.01, -0.005]], rtol=1e-15)
+
+
+def test_measurements_are_read_by_the_same_rules(tmp_path: Path) -> None:
+    path = tmp_path / "measured.csv"
+    header = "rotation_1_deg;rotation_2_deg;tip_x_m;tip_y_m;tip_z_m"
+    path.write_text(f"{header}\n10,5;0;0,001;0,002;0,15\n", encoding="utf-16")
+    read = load_measurements(path, ROBOT)
+    np.testing.assert_allclose(np.ravel(read.sensors), [0.001, 0.002, 0.15], rtol=1e-15)
+
+
+def test_columns_that_mean_nothing_known_stay(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("time_ms,colour\n1500,red\n", encoding="utf-8")
+    table = read_csv(path, ("time_s",))
+    assert table.columns == ("time_s", "colour")
+    assert float(table.rows[0][0]) == 1.5
+    assert table.rows[0][1] == "red"
