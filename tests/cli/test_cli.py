@@ -19,6 +19,7 @@ from tubeopt.cli import output
 from tubeopt.equilibrium.file import load_equilibrium
 from tubeopt.errors import SolveError
 from tubeopt.runs import forward_study
+from tubeopt.show.plots.style import RC
 
 STUDY = str(ROOT / "configs" / "studies" / "thesis_actuated.yaml")
 ACTUATED = ["--rotations-deg", "0,57.29577951308232,114.59155902616465"]
@@ -342,7 +343,10 @@ def test_output_that_nobody_reads_on() -> None:
 # --- formats ----------------------------------------------------------------------------------------------------------
 
 
-def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run, tmp_path: Path) -> None:
+def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(RC, "pdf.fonttype", 42)  # that of the fixture has no room for the sign of a diameter
     outcome = run(
         "fk",
         THESIS,
@@ -368,7 +372,7 @@ def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(run: Run,
     [
         (
             ["--format", "jpg"],
-            "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, parquet, stl, glb, urdf, mjcf",
+            "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, gif, mp4, parquet, stl, glb, urdf, mjcf",
         ),
         (["--width-mm", "5"], "--width-mm is 5; it must be a number from 50 to 300"),
         (["--width-mm", "wide"], "--width-mm is wide; it must be a number from 50 to 300"),

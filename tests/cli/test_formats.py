@@ -20,7 +20,7 @@ PICTURES = ("png", "pdf", "svg", "eps", "tiff")
         ("certify", PICTURES),
         ("ik", (*PICTURES, "stl", "glb", "urdf", "mjcf")),
         ("validate", PICTURES),
-        ("plan", (*PICTURES, "parquet")),
+        ("plan", (*PICTURES, "gif", "mp4", "parquet")),
         ("sweep", ("parquet",)),
         ("force", ()),
     ],
@@ -41,7 +41,7 @@ def test_every_command_that_asks_has_a_report_of_its_name() -> None:
         (("certify", THESIS, "--format", "stl"), "--format is 'stl'; `tubeopt certify` saves png, pdf, svg, eps, tiff"),
         (
             ("plan", "plan_thesis_turn", "--format", "pdf,glb"),
-            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, eps, tiff, parquet",
+            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, eps, tiff, gif, mp4, parquet",
         ),
         (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
         (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet"),

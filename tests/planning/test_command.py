@@ -25,7 +25,9 @@ pytestmark = pytest.mark.usefixtures("short_films")
 
 
 def test_a_plan_is_saved_drawn_and_verified(run: Run, tmp_path: Path) -> None:
-    data = answer(run("plan", str(STUDY), "--objective", "none", "--json", "--out", str(tmp_path)))
+    data = answer(
+        run("plan", str(STUDY), "--objective", "none", "--json", "--out", str(tmp_path), "--format", "png,gif")
+    )
     assert data["proof"]["proved"]
     assert data["proof"]["least_margin"] >= 0.05
     assert data["goal"]["rotations_deg"] == [270.0, 0.0, 0.0]
@@ -162,7 +164,9 @@ def test_a_search_that_runs_out_of_time_saves_what_it_found(
 
 def test_two_arms_are_planned_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     study = ROOT / "configs" / "studies" / "plan_two_arms.yaml"
-    told = answer(run("plan-arms", str(study), "--objective", "none", "--out", str(tmp_path), "--plot", "--json"))
+    told = answer(
+        run("plan-arms", str(study), "--objective", "none", "--out", str(tmp_path), "--json", "--format", "png,gif")
+    )
     assert told["proved"]
     assert [arm["name"] for arm in told["arms"]] == ["left", "right"]
     (pair,) = told["pairs"]

@@ -17,7 +17,7 @@ from rich.console import Console
 from ..errors import InputError, NotProvedError, SolveError, choice
 from ..files.units import TO_MM, parse_number
 from ..show.page import TITLED, WIDTH
-from ..show.report import FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
+from ..show.report import FILM_FORMATS, FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from ..show.reports import formats_of, report
 from .failures import error_record, failure
 from .interruption import keeping
@@ -67,7 +67,7 @@ class Output:
             "--format",
             metavar="F,..",
             help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots. "
-            "Some commands also have parquet (tables) and stl, glb, urdf or mjcf (the robot).",
+            "Some commands also have gif or mp4 (a film), parquet (tables), and stl, glb, urdf or mjcf (the robot).",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[
@@ -84,7 +84,7 @@ class Output:
 
     def __post_init__(self) -> None:
         for form in self.wanted:
-            choice("--format", form, (*PICTURE_FORMATS, *TABLE_FORMATS, *SOLID_FORMATS))
+            choice("--format", form, (*PICTURE_FORMATS, *FILM_FORMATS, *TABLE_FORMATS, *SOLID_FORMATS))
         if self.width_mm is not None:
             number = parse_number(self.width_mm)
             if isinstance(number, str) or not NARROWEST_MM <= number <= WIDEST_MM:

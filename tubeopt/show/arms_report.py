@@ -145,13 +145,17 @@ class ArmsReport(Report[ArmsPlan]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """The arms and their distances, still and moving, and as a page that plays where viser is installed."""
-        shown = {"arms": drawing("arms.plot_arms", self.answer), "arms.gif": drawing("arms.animate_arms", self.answer)}
+        """The arms and their distances, and a page that plays if viser is installed."""
+        shown = {"arms": drawing("arms.plot_arms", self.answer)}
         if find_spec("viser") is not None:
             from .viewer.export import arms_page
 
             shown["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
         return shown
+
+    def films(self) -> dict[str, Drawing]:
+        """The moving arms."""
+        return {"arms": drawing("arms.animate_arms", self.answer)}
 
     def conclude(self) -> None:
         """Raise NotProvedError where something is not proved."""

@@ -265,12 +265,13 @@ class TrajectoryReport(Report[Trajectory]):
         return {"trajectory": self.answer}
 
     def pictures(self) -> dict[str, Drawing]:
-        """The motion, still and moving, and in the plane that was asked for."""
-        found: dict[str, Drawing] = {
-            "trajectory": drawing("trajectory.plot_trajectory", self.answer),
-            "trajectory.gif": drawing("trajectory.animate_trajectory", self.answer),
-        }
+        """The motion, and its section by the plane of the study."""
+        found: dict[str, Drawing] = {"trajectory": drawing("trajectory.plot_trajectory", self.answer)}
         return found if self.answer.cut is None else found | {"section": drawing("section.plot_section", self.answer)}
+
+    def films(self) -> dict[str, Drawing]:
+        """The moving arm."""
+        return {"trajectory": drawing("trajectory.animate_trajectory", self.answer)}
 
     def conclude(self) -> None:
         """Raise NotProvedError where the proof was not finished."""

@@ -31,6 +31,7 @@ Drawing = Callable[..., Any]
 
 
 PICTURE_FORMATS = ("png", "pdf", "svg", "eps", "tiff")
+FILM_FORMATS = ("gif", "mp4")
 TABLE_FORMATS = ("parquet",)
 SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
 
@@ -129,14 +130,22 @@ class Report(Generic[A]):
         """Name -> what has many rows, and can be saved as a table of another format."""
         return {}
 
+    def films(self) -> dict[str, Drawing]:
+        """Name of every film -> what makes it; films are made only in a format that is asked for."""
+        return {}
+
     def solids(self) -> dict[str, Equilibrium]:
         """Name -> arms that can be saved as meshes and rigid bodies."""
         return {}
 
     def convert(self, directory: Path) -> list[Path]:
-        """Write tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
+        """Write films, tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
         # What they are converted with is loaded only where it is asked for.
-        wanted, paths = FORMATS.get(), []
+        wanted, paths = FORMATS.get(), list[Path]()
+        for form in (form for form in FILM_FORMATS if form in wanted):
+            for name, film in self.films().items():
+                paths.append(directory / f"{name}.{form}")
+                film(paths[-1])
         if forms := [form for form in TABLE_FORMATS if form in wanted]:
             from .tables import save_table
 

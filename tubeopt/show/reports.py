@@ -14,7 +14,7 @@ from typing import Any
 
 from ..files.files import write_text
 from .quantities import Quantity
-from .report import PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report
+from .report import FILM_FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report
 from .report import report as registered
 
 MODULES = {
@@ -116,7 +116,8 @@ def formats_of(command: str) -> tuple[str, ...]:
         return any(getattr(kind, name) is not getattr(Report, name) for kind in kinds)
 
     pictures = PICTURE_FORMATS if has("pictures") or any(kind.drawn for kind in kinds) else ()
-    return (*pictures, *(TABLE_FORMATS if has("tables") else ()), *(SOLID_FORMATS if has("solids") else ()))
+    kinds_of = {"films": FILM_FORMATS, "tables": TABLE_FORMATS, "solids": SOLID_FORMATS}
+    return (*pictures, *(form for name, forms in kinds_of.items() if has(name) for form in forms))
 
 
 Signature = tuple[Any, ...]
