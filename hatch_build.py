@@ -57,7 +57,7 @@ class KernelHook(BuildHookInterface):
                 raise
             kernels, lacks = [], f"the C compiler failed ({error})"
         if not kernels:
-            self.app.display_warning(f"{lacks}: the wheel has no compiled kernel, and solves some 20 times slower")
+            self.app.display_warning(f"{lacks}: the wheel has no compiled kernel, and solvesabout 20 times slower")
             return
         platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["pure_python"] = False

@@ -129,7 +129,7 @@ def followed(setup: Setup, table: Array) -> Array:
     held = rubbing_start(robot, table[0], Friction(tuple(setup.friction.tolist()), refinement=FINE))
     found = sweep(robot, held, np.vstack([table[:1], table]), np.zeros(1))
     if found is None or len(found.margin) < len(table):
-        raise SystemExit("the truth cannot be followed: there is no compiled kernel, or the robot snaps on the way")
+        raise SystemExit("the truth cannot be followed: there is no compiled kernel, or the robot snaps on the path")
     return found.stations[:, 0]
 
 

@@ -147,7 +147,7 @@ def test_a_window_that_cannot_be_held_is_told_with_a_cure(run: Run, tmp_path: Pa
     assert plan["cold_end_mm"] is None
     text = " ".join(outcome.out.split())
     for words in (
-        "NOT HELD",
+        "MISSED",
         "a mold of calcium silicate in place of steel: cures it",
         "problem: while the MOSFET",
     ):

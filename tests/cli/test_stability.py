@@ -118,14 +118,14 @@ def test_the_snap_of_the_thesis_robot(run: Run, tmp_path: Path) -> None:
 
 def test_a_snap_in_words(run: Run) -> None:
     text = one_line(run("snap", THESIS, "--to-deg", "360,0,0").out)
-    for part in ("thesis CTR snaps 59.506230 % of the way, at rotations 214.222427, 0, 0 deg", "the tip jumps 97.97"):
+    for part in ("thesis CTR snaps 59.506230 % of the path, at rotations 214.222427, 0, 0 deg", "the tip jumps 97.97"):
         assert part in text
 
 
 def test_a_way_without_a_snap(run: Run, tmp_path: Path) -> None:
     outcome = run("snap", THESIS, "--from-deg", "-90,0,0", "--to-deg", "90,0,0", "--out", str(tmp_path))
     assert outcome.code == 0
-    assert "does not snap: the branch reaches the end of the way, with margin 1.000" in one_line(outcome.out)
+    assert "does not snap: the branch reaches the end of the path, with margin 1.000" in one_line(outcome.out)
     saved(tmp_path, "snap.json", "snap.png")
     written = json.loads((tmp_path / "snap.json").read_text(encoding="utf-8"))
     assert written["snap"] is None

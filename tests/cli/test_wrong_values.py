@@ -161,7 +161,7 @@ def test_a_file_of_another_kind_is_one_sentence(run: Run, tmp_path: Path) -> Non
     assert refused(run("mold", "plan", THESIS, "--mold", rig)) == [f"{rig}: kind is 'rig'; it must be mold"]
     for command, flag in (("mold plan", "--springback"), ("view", "--obstacles")):
         assert refused(run(*command.split(), THESIS, flag, mold)) == [
-            f"{mold}: this is a file of kind 'mold', which is not what is wanted here"
+            f"{mold}: this is a file of kind 'mold'; another kind is required here"
         ]
 
 

@@ -160,7 +160,7 @@ def test_the_way_out_keeps_to_where_the_arm_will_be_and_in_its_corridor() -> Non
     assert after <= 3.1e-5
     checks = {check.what: check.kept for check in found.verification.checks}
     assert checks["deviation of the deployment"]
-    assert checks["margin on the way out to the task poses"]
+    assert checks["margin during deployment to the task poses"]
 
 
 def _off(robot: ConcentricRobot) -> float:

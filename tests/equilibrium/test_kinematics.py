@@ -438,7 +438,7 @@ def test_the_branch_of_the_thesis_robot_ends_in_a_snap() -> None:
     with pytest.raises(SolveError, match="branch ends before the target joint values") as caught:
         forward_kinematics(THESIS, (214.222428 * DEG, 0.0, 0.0), guess=last)
     assert caught.value.solution is last
-    with pytest.raises(SolveError, match=r"it ends (\d+\.\d\d) % of the way from the guess to the goal") as caught:
+    with pytest.raises(SolveError, match=r"it ends (\d+\.\d\d) % of the path from the guess to the goal") as caught:
         forward_kinematics(THESIS, (220 * DEG, 0.0, 0.0), guess=home)
     percent = float(str(caught.value).split("it ends ")[1].split(" %")[0])
     assert percent == pytest.approx(100 * 214.222427 / 220, abs=0.02)

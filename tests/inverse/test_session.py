@@ -119,7 +119,7 @@ def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.I
 
 def test_a_time_limit_ends_a_step() -> None:
     session = IkSession(THESIS, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-9))
-    with pytest.raises(SolveError, match="the time ran out on the way to the target"):
+    with pytest.raises(SolveError, match="the time limit was reached before the target"):
         session.solve([0.05, 0.03, 0.15])
 
 

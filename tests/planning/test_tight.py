@@ -287,7 +287,7 @@ def test_a_turn_that_must_snap_is_told_at_once() -> None:
     """Two tubes that cannot slide: on every way one is turned half a turn against the other, which snaps."""
     fixed = JointLimits(((-7.0, 7.0),) * 2, ((0.0, 0.0),) * 2)
     began = time.process_time()
-    with pytest.raises(SolveError, match=r"no plan exists: every way passes tube 1 turned by .* against tube 2"):
+    with pytest.raises(SolveError, match=r"no plan exists: every path passes tube 1 turned by .* against tube 2"):
         plan_trajectory(TWO_TUBE, ([0.0, 0.0], None), ([300 * DEG, 0.0], None), limits=fixed)
     assert time.process_time() - began < 5
 
@@ -318,7 +318,7 @@ def test_no_more_is_said_of_a_goal_than_is_known_of_its_equilibria(monkeypatch: 
 
 def test_a_wall_of_states_ends_the_search_before_its_time() -> None:
     fixed = JointLimits(((-7.0, 7.0),) * 3, ((0.0, 0.0),) * 3)
-    with pytest.raises(SolveError, match=r"every way passes tube 1 turned by .* states on a grid \(evidence, not"):
+    with pytest.raises(SolveError, match=r"every path passes tube 1 turned by .* states on a grid \(evidence, not"):
         plan_trajectory(THESIS, HOME, ([270 * DEG, 0.0, 0.0], None), limits=fixed, options=PlanOptions(time_limit=6.0))
 
 

@@ -68,7 +68,7 @@ def test_few_trials_are_remarked_upon() -> None:
     assert math.isnan(one.noise)
     assert any("too few" in remark for remark in one.remarks)
     assert any("one mold radius" in r for r in calibrate_springback([0.1] * 3, [0.11, 0.111, 0.109]).remarks)
-    assert any("right way round" in r for r in calibrate_springback([0.11, 0.06], [0.1, 0.055]).remarks)
+    assert any("columns swapped" in r for r in calibrate_springback([0.11, 0.06], [0.1, 0.055]).remarks)
 
 
 def test_trials_that_make_no_sense() -> None:

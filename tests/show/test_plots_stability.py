@@ -255,7 +255,7 @@ def test_stability_map_hatches_what_a_snap_led_to(chart: StabilityMap) -> None:
     assert not behind(0.99 * folds).any()
     assert not behind([[0.0, 0.0], [-90.0, 0.0], [170.0, 20.0], [20.0, 170.0]]).any()
     names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names == ["reached through a snap", "snap on the straight way from home", "home"]
+    assert names == ["reached through a snap", "snap on the straight path from home", "home"]
 
 
 def test_stability_map_has_the_first_tube_to_the_right(chart: StabilityMap) -> None:

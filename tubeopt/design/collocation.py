@@ -223,7 +223,7 @@ class _Collocated:
         for k, block in self.blocks.items():
             for text in block.meetings(solution):
                 where = f"task pose {k + 1}" if isinstance(k, int) else f"task pose {k[0] + 1}, drawn back,"
-                words = f"at {where} {text}: behind that may be better designs, which method 'reduced' looks for"
+                words = f"at {where} {text}: better designs may lie beyond; method 'reduced' searches there"
                 warnings.warn(words, OrderWarning, stacklevel=2)
         stats = self.opti.stats()
         words = "" if stats["success"] else str(stats["return_status"]).replace("_", " ").lower()

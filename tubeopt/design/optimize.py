@@ -252,7 +252,7 @@ def _bearing(
         try:
             found = search(_without_force(task, one, floor))
         except DesignNotFoundError as error:
-            head = f"no design was found that bears {one.max_force * 1e3:g} mN"
+            head = f"no design was found that withstands {one.max_force * 1e3:g} mN"
             raise SolveError(f"{head}; its certificate without force must be {floor:.4f}: {error}") from error
         best = found[0].designs[0]
         check_time()

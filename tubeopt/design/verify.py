@@ -118,7 +118,7 @@ def verify(
         elif isinstance(one, SnapFreeInUse) and equilibria:
             arms = {"margin at the task poses": equilibria}
             if one.deployed:
-                arms["margin on the way out to the task poses"] = on_the_way(robot, equilibria)
+                arms["margin during deployment to the task poses"] = on_the_way(robot, equilibria)
             for words, some in arms.items():
                 least = min(e.margin for e in some)
                 checks.append(Check(words, f"{least:.4f}", least >= one.margin - one.tolerance))

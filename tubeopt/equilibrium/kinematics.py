@@ -172,7 +172,7 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
     point = Point.of(member, result)
     if point.margin <= 0 or not result.converged:
         raise SolveError(f"no stable equilibrium was found: the best has margin {point.margin:.3g}{failure}")
-    return _by_method(point, by), "the way from home"
+    return _by_method(point, by), "the path from home"
 
 
 def _by_method(point: Place, by: Method) -> Place:
@@ -246,7 +246,7 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
         why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"
         raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
     if point.t < 1.0:
-        why = f"it ends {100 * point.t:.2f} % of the way from the guess to the goal"
+        why = f"it ends {100 * point.t:.2f} % of the path from the guess to the goal"
         raise SolveError(f"{Status.BRANCH_ENDED}: {why}", here.pose)
     start = "the load before, from none" if grows else "guess"
     return _to_tolerance(_by_method(point, asked.method), start, asked)

@@ -200,7 +200,7 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             key = str(loc[-1])
             known = [one for one in _known_keys(model, loc[:-1]) if one != key]  # another alternative may have it
             if key == "kind":
-                return [f"this is a file of kind {shown(value)}, which is not what is wanted here"]
+                return [f"this is a file of kind {shown(value)}; another kind is required here"]
             return [f"{path} is not a known key{meant(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]

@@ -86,11 +86,11 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
             continue
         what = "margin and clearance" if task.obstacles else "the margin"
         if k == 0:
-            words = f"every way passes {section.name}, where {what} cannot be kept"
+            words = f"every path passes {section.name}, where {what} cannot be kept"
             yield Wall(words, not task.chart.eccentric)
         else:
             words = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
-            words = f"every way passes {section.name}, where {words} of {len(grid)} states on a grid"
+            words = f"every path passes {section.name}, where {words} of {len(grid)} states on a grid"
             yield Wall(f"{words} (evidence, not a proof)", False)
 
 

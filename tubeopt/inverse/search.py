@@ -212,7 +212,7 @@ def closed_off(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *
         else:
             states = sum(count for count in filled if count is not None)
             return (
-                f"no way was found from the {name}'s side: its tree filled {states} states and could not leave "
+                f"no path was found from the {name}'s side: its tree filled {states} states and could not leave "
                 "(evidence, not a proof)"
             )
     return ""

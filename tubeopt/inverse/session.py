@@ -323,6 +323,6 @@ def _servo(
 
 def _stalled(goal: Goal, at: Posture) -> str:
     if goal.clock.over:
-        return f"the time ran out on the way to the target: {missed_by(goal, at)}"
+        return f"the time limit was reached before the target: {missed_by(goal, at)}"
     why = ", ".join(held_by(goal, at)) or "the branch of equilibria does not lead on"
     return f"the target cannot be reached from here: {missed_by(goal, at)}: {why}"

@@ -74,7 +74,7 @@ class Roadmap(Displayed):
         while not clock.over:
             found = _shortest(len(places), edges[open_], length[open_], count)
             if found is None:
-                return Way(None, "roadmap", tried, why="the roadmap has no way")
+                return Way(None, "roadmap", tried, why="the roadmap has no path")
             pairs = list(pairwise(found))
             # Both ends first: what begins and ends a way is what the map does not know yet.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):

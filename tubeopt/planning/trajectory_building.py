@@ -165,4 +165,4 @@ def passing(
 
 def no_time(clock: Clock) -> str:
     """What is wrong where the clock is over."""
-    return f"the time limit of {clock.limit:g} s left no time to follow the way that was found"
+    return f"the time limit of {clock.limit:g} s left no time to follow the path found"

@@ -29,7 +29,7 @@ USUAL_TURN = 6 * np.pi
 radians are 3.2 turns. The limits of shipped robots allow two turns."""
 
 MOST_TURN = 1e3
-"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the way from home have no end."""
+"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the path from home have no end."""
 
 
 @typed

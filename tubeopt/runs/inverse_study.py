@@ -225,7 +225,7 @@ def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
     out = list(rows)
     for snap in path.snaps:
         k, solution = solved[snap.index + 1]
-        words = f"the robot snaps {100 * snap.fraction:.3g} % of the way from the last row"
+        words = f"the robot snaps {100 * snap.fraction:.3g} % of the path from the last row"
         leaps = f"{solution.jump}, {words}" if solution.jump else words
         told = replace(solution, jump=leaps, reachable=None, path=None, straight_from_seed=False)
         out[k] = replace(rows[k], solution=told)

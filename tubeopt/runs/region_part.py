@@ -39,7 +39,7 @@ Searched = TypeVar("Searched", RegionReach, PairReach)
 HARDLY = 0.05
 """Share of a region below which the roadmap may be what is missing, and not the robot."""
 
-FEW = "it lies out of reach, or the roadmap is too small to tell"
+FEW = "it lies out of reach, or the roadmap is too small to decide"
 """What may be the reason."""
 
 MOST = 1000

@@ -82,7 +82,7 @@ class Way(Displayed):
 class SnapStudy(LoadedStudy, Timed):
     """First snap on the straight path between two sets of joint values."""
 
-    doing = "looking for the snap"
+    doing = "searching for the snap"
 
     kind: Literal["snap"]
     robot: RobotPath
@@ -168,7 +168,7 @@ class Certification(Displayed):
 class CertifyStudy(Timed):
     """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
 
-    doing = "looking for snaps"
+    doing = "searching for snaps"
     assuming = f"Results are valid {ASSUMING}."
 
     kind: Literal["certify"]

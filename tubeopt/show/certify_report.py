@@ -54,7 +54,7 @@ def _finding(verdict: SnapAssessment) -> str:
     if verdict.snap is None:
         least = f"least margin found {found}"
         if verdict.worst is not None and verdict.worst.margin < 0:
-            least += ", an unstable equilibrium, so that some way leads to a snap"
+            least += ", an unstable equilibrium, so some path leads to a snap"
         return f"not proved (certificate {proved}), and search found no snap ({least})"
     beyond = "" if verdict.decided else "search found that "
     where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
@@ -272,7 +272,7 @@ class CertificationReport(Report[Certification]):
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")
-            return Text("The certificate has no gradient here: two ways to lose stability are equally close.")
+            return Text("The certificate has no gradient here: two modes of instability are equally close.")
         cells = [
             [
                 f"{GRADIENT[key]} ({SIGNS.get(unit_of(key), unit_of(key))})",

@@ -139,7 +139,7 @@ REGION: tuple[Quantity[RegionAnswer], ...] = (
 )
 
 SEARCHED: tuple[Quantity[RegionAnswer], ...] = (
-    line("search", lambda r: f"{r.search.tried} designs looked at; no optimum is claimed"),
+    line("search", lambda r: f"{r.search.tried} designs evaluated; no optimum is claimed"),
     line("plans", lambda r: f"{r.proved} of {r.planned} to places that are reached are proved"),
     line("plate", lambda r: "moved by {:.2f}, {:.2f}, {:.2f} mm".format(*r.base.origin * TO_MM)),
 )

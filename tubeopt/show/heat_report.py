@@ -35,7 +35,7 @@ UNLIKELY = 0.02
 def _verdict(plan: HeatingPlan) -> str:
     low, high = plan.spec.window_degC
     wanted = f"{low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
-    return f"held: {wanted}" if plan.feasible else f"NOT HELD ({wanted}), {plan.verdict}"
+    return f"held: {wanted}" if plan.feasible else f"MISSED ({wanted}), {plan.verdict}"
 
 
 def held_duties(plan: HeatingPlan) -> tuple[int, int]:

@@ -121,7 +121,7 @@ class PosturesReport(Report[Postures]):
             parts.append(Text(f"\nother postures with the same tip: {len(others)}"))
             parts.append(grid(("rotations (deg)", "translations (mm)", "margin >", "mJ >"), cells))
         if self.answer.timed_out:
-            parts.append(Text("\nthe time limit ended the search: there may be more postures, and ways to them"))
+            parts.append(Text("\nthe time limit ended the search: there may be more postures, and paths to them"))
         return Group(*parts)
 
     def save(self, directory: Path) -> list[Path]:

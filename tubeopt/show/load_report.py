@@ -65,7 +65,7 @@ class BearingReport(Report[Bearing]):
         a = self.answer
         name = a.robot.name or "the robot"
         if a.limit is None:
-            return f"{name} bears at least {a.up_to:.6g} times the load, as far as was looked (--up-to)"
+            return f"{name} bears at least {a.up_to:.6g} times the load, the largest factor searched (--up-to)"
         return f"{name} bears {a.limit.factor:.6g} times the load"
 
     def rows(self) -> list[tuple[str, str]]:
@@ -121,7 +121,7 @@ RECORD: tuple[Quantity[ForceRecord], ...] = (
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
     line("confidence", lambda r: CONFIDENCE if _told(r) else None),
-    line("too small to be told", lambda r: _untold(r)),
+    line("not significant", lambda r: _untold(r)),
     Quantity("estimates", "the force in every row with an estimate", lambda r: _told(r), of=ESTIMATE),
     Quantity("failures", "rows without an estimate, from 1, and the reason",
              lambda r: [[k + 1, why] for k, why in r.failures]),

@@ -38,7 +38,7 @@ def _held(run: HeatingRun) -> str:
         return "nothing was measured"
     read = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
     if run.window is None or run.shortfall is None:
-        return f"{read}; the rig tells no window"
+        return f"{read}; the rig reports no window"
     window = f"{run.window[0]:g} to {run.window[1]:g} degC"
     verdict = f"missed by {run.shortfall:.1f} K" if run.shortfall > 0 else "kept"
     return f"{read}: window of {window} {verdict}"

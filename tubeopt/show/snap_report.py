@@ -140,11 +140,11 @@ def way_sentence(w: Way) -> str:
     """What happens on the way."""
     if w.snap is not None:
         return (
-            f"snaps {100 * w.snap.fraction:.6f} % of the way, at rotations {degrees(w.snap.rotations)}, "
+            f"snaps {100 * w.snap.fraction:.6f} % of the path, at rotations {degrees(w.snap.rotations)}, "
             f"translations {millimetres(w.snap.translations)}"
         )
     margin = "" if w.arrived is None else f", with margin {w.arrived.margin:.3f}"
-    return f"does not snap: the branch reaches the end of the way{margin}"
+    return f"does not snap: the branch reaches the end of the path{margin}"
 
 
 class EquilibriaReport(Report[Equilibria]):

@@ -64,7 +64,7 @@ class Continuation(Settings):
     largest_shift: float = 0.05
     """Of a translation, as a fraction of the longest tube."""
     home_turn: float = math.pi / 8
-    """Largest turn (rad) of a tube per step of the way from home, by which a cold start goes that ended in no stable
+    """Largest turn (rad) of a tube per step of the path from home, by which a cold start goes that ended in no stable
     equilibrium."""
     shortest_step: float = 1e-8
     """Fraction of a path or a load below which a step that fails means that the branch has ended."""

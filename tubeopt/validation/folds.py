@@ -100,7 +100,7 @@ class Parity:
     pairs: int
     """How many."""
     history: float
-    """Of half their difference, which depends on the way there: latency, friction, backlash."""
+    """Of half their difference, which depends on the direction there: latency, friction, backlash."""
     static: float
     """Of half their sum, which does not."""
     measured: float

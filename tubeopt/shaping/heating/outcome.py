@@ -21,8 +21,8 @@ LEAST_CHARGE = 0.2
 
 BROKEN = {
     "steepest": "the tube warms at up to {} K/s, beyond the ramp of {:g} K/s",
-    "peak_current": "while the MOSFET conducts the current is {} A; the circuit bears {:g} A, and no duty changes that",
-    "mean_current": "the mean current reaches {} A; the circuit bears {:g} A",
+    "peak_current": "while the MOSFET conducts the current is {} A; the circuit allows {:g} A at any duty",
+    "mean_current": "the mean current reaches {} A; the circuit allows {:g} A",
 }
 """What is said of a limit that is not kept: the value, and the limit."""
 

@@ -227,7 +227,7 @@ def _for_power(rig: Rig, spec: HeatingSpec) -> list[Change]:
         name = rig.mold.material.name.replace("_", " ")
         found.append((f"a mold of calcium silicate in place of {name}", silicate, spec))
     circuit = replace(rig.circuit, current_limit=2.0 * rig.circuit.current_limit)
-    words = f"a circuit that bears a mean current of {circuit.current_limit:g} A"
+    words = f"a circuit that allows a mean current of {circuit.current_limit:g} A"
     found.append((words, replace(rig, circuit=circuit), spec))
     if rig.battery.state_of_charge < 0.95:
         found.append(("a full battery", rig.with_charge(1.0), spec))

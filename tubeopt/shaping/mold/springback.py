@@ -188,7 +188,7 @@ def _remarks(back: Springback, lost: Array, trials: int, distinct: int) -> tuple
     if distinct == 1 and trials > 1:
         remarks.append("all trials are of one mold radius: the fraction is known for that radius only")
     if (lost < -0.02).any():
-        remarks.append("a tube came out more than 2 % tighter than its mold: are the columns the right way round?")
+        remarks.append("a tube came out more than 2 % tighter than its mold: are the columns swapped?")
     if back.curvature_range and back.slope:
         ends = [back.obtained(kappa) for kappa in np.linspace(0, back.curvature_range[1], 50)]
         if any(after <= before for before, after in pairwise(ends)):

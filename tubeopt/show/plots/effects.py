@@ -15,7 +15,7 @@ KEPT, REFUSED = "#0072B2", "#B8BEC6"
 @picture
 def plot_effects(comparison: Comparison) -> Figure:
     """Held-out errors of the robot as given and with every effect that pays, then the gain of those that do not; of
-    places passed both ways, what of the error depends on the way, before and after."""
+    places passed both ways, what of the error depends on the direction, before and after."""
     c = comparison
     both = c.fit is not None and c.fit.before.parity is not None
     figure = new_figure(9.6 if both else 7.2, max(3.0, 0.9 + 0.30 * (2 + len(c.steps) + len(c.refused))))
@@ -59,11 +59,11 @@ def _draw_parity(axes: Axes, c: Comparison) -> None:
             continue
         for j, (value, colour) in enumerate(((v.parity.history, "#D55E00"), (v.parity.static, "#009E73"))):
             height = value * TO_MM
-            label = ("depends on the way", "does not")[j] if k == 0 else None
+            label = ("depends on the direction", "does not")[j] if k == 0 else None
             bar = axes.bar(k + 0.36 * (j - 0.5), height, width=0.34, color=colour, label=label)
             axes.bar_label(bar, fmt="%.2f", padding=2, fontsize=7)
     axes.set_xticks([0, 1], ["as given", "calibrated"])
-    axes.set_ylabel("RMS of places passed both ways (mm)")
+    axes.set_ylabel("RMS of points passed in both directions (mm)")
     axes.set_ylim(0, 1.32 * axes.get_ylim()[1])
     axes.legend(loc="upper right", fontsize=7)
     axes.yaxis.grid()

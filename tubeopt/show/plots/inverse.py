@@ -91,7 +91,7 @@ def plot_targets(
     draw_joints(rows, way, np.array([each.rotations for each in arms]), np.array([each.translations for each in arms]))
     rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.4)
     margin_scale(rows[2], least)
-    along(rows, way, "way of the tip (mm)")
+    along(rows, way, "path of the tip (mm)")
     figure.align_ylabels(rows)
     return figure
 

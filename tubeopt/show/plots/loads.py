@@ -46,7 +46,7 @@ def plot_payload(equilibria: Sequence[Equilibrium], *, payloads: Array, title: s
     weight = payloads * TO_MILLI
     moved.plot(weight, np.array(way) * TO_MM, color=TUBE_COLOURS[0], lw=1.8)
     moved.plot(weight, linear * TO_MM, color=FAINT, lw=1.0, ls="--", label="by the compliance at the start")
-    moved.set_ylabel("way of the tip (mm)")
+    moved.set_ylabel("path of the tip (mm)")
     moved.legend(loc="upper left")
     moved.tick_params(labelbottom=False)
     margin.plot(weight, [e.margin for e in equilibria], color=TUBE_COLOURS[2], lw=1.8)

@@ -153,5 +153,5 @@ def _steps(mandrel: Mandrel) -> list[str]:
         f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
         f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is "
         "there; then quench in water. No heating by current is planned: what a mandrel takes off a tube is not known.",
-        "Trim the ends. Measure the tube; what comes off is told by `tubeopt mold mandrel`.",
+        "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
     ]

@@ -35,7 +35,7 @@ BETWEEN = 8
 CORNER = np.pi / 2
 """Turn from one corner of a map to the next, rad."""
 
-SNAPS = "snap on the straight way from home"
+SNAPS = "snap on the straight path from home"
 
 MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: unstable"))
 """Sign and name of an equilibrium, by its index; the last one for all that are higher."""

@@ -108,7 +108,7 @@ class Insights:
         key = self._way()
         if self._session().equilibrium.load is not None:
             self._curve = None
-            self._panel.plot("curve", "S-curves and maps are told without load", text=True)
+            self._panel.plot("curve", "S-curves and maps are for no load", text=True)
             return
         if self._curve and self._curve[0] == key:
             return

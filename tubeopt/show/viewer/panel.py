@@ -258,7 +258,7 @@ class Panel:
     def _lead_controls(self, least: float) -> tuple[Any, list[Any]]:
         margin = self._gui.add_slider("least margin", 0.0, 0.9, 0.01, min(max(least, 0.0), 0.9), marks=())
         dragged = partial(self._tab.show, "target")
-        self._check("drag the tip", False, dragged, hint="Arrows at the tip lead it.")
+        self._check("drag the tip", False, dragged, hint="Drag the arrows at the tip to move it.")
         self._check("lead the tip by keys, gamepad or 3-D mouse", False, partial(self._tab.show, "hand"))
         boxes = [self._gui.add_text(f"target {axis} (mm)", "0") for axis in "xyz"]
 

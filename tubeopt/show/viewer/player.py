@@ -47,7 +47,7 @@ class Player:
         """Make a trajectory ready and go to its beginning; what it is, in words. Raises as `take` does."""
         followed = self.take(waypoints).path
         self.to(0.0)
-        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the way"
+        return f"{len(followed.equilibria)} waypoints, {len(followed.snaps)} snaps on the path"
 
     def replay(self) -> str:
         """Play what the session has recorded; in words, what that is. Raises as `recorded` and `take` do."""

@@ -221,7 +221,7 @@ def _build(text: str) -> Path | None:
             if not tuned:
                 _tell_once(
                     f"{own[0]} cannot compile the kernel with {OWN_PROCESSOR}: it is compiled for any processor of "
-                    "this kind; answers are the same, some 2 times slower; a newer compiler, named by CC, mends that"
+                    "this kind; answers are the same,about 2 times slower; a newer compiler, named by CC, mends that"
                 )
             return path
     return None
@@ -289,7 +289,7 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
         own = compiler()
         lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
         _tell_once(
-            f"there is no compiled kernel and {lacks}: answers are the same, some 20 times slower; "
+            f"there is no compiled kernel and {lacks}: answers are the same,about 20 times slower; "
             "install a C compiler (apt install gcc; xcode-select --install; winget install LLVM.LLVM) or a wheel that "
             "brings the kernel"
         )
