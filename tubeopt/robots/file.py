@@ -185,7 +185,7 @@ class ConcentricEntry(RobotEntry):
     friction: EntryOf[Friction] | None = Field(None, description="friction between neighbouring tubes; default none")
     clearance_mm: list[NotNegative] | None = Field(
         None,
-        description="radial gap of every tube inside the next one: a list, or one number for all; default 0",
+        description="radial gaps between neighbouring tubes: a list of one per pair, or of one for all; default 0",
     )
 
     def build(self) -> ConcentricRobot:
