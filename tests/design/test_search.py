@@ -104,7 +104,7 @@ def test_a_region_is_the_aim_of_a_study(run: Run, tmp_path: Path) -> None:
     assert "objective | share of the region" in page
     assert "change" not in page
     assert told["objectives"] == {"reach_share": region["after"]}
-    assert any("roadmap is too small to tell" in words for words in told["remarks"]) == (region["after"] <= 0.05)
+    assert any("roadmap is too small to decide" in words for words in told["remarks"]) == (region["after"] <= 0.05)
 
 
 def test_regions_that_make_no_study_are_refused(run: Run, tmp_path: Path) -> None:
