@@ -12,6 +12,7 @@ import pytest
 from tests.command_line import ROOT, THESIS
 from tubeopt import OrderWarning
 from tubeopt.cli.messages import LIBRARY, listening
+from tubeopt.solvers.compiled.library import COMPILING
 
 
 def process(*arguments: str, first: str = "", cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -51,3 +52,15 @@ def test_warnings_of_python_are_one_sentence_or_nothing(capsys: pytest.CaptureFi
             LIBRARY.setLevel("DEBUG")
             warnings.warn("invalid value encountered in divide", RuntimeWarning, stacklevel=1)
         assert "RuntimeWarning: invalid value" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("terminal", "quiet", "shown"), [(True, False, True), (False, False, False), (True, True, False)]
+)
+def test_who_waits_for_a_kernel_at_a_terminal_is_told(
+    terminal: bool, quiet: bool, shown: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    with listening(quiet=quiet):
+        COMPILING.info("compiling")
+    assert ("compiling" in capsys.readouterr().err) == shown

@@ -16,6 +16,7 @@ from ..files.units import as_typed
 
 LIBRARY = logging.getLogger("tubeopt")
 LOGGER = logging.getLogger("tubeopt.cli")
+KERNEL = logging.getLogger("tubeopt.kernel")
 LEVELS = ("debug", "info", "warning", "error")
 
 
@@ -66,6 +67,8 @@ def listening(*, quiet: bool) -> Iterator[None]:
     """Hear what the library logs, and what Python warns of, until the end of the block."""
     heard, before, level = Messages(quiet), LIBRARY.handlers[:], LIBRARY.level
     LIBRARY.handlers[:] = [heard]
+    if sys.stderr.isatty():
+        KERNEL.setLevel(logging.INFO)  # who waits sees why
     shown = python_warnings.showwarning
     python_warnings.showwarning = _heard
     try:
@@ -74,6 +77,7 @@ def listening(*, quiet: bool) -> Iterator[None]:
         python_warnings.showwarning = shown
         LIBRARY.handlers[:] = before
         LIBRARY.setLevel(level)
+        KERNEL.setLevel(logging.NOTSET)
 
 
 def log_level(value: str) -> str:

@@ -188,6 +188,10 @@ SOURCES = ("block", "physics", "robots", "solvers")
 """Packages whose source makes the C text, or numbers in it."""
 
 
+COMPILING = logging.getLogger("tubeopt.kernel")
+"""Says when a kernel is compiled."""
+
+
 @lru_cache(maxsize=1)
 def _sources() -> str:
     """What the sources and versions are, as a hash."""
@@ -213,6 +217,7 @@ def _build(text: str) -> Path | None:
         path = kept_as(text, folder)
         if path.exists():
             return path
+        COMPILING.info("compiling for this question; it takes some seconds, once")
         for tuned in ([OWN_PROCESSOR], []):
             try:
                 compile_to(text, path, tuned)
