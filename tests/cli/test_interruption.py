@@ -47,7 +47,7 @@ def test_a_compiled_loop_in_threads_ends_and_what_is_kept_is_said_as_json_too(tm
         took, code, printed, err = interrupted(process)
     assert (code, err) == (130, "")
     (message,) = json.loads(printed)["error"]["messages"]
-    assert message == f"interrupted; the samples so far are in {out}; the same command goes on from there"
+    assert message == f"interrupted; finished samples are in {out}; the same command continues"
     assert took < MOST
 
 

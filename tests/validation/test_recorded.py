@@ -246,7 +246,7 @@ def test_a_way_is_saved_with_its_times_and_directions(tmp_path: Path) -> None:
         ("tips: t.csv\ncolumns: {a: 'rotation_1, mm'}", "the unit of rotation_1 is 'mm'; it must be deg, rad, turn"),
         ("tips: t.csv\ncolumns: {a: turning}", "columns.a is 'turning'; it must be one of time, rotation_I"),
         ("tips: t.csv\ncolumns: {c: rotation_1}", "has no column c"),
-        ("tips: t.csv\ncolumns: {a: rotation_1}", "no column is said to hold rotation_2"),
+        ("tips: t.csv\ncolumns: {a: rotation_1}", "no column contains rotation_2"),
         ("tips: none.csv", "none.csv: there is no such file"),
     ],
 )

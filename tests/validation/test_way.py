@@ -265,7 +265,7 @@ def test_a_comparison_in_the_plate_s_frame_begins_with_nothing_to_fit() -> None:
 def test_play_is_told_from_latency_only_with_care() -> None:
     m = driven(trivial(latency=0.09))
     found = fit(robot(), m, ["latency"], FitOptions(folds=0))
-    said = [remark for remark in found.remarks if "hardly be told from rotation_play" in remark]
+    said = [remark for remark in found.remarks if "hardly be distinguished from rotation_play" in remark]
     assert all("slowly and once fast" in remark for remark in said)
 
 

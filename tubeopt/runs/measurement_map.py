@@ -153,7 +153,7 @@ def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, j
     if joints is not tips and not (tips.has("time") and joints.has("time")):
         missing.append("time, in both files")
     if missing:
-        raise InputError("\n".join(f"{path}: no column is said to hold {name}" for name in missing))
+        raise InputError("\n".join(f"{path}: no column contains {name}" for name in missing))
     if entry.behind_mm is not None and len(entry.behind_mm) != len(sensors):
         raise InputError(f"{path}: behind_mm has {len(entry.behind_mm)} numbers; there are {len(sensors)} sensors")
 
@@ -315,7 +315,7 @@ def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
             faults.append(f"have distances from {1e3 * low:.3g} to {1e3 * high:.3g} mm")
         if faults:
             words.append(
-                f"sensors {i + 1} and {j + 1} of the tip {' and '.join(faults)}: they are averaged all the same; if "
+                f"sensors {i + 1} and {j + 1} of the tip {' and '.join(faults)}: they are averaged anyway; if "
                 "one is a reference tool, name it by reference in a file of kind measurements"
             )
     return words

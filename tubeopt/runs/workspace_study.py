@@ -20,7 +20,7 @@ class WorkspaceStudy(Timed):
     """Tips at many joint values within a robot's limits."""
 
     doing = "solving"
-    keeps = "the samples so far are in {out}; the same command goes on from there"
+    keeps = "finished samples are in {out}; the same command continues"
 
     kind: Literal["workspace"]
     robot: RobotPath

@@ -292,8 +292,8 @@ def _eccentric_notes(verdict: EccentricSnapAssessment) -> list[str]:
     """What is known in closed form, or why nothing is proved."""
     if verdict.untwisted is None:
         return [
-            "Nothing is proved of tubes off the centreline but for segments of three equal ones at 0, 120 and -120 deg "
-            "whose distance from the centreline is at most a quarter of the radius of precurvature."
+            "For tubes off the centreline a proof exists only for segments of three equal ones at 0, 120 and -120 deg. "
+            "Their distance from the centreline must be at most a quarter of the radius of precurvature."
         ]
     if verdict.finding is Finding.CAN_SNAP and verdict.untwisted < 0:
         return [

@@ -65,8 +65,8 @@ class BearingReport(Report[Bearing]):
         a = self.answer
         name = a.robot.name or "the robot"
         if a.limit is None:
-            return f"{name} bears at least {a.up_to:.6g} times the load, the largest factor searched (--up-to)"
-        return f"{name} bears {a.limit.factor:.6g} times the load"
+            return f"{name} withstands at least {a.up_to:.6g} times the load, the largest factor searched (--up-to)"
+        return f"{name} withstands {a.limit.factor:.6g} times the load"
 
     def rows(self) -> list[tuple[str, str]]:
         """The load, then the numbers of the limit."""

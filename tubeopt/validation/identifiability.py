@@ -146,7 +146,7 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
         if share < 0.3:  # of it, the others of its kind cannot imitate
             kinds = " and ".join(sorted({every[j].kind for j in rivals}))
             words.append(
-                f"{p.name} can hardly be told from {kinds} on this path: they imitate all but "
+                f"{p.name} can hardly be distinguished from {kinds} on this path: these explain all but "
                 f"{100 * share:.0f} % of it. Measure the same path once slowly and once fast: a latency grows with the "
                 "speed, play and friction do not"
             )

@@ -105,7 +105,7 @@ def bearing_words(equilibrium: Equilibrium) -> str:
     if found is None:
         return f"{what}: taken off, the robot snaps"
     moved, limit = found
-    bears = f"bears more than {UP_TO:g} times as much"
+    bears = f"withstands more than {UP_TO:g} times as much"
     if limit is not None:
         end = "snaps" if limit.kind == "fold" else "buckles"
         bears = f"{end} at {limit.factor:.4f} times as much"
