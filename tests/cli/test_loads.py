@@ -158,3 +158,13 @@ def test_forces_of_a_recording(run: Run, tmp_path: Path) -> None:
     (with_moment,) = answer(run("force", THESIS, recording, "--tip-moment-mN-m", "0.001,0,0", "--json"))["estimates"]
     apart = np.array(with_moment["force_mN"]) - told[0]["force_mN"]
     assert 0 < np.abs(apart).max() < 0.1
+
+
+def test_the_limit_is_a_force_and_is_searched_until_it_is_found(run: Run) -> None:
+    push = ("load-limit", THESIS, "--tip-force-mN")
+    little, much = "0,0.949953,-0.312393", "0,94.9953,-31.2393"
+    far, near = answer(run(*push, little, "--json")), answer(run(*push, much, "--json"))
+    assert (far["up_to"], near["up_to"]) == (1000.0, 10.0)
+    assert far["limit"]["factor"] == pytest.approx(100 * near["limit"]["factor"], rel=1e-6)
+    assert answer(run(*push, little, "--up-to", "3", "--json"))["limit"] is None
+    assert "124.6 mN at the tip" in run(*push, much).out.split("(")[0]

@@ -26,6 +26,10 @@ PUSH = 1e-3
 """N that a robot whose stroke force is asked pushes with, so that times are mN."""
 
 
+SEARCHED = (10.0, 100.0, 1000.0)
+"""Largest load factors that are searched one after the other; the first is the largest axial force too, N."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bearing(Displayed):
     """How much of a load a robot bears at given joint values."""
@@ -57,7 +61,11 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
         False,
         description="use an axial force of 1 mN against the tip as load (stroke force)",
     )
-    up_to: Positive = Field(Decimal(10), description="largest load factor to search; with axial, largest force, N")
+    up_to: Positive | None = Field(
+        None,
+        description="largest load factor to search, by default 10, then 100 and 1000 until the limit is found; "
+        "with axial, largest force, by default 10 N",
+    )
 
     @model_validator(mode="after")
     def _pushed(self) -> Self:
@@ -79,9 +87,14 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
             way = [joints_of(self.robot, self.si("from_deg"), self.si("translations_mm"))[0], rotations]
             start = follow(self.robot, way, [translations, translations]).equilibria[-1]
         if load is not None:
-            found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=up_to)
-            return Bearing(self.robot, rotations, translations, load, found, up_to)
+            found, reached = None, 0.0
+            for reached in SEARCHED if up_to is None else (up_to,):
+                found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=reached)
+                if found is not None:
+                    break
+            return Bearing(self.robot, rotations, translations, load, found, reached)
         start = start or forward_kinematics(self.robot, rotations, translations)
+        up_to = SEARCHED[0] if up_to is None else up_to
         found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
         x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
         limit = None if found is None else replace(found, factor=found.factor / PUSH)

@@ -11,6 +11,7 @@ from rich.console import RenderableType
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, TO_MILLI, TO_MM, in_unit
+from ..robots.load import Load
 from ..runs.load_studies import Bearing
 from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
@@ -56,6 +57,15 @@ BEARING: tuple[Quantity[Bearing], ...] = (
 )  # fmt: skip
 
 
+def _size(load: Load, factor: float) -> str:
+    """How large a multiple of a load is: its force and moment at the tip if it has nothing else, and the factor."""
+    alone = not load.points and load.distributed is None and load.gravity is None
+    sizes = [(factor * float(np.linalg.norm(part)), unit) for part, unit in ((load.force, "N"), (load.moment, "N m"))]
+    parts = [f"{x:.4g} {unit}" if x >= 1 else f"{x * TO_MILLI:.4g} m{unit}" for x, unit in sizes if x > 0]
+    times = f"{factor:.6g} times the load"
+    return f"{' and '.join(parts)} at the tip ({times})" if alone and parts else times
+
+
 class BearingReport(Report[Bearing]):
     command = "load-limit"
     quantities = BEARING
@@ -65,8 +75,8 @@ class BearingReport(Report[Bearing]):
         a = self.answer
         name = a.robot.name or "the robot"
         if a.limit is None:
-            return f"{name} withstands at least {a.up_to:.6g} times the load, the largest factor searched (--up-to)"
-        return f"{name} withstands {a.limit.factor:.6g} times the load"
+            return f"{name} withstands at least {_size(a.load, a.up_to)}, the largest load searched (--up-to)"
+        return f"{name} withstands {_size(a.load, a.limit.factor)}"
 
     def rows(self) -> list[tuple[str, str]]:
         """The load, then the numbers of the limit."""
