@@ -68,7 +68,7 @@ def inverts(robot: Robot, random: np.random.Generator, kinds: tuple[str, str]) -
     """What came of inverse kinematics from a seed of the first kind to a tip of the second."""
     seed, other = (drawn(robot, kind, random) for kind in kinds)
     tip = tubeopt.forward_kinematics(robot, *other).tip_position
-    found = tubeopt.inverse_kinematics(robot, tip, seed=seed, options=INVERSE)
+    found = tubeopt.inverse_kinematics(robot, tip, start=seed, options=INVERSE)
     assert found.position_error <= 1e-8
     if found.path is not None and found.path.origin == "seed":
         begin = np.concatenate([found.path.rotations[0], found.path.translations[0]])

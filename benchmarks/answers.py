@@ -108,7 +108,7 @@ def equilibria(robot: Any, poses: list[Pose]) -> list[float]:
 def inverse(robot: Any, poses: list[Pose]) -> list[float]:
     """Joint values that bring the tip of the first pose to a point 2 mm away."""
     start = solved(robot, poses[0])
-    found = tubeopt.inverse_kinematics(robot, start.tip_position + np.array([2e-3, 0.0, -1e-3]), seed=start)
+    found = tubeopt.inverse_kinematics(robot, start.tip_position + np.array([2e-3, 0.0, -1e-3]), start=start)
     return numbers(found.rotations, found.translations)
 
 

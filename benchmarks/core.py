@@ -92,7 +92,7 @@ def warm(translate: bool) -> Iterable[Call]:
     one, last = robot(), []
 
     def step(a: Array, d: Array) -> Equilibrium:
-        last[:] = [forward_kinematics(one, a, d, guess=last[0] if last else None)]
+        last[:] = [forward_kinematics(one, a, d, start=last[0] if last else None)]
         return last[0]
 
     return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]

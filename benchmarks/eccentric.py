@@ -124,7 +124,7 @@ def compare(robot: EccentricRobot, configurations: int, bvp_configurations: int)
     last: list[Equilibrium] = [forward_kinematics(robot, path[0])]
 
     def follow(rotations: Array) -> None:
-        last[0] = forward_kinematics(robot, rotations, guess=last[0], tolerance=TOLERANCE)
+        last[0] = forward_kinematics(robot, rotations, start=last[0], tolerance=TOLERANCE)
 
     some = path[:: max(1, configurations // bvp_configurations)]
     exact = [forward_kinematics(robot, each, verify=True, discretisation=FINE) for each in some]

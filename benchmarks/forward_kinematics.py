@@ -87,7 +87,7 @@ def solve_warm(robot: ConcentricRobot, joints: list[tuple[Array, Array]], **opti
     last: Equilibrium = forward_kinematics(robot, *joints[0])
     out = []
     for a, d in joints[1:]:
-        seconds, last = clock(lambda a=a, d=d, last=last: forward_kinematics(robot, a, d, guess=last, **options))
+        seconds, last = clock(lambda a=a, d=d, last=last: forward_kinematics(robot, a, d, start=last, **options))
         out.append((seconds, last))
     return out
 

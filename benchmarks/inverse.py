@@ -53,7 +53,7 @@ def cold(robot: Robot, what: str, count: int, options: InverseOptions, *, pointe
         except SolveError:
             continue
         times.append(seconds)
-        again = forward_kinematics(robot, answer.rotations, answer.translations, guess=answer.equilibrium)
+        again = forward_kinematics(robot, answer.rotations, answer.translations, start=answer.equilibrium)
         fresh = forward_kinematics(robot, answer.rotations, answer.translations)
         error = float(np.linalg.norm(again.tip_position - e.tip_position))
         turned = float(np.linalg.norm(again.tip_rotation[:, 2] - e.tip_rotation[:, 2])) if pointed else 0.0
@@ -123,13 +123,13 @@ def damped_step(robot: Robot, here: Equilibrium, target: Array) -> tuple[Equilib
         for k in range(2 * n):
             moved = q.copy()
             moved[k] -= step * scale[k]
-            there = forward_kinematics(robot, moved[:n], moved[n:], guess=here)
+            there = forward_kinematics(robot, moved[:n], moved[n:], start=here)
             columns.append((here.tip_position - there.tip_position) / step)
         slope = np.column_stack(columns)
         solves += 2 * n + 1
         q = q + scale * (slope.T @ np.linalg.solve(slope @ slope.T + 1e-8 * np.eye(3), gap))
         q[n:] = np.minimum(q[n:], [tube.straight_length for tube in robot.tubes])
-        here = forward_kinematics(robot, q[:n], q[n:], guess=here)
+        here = forward_kinematics(robot, q[:n], q[n:], start=here)
     return here, solves
 
 

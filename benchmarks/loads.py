@@ -44,16 +44,16 @@ def measure(path: Path, solves: int) -> dict[str, Timing]:
     here, turning, pushing, told = forward_kinematics(robot, rotations[0], load=load), [], [], []
     for _ in range(solves):
         alpha = here.rotations + random.uniform(-TURN, TURN, robot.n_tubes)
-        seconds, here = clock(lambda a=alpha, e=here: forward_kinematics(robot, a, load=load, guess=e))
+        seconds, here = clock(lambda a=alpha, e=here: forward_kinematics(robot, a, load=load, start=e))
         turning.append(seconds)
     force = FORCE.copy()
     for _ in range(solves):
         force = force + random.uniform(-MOST, MOST, 3)
         other = Load(tuple(force))
-        seconds, here = clock(lambda q=other, e=here: forward_kinematics(robot, e.rotations, load=q, guess=e))
+        seconds, here = clock(lambda q=other, e=here: forward_kinematics(robot, e.rotations, load=q, start=e))
         pushing.append(seconds)
         tip = here.tip_position + random.normal(size=3) * 1e-6
-        call = lambda p=tip, e=here: estimate_force(robot, e.rotations, tip_position=p, noise=1e-4, guess=e)  # noqa: E731
+        call = lambda p=tip, e=here: estimate_force(robot, e.rotations, tip_position=p, noise=1e-4, start=e)  # noqa: E731
         told.append(clock(call)[0])
     many = clock(lambda: forward_kinematics_batch(robot, rotations, load=load))[0] / solves
     limit = [clock(lambda a=a: find_load_limit(robot, a, None, load, up_to=4.0))[0] for a in rotations[:3]]

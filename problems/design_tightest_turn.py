@@ -26,7 +26,7 @@ def main(out: Path) -> list[Path]:
     print(f"certificate {design.certificate:.4f}; worst cases added in {design.rounds} rounds")
     for price in design.sensitivities:
         print(price.sentence)
-    front = pareto_front(study.task(), [0.05, 0.35, 0.65, 0.9], begin=design.attempt)
+    front = pareto_front(study.task(), [0.05, 0.35, 0.65, 0.9], start=design.attempt)
     picture = out / "design_tightest_turn.png"
     plot_front(front, picture)
     return [picture]

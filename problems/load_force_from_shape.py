@@ -38,7 +38,7 @@ def main(out: Path) -> list[Path]:
             seen = [(true.arc_length[k], true.position[k] + NOISE * random.normal(size=3)) for k in points]
             guess = found[-1].equilibrium if found else None
             found.append(
-                tubeopt.estimate_force(robot, ROTATIONS, tip_position=tip, points=seen, noise=NOISE, guess=guess)
+                tubeopt.estimate_force(robot, ROTATIONS, tip_position=tip, points=seen, noise=NOISE, start=guess)
             )
         estimates[name] = found
         errors = np.array([estimate.force for estimate in found]) - FORCE

@@ -29,7 +29,7 @@ def main(out: Path) -> list[Path]:
     arms: list[tubeopt.Equilibrium] = []
     for payload in payloads:
         load = tubeopt.Load((0.0, 0.0, -payload), gravity=GRAVITY)
-        arms.append(tubeopt.forward_kinematics(robot, ROTATIONS, load=load, guess=arms[-1] if arms else None))
+        arms.append(tubeopt.forward_kinematics(robot, ROTATIONS, load=load, start=arms[-1] if arms else None))
     sag = np.linalg.norm(arms[0].tip_position - alone.tip_position)
     print(f"without any load: margin {alone.margin:.3f}; its own weight moves the tip by {sag * 1e3:.2f} mm")
     for k in (0, 5, 10, 20):

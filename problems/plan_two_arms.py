@@ -62,7 +62,7 @@ def swapped(robot: Robot) -> None:
     ]
     places = [np.array([0.0, y, 0.05]) for y in (0.006, -0.006)]
     starts = [
-        tubeopt.inverse_kinematics(robot, arm.base.seen(place), seed=(np.zeros(3), SHIFT))
+        tubeopt.inverse_kinematics(robot, arm.base.seen(place), start=(np.zeros(3), SHIFT))
         for arm, place in zip(arms, places, strict=True)
     ]
     options = tubeopt.PlanOptions(clearance=5e-4, objective="none")  # no way is shorter

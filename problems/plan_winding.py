@@ -52,7 +52,7 @@ def main(out: Path) -> list[Path]:
             np.array([np.interp(t, plan.time, joint) for joint in table.T])
             for table in (plan.rotations, plan.translations)
         )
-        here = tubeopt.forward_kinematics(robot, turn, shift, guess=here, verify=True)
+        here = tubeopt.forward_kinematics(robot, turn, shift, start=here, verify=True)
         assert here.verification is not None
         off = max(off, here.verification.tip_position)
         thick = np.where(here.arc_length <= here.tube_end[1], *(tube.outer_diameter / 2 for tube in robot.tubes[::-1]))

@@ -126,7 +126,7 @@ CALLS: dict[str, Call] = {
         lambda: {
             "robot": PAIR,
             "position": home().tip_position,
-            "seed": ([0.0, 0.2], None),
+            "start": ([0.0, 0.2], None),
             "options": tubeopt.InverseOptions(time_limit=1.0),
         },
     ),
@@ -204,10 +204,10 @@ CALLS: dict[str, Call] = {
         lambda: {"workspaces": [reached(), reached()], "least_distance": 0.01, "most_distance": 0.02, "size": 0.05},
     ),
     "optimize_design": (tubeopt.optimize_design, lambda: {"task": task(), "turns": 0}),
-    "search_design": (tubeopt.search_design, lambda: {"task": task(), "wanted": wanted, "seconds": 0.1, "turns": 0}),
+    "search_design": (tubeopt.search_design, lambda: {"task": task(), "wanted": wanted, "time_limit": 0.1, "turns": 0}),
     "search_pair": (
         tubeopt.search_pair,
-        lambda: {"tasks": (task(), task()), "wanted": wanted_of_pair, "seconds": 0.1, "turns": 0},
+        lambda: {"tasks": (task(), task()), "wanted": wanted_of_pair, "time_limit": 0.1, "turns": 0},
     ),
     "pareto_front": (design.pareto_front, lambda: {"task": task(), "margins": [0.05]}),
     "tolerance_analysis": (
@@ -265,7 +265,7 @@ CALLS: dict[str, Call] = {
     "load_workspace": (tubeopt.load_workspace, lambda: {"robot": PAIR, "directory": DIRECTORY}),
     "plan_mold": (tubeopt.plan_mold, lambda: {"tubes": ONE}),
     "c_library": (c_library, lambda: {"robot": PAIR}),
-    "Servo": (Servo, lambda: {"robot": PAIR, "seed": ([0.0, 0.2], None)}),
+    "Servo": (Servo, lambda: {"robot": PAIR, "start": ([0.0, 0.2], None)}),
     "Observer": (Observer, lambda: {"start": home()}),
     "CrtkRobot": (CrtkRobot, lambda: {"servo": Servo(PAIR, ([0.0, 0.2], None))}),
     "RobotServer": (RobotServer, lambda: {"robot": CrtkRobot(Servo(PAIR, ([0.0, 0.2], None)))}),

@@ -145,7 +145,7 @@ def test_answers_of_solvers_and_questions() -> None:
     problem = Problem()
     side = problem.variable("side", guess=1.0)
     problem.minimize((side - 2.0) ** 2)
-    answers: tuple[Result, ...] = (near, inverse_kinematics(TWO_TUBE, near.tip_position, seed=near), problem.solve())
+    answers: tuple[Result, ...] = (near, inverse_kinematics(TWO_TUBE, near.tip_position, start=near), problem.solve())
     for each in answers:
         assert isinstance(each, Result)
         assert each.statistics.seconds >= 0

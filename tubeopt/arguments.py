@@ -9,6 +9,7 @@ import reprlib
 import sys
 import types
 import typing
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from decimal import Decimal
@@ -84,6 +85,27 @@ def typed(made: T) -> T:
         setattr(made, "__init__", checked)  # noqa: B010
         return made
     return checked  # type: ignore[return-value]
+
+
+def renamed(**names: str) -> Callable[[T], T]:
+    """A function that still accepts old names of keywords, given as old="new", and warns that they will end."""
+
+    def of(function: T) -> T:
+        @functools.wraps(function)
+        def asked(*args: Any, **given: Any) -> Any:
+            """What the function returns, for keywords by either name."""
+            for old in names.keys() & given.keys():
+                new = names[old]
+                if new in given:
+                    raise InputError(f"{old} and {new} are the same argument; give {new} only")
+                words = f"{old}= is now {new}= in {function.__qualname__.removesuffix('.__init__')}"
+                warnings.warn(f"{words}; {old}= ends with the next release", DeprecationWarning, stacklevel=2)
+                given[new] = given.pop(old)
+            return function(*args, **given)
+
+        return asked  # type: ignore[return-value]
+
+    return of
 
 
 def _refused(name: str, value: Any, words: str) -> InputError:

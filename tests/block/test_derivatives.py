@@ -74,7 +74,7 @@ def differences(solved: Equilibrium, side: int, columns: Array) -> Slopes:
         rows = []
         for k in places:
             joint = np.concatenate([solved.rotations, solved.translations]) + k * h * column
-            there = forward_kinematics(robot, joint[:n], joint[n:], guess=solved, tolerance=1e-3, discretisation=FINE)
+            there = forward_kinematics(robot, joint[:n], joint[n:], start=solved, tolerance=1e-3, discretisation=FINE)
             turn = Rotation.from_matrix(there.tip_rotation @ solved.tip_rotation.T).as_rotvec()
             rows.append(np.concatenate([there.tip_position, turn, there.tip_rotations, [there.margin]]))
         out.append(np.array(weights) @ np.array(rows) / h)
@@ -200,7 +200,7 @@ def test_close_to_the_snap_derivatives_grow_without_bound() -> None:
     at = forward_kinematics(THESIS, (0.0, 0.0, 0.0))
     sizes = []
     for angle in (150.0, 210.0, 214.0, 214.2):
-        at = forward_kinematics(THESIS, (angle * DEG, 0.0, 0.0), guess=at)
+        at = forward_kinematics(THESIS, (angle * DEG, 0.0, 0.0), start=at)
         exact = at.jacobian()
         sizes.append(np.abs(exact.position[:, 0]).max())
         assert exact.margin[0] <= 0
@@ -281,7 +281,7 @@ def test_an_unknown_side() -> None:
 def test_at_a_fold_there_are_none() -> None:
     # The rotations just before the snap at 203.9 deg, with joint values just beyond it, where the branch has ended.
     home = forward_kinematics(TWO_TUBE, (0.0, 0.0))
-    before = forward_kinematics(TWO_TUBE, (203.9 * DEG, 0.0), guess=home)
+    before = forward_kinematics(TWO_TUBE, (203.9 * DEG, 0.0), start=home)
     with pytest.raises(SolveError, match=r"^the equilibrium is a fold"):
         replace(before, rotations=np.array([203.95 * DEG, 0.0])).jacobian()
 

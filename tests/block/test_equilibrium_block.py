@@ -86,7 +86,7 @@ def test_hessians_are_exact_and_newton_is_quick() -> None:
 )
 def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotations: list[float]) -> None:
     wound = forward_kinematics(robot, 0.7 * np.array(rotations))
-    near = forward_kinematics(robot, rotations, guess=wound)
+    near = forward_kinematics(robot, rotations, start=wound)
     assert near.margin < 0.97
     problem = Problem()
     least = problem.variable("margin", guess=near.margin - 0.1, upper=0.999)
@@ -164,7 +164,7 @@ def test_jacobian_is_that_of_differences(robot: Robot, translations: list[float]
 
     def tip(turn: Any, shift: Any) -> Any:
         guess = forward_kinematics(robot, *at, tolerance=1e-12)
-        return forward_kinematics(robot, at[0] + turn, at[1] + shift, guess=guess, tolerance=1e-12).tip_position
+        return forward_kinematics(robot, at[0] + turn, at[1] + shift, start=guess, tolerance=1e-12).tip_position
 
     slopes = [(tip(step, 0) - tip(-step, 0)) / 2e-5 for step in columns if "rotations" in wrt]
     slopes += [(tip(0, step) - tip(0, -step)) / 2e-6 for step in moved]

@@ -126,7 +126,7 @@ def test_margin_keeps_a_loaded_robot_from_the_snap() -> None:
     block.margin_at_least(0.3)
     problem.maximize(turn)
     found = block.equilibrium(problem.solve())
-    again = forward_kinematics(TWO_TUBE, found.rotations, load=load, guess=near)
+    again = forward_kinematics(TWO_TUBE, found.rotations, load=load, start=near)
     assert again.margin == pytest.approx(0.3, abs=1e-6)
     assert abs(forward_kinematics(TWO_TUBE, found.rotations).margin - 0.3) > 0.02
 

@@ -96,7 +96,7 @@ def test_a_table_of_targets_is_followed(run: Run, tmp_path: Path) -> None:
     for row in rows:
         rotations = np.radians([float(row[f"rotation_{i}_deg"]) for i in (1, 2, 3)])
         translations = np.array([float(row[f"translation_{i}_mm"]) for i in (1, 2, 3)]) / 1e3
-        before = forward_kinematics(robot, rotations, translations, guess=before)
+        before = forward_kinematics(robot, rotations, translations, start=before)
         wanted = [float(row[name]) for name in ("x_mm", "y_mm", "z_mm")]
         np.testing.assert_allclose(before.tip_position * 1e3, wanted, atol=1e-4)
 

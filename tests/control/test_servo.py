@@ -195,7 +195,7 @@ def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) 
     with pytest.raises(InputError, match="dt is 0 s"):
         Servo(THESIS, seed).step(Command(), 0.0)
     near = forward_kinematics(THESIS, np.radians([0, 90, 180]))  # of margin 0.927
-    with pytest.raises(InputError, match="seed has margin"):
+    with pytest.raises(InputError, match="start has margin"):
         Servo(THESIS, near, options=ServoOptions(min_margin=0.95))
 
 

@@ -79,7 +79,7 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     way = error.relaxations[0]
     assert way.words in str(error)
     assert way.task == apply_changes(task, way.changes)
-    assert optimize_design(way.task, turns=1, begin=way.attempt).verification.kept
+    assert optimize_design(way.task, turns=1, start=way.attempt).verification.kept
     less = tuple(replace(change, amount=0.5 * change.amount) for change in way.changes)
     assert not multistart(compile_task(apply_changes(task, less)), starts=1).designs
 

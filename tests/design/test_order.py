@@ -84,7 +84,7 @@ def test_a_verified_design_is_accepted_by_inverse_kinematics_and_planning() -> N
     design = designed("poses")
     (pose,) = design.equilibria
     home = (np.zeros(3), np.zeros(3))
-    answer = inverse_kinematics(design.robot, pose.tip_position, seed=home)
+    answer = inverse_kinematics(design.robot, pose.tip_position, start=home)
     assert answer.position_error < 1e-6
     plan = plan_trajectory(design.robot, home, (pose.rotations, pose.translations))
     np.testing.assert_allclose(plan.translations[-1], pose.translations, atol=1e-12)

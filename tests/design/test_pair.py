@@ -99,7 +99,7 @@ def test_both_robots_and_own_numbers_are_searched_at_once() -> None:
     robot = two_tubes()
     free = (Free("curvature", (0,), 1.0, 60.0),)
     tasks = tuple(DesignTask(robot, free, some, ordered=False) for some in ((), (Strain((0.012,)),)))
-    found = search_pair((tasks[0], tasks[1]), Together(), seconds=60)
+    found = search_pair((tasks[0], tasks[1]), Together(), time_limit=60)
     one, other = found.value
     assert [one.tubes[0].curvature, other.tubes[0].curvature] == pytest.approx([30.0, 10.0], abs=0.5)
     assert found.own == pytest.approx([20.0], abs=0.3)

@@ -35,7 +35,7 @@ class Bent:
 def test_a_search_ends_at_the_strain_that_is_allowed() -> None:
     robot = two_tubes()
     task = DesignTask(robot, (Free("curvature", (0, 1), 1.0, 60.0),), (Strain((0.012,)),), ordered=False)
-    found = search_design(task, Bent(), seconds=60)
+    found = search_design(task, Bent(), time_limit=60)
     most = 2 * 0.012 / 1.012 / robot.tubes[0].outer_diameter  # held straight, where its inside was shorter by as much
     assert found.value.tubes[0].curvature == pytest.approx(min(most, 60.0), rel=5e-3)
     assert found.value.tubes[0].curvature <= most * (1 + 1e-6)
@@ -51,7 +51,7 @@ def test_what_a_search_does_not_take_is_refused() -> None:
     boxed = DesignTask(robot, free, (SnapFree(0.05, box=((-0.01, -0.01), (0.0, 0.0))),), ordered=False)
     for task, words in ((posed, "the task has poses"), (boxed, "snap_free has a box or a force")):
         with pytest.raises(InputError, match=words):
-            search_design(task, Bent(), seconds=1)
+            search_design(task, Bent(), time_limit=1)
 
 
 def test_a_plate_that_is_moved_sees_all_else_moved() -> None:

@@ -76,7 +76,7 @@ def test_the_unstable_equilibrium_is_there_but_never_the_answer() -> None:
         assert cold.energy < saddle.energy
         assert np.linalg.norm(cold.tip_position - saddle.tip_position) > 0.05
     # Followed as a guess it stays what it is, stable or not.
-    again = forward_kinematics(THESIS, rotations, guess=saddle)
+    again = forward_kinematics(THESIS, rotations, start=saddle)
     assert again.margin == pytest.approx(saddle.margin, abs=1e-9)
     assert again.tip_position == pytest.approx(saddle.tip_position, abs=1e-12)
 
@@ -165,7 +165,7 @@ def test_two_tubes_in_closed_form(c: float, transmission: float, tip: float, sna
     for share in (0.1, 0.5, 0.9, 0.999):
         apart = share * tip * DEG
         alpha = input_of(apart, c, transmission)
-        solved = forward_kinematics(robot, (alpha + 0.4, 0.4), guess=home, tolerance=1e-10)
+        solved = forward_kinematics(robot, (alpha + 0.4, 0.4), start=home, tolerance=1e-10)
         assert -np.diff(solved.tip_rotations) == pytest.approx([apart], abs=1e-7)
         along = input_of(apart, c, 0.0, 1.0 - solved.arc_length)
         assert solved.rotation[0] - solved.rotation[1] == pytest.approx(along, abs=1e-7)
@@ -179,11 +179,11 @@ def test_two_tubes_in_closed_form(c: float, transmission: float, tip: float, sna
 def test_the_branch_ends_at_the_snap_of_the_closed_form(c: float, transmission: float, tip: float, snap: float) -> None:
     robot = pair(c, transmission)
     home = forward_kinematics(robot, (0.0, 0.0))
-    before = forward_kinematics(robot, ((snap - 1e-4) * DEG, 0.0), guess=home)
+    before = forward_kinematics(robot, ((snap - 1e-4) * DEG, 0.0), start=home)
     assert 0 < before.margin < 0.01
     assert -np.diff(before.tip_rotations) / DEG == pytest.approx([tip], abs=0.2)
     with pytest.raises(SolveError, match="the branch ends"):
-        forward_kinematics(robot, ((snap + 1e-4) * DEG, 0.0), guess=before)
+        forward_kinematics(robot, ((snap + 1e-4) * DEG, 0.0), start=before)
 
 
 @pytest.mark.parametrize(("c", "transmission", "snaps"), [(2.4, 0.0, False), (2.5, 0.0, True), (0.5, 1.2, False)])
@@ -202,7 +202,7 @@ def test_two_tubes_snap_where_the_criterion_says(c: float, transmission: float, 
 def test_turning_every_tube_turns_the_shape(pose: Pose, angle: float) -> None:
     robot, rotations, shift = pose
     still = forward_kinematics(robot, rotations, shift)
-    turned = forward_kinematics(robot, rotations + angle, shift, guess=still)
+    turned = forward_kinematics(robot, rotations + angle, shift, start=still)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     assert turned.rotation == pytest.approx(still.rotation + angle, abs=1e-9)
     assert turned.position == pytest.approx(still.position @ turn.T, abs=1e-10)
@@ -218,11 +218,11 @@ def test_tubes_bent_to_the_other_side_mirror_the_shape(pose: Pose) -> None:
     robot, rotations, shift = pose
     mirrored = ConcentricRobot(tuple(replace(tube, curvature=-tube.curvature) for tube in robot.tubes))
     one = forward_kinematics(robot, rotations, shift)
-    other = forward_kinematics(mirrored, rotations, shift, guess=one)
+    other = forward_kinematics(mirrored, rotations, shift, start=one)
     assert other.rotation == pytest.approx(one.rotation, abs=1e-9)
     assert other.curvature == pytest.approx(-one.curvature, abs=1e-8)
     assert other.position == pytest.approx(one.position * [-1, -1, 1], abs=1e-10)
-    half_turned = forward_kinematics(mirrored, rotations + np.pi, shift, guess=one)
+    half_turned = forward_kinematics(mirrored, rotations + np.pi, shift, start=one)
     assert half_turned.position == pytest.approx(one.position, abs=1e-10)
 
 
@@ -235,7 +235,7 @@ def test_seen_in_a_mirror(pose: Pose) -> None:
     arm = replace(one.arm, rotation=-one.rotation, torsion=-one.torsion)
     points = replace(one.points, point_rotation=-one.point_rotation)
     image = replace(one, rotations=-one.rotations, arm=arm, points=points)
-    other = forward_kinematics(robot, -rotations, shift, guess=image)
+    other = forward_kinematics(robot, -rotations, shift, start=image)
     assert other.rotation == pytest.approx(-one.rotation, abs=1e-9)
     assert other.position == pytest.approx(one.position * [-1, 1, 1], abs=1e-10)
     assert other.energy == pytest.approx(one.energy, rel=1e-9, abs=1e-15)
@@ -341,9 +341,9 @@ def test_equal_tubes_twisted_by_half_a_turn_find_a_lower_energy_if_they_can() ->
 
 def test_own_settings_of_newton_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     here = forward_kinematics(THESIS, [0.5, 0.2, 0.0])
-    usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], guess=here)
+    usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here)
     monkeypatch.setattr("tubeopt.equilibrium.compiled.solve_compiled", None)  # the kernel is not asked
-    own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], guess=here, method=Newton(iterations=30))
+    own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here, method=Newton(iterations=30))
     assert own.tip_position == pytest.approx(usual.tip_position, abs=1e-13)
 
 
@@ -365,7 +365,7 @@ def test_wound_tubes_are_not_unwound() -> None:
     robot = pair(1.0, 0.3)
     home = forward_kinematics(robot, (0.0, 0.0))
     near = forward_kinematics(robot, (10 * DEG, 0.0))
-    wound = forward_kinematics(robot, (370 * DEG, 0.0), guess=home)
+    wound = forward_kinematics(robot, (370 * DEG, 0.0), start=home)
     assert wound.tip_rotations[0] - wound.tip_rotations[1] > 300 * DEG
     assert wound.tip_position == pytest.approx(near.tip_position, abs=1e-9)
     together = forward_kinematics(THESIS, np.array([0.0, 1.0, 2.0]) + 2 * np.pi)
@@ -420,8 +420,8 @@ def test_results_do_not_change_behind_the_callers_back() -> None:
 def test_small_steps_and_one_long_one_end_on_the_same_branch() -> None:
     home = at = forward_kinematics(THESIS, (0.0, 0.0, 0.0))
     for angle in range(10, 201, 10):
-        at = forward_kinematics(THESIS, (angle * DEG, 0.0, 0.0), guess=at)
-    once = forward_kinematics(THESIS, (200 * DEG, 0.0, 0.0), guess=home)
+        at = forward_kinematics(THESIS, (angle * DEG, 0.0, 0.0), start=at)
+    once = forward_kinematics(THESIS, (200 * DEG, 0.0, 0.0), start=home)
     assert same_branch(at, once, 1e-10)
     assert once.tip_position == pytest.approx(at.tip_position, abs=1e-12)
     assert once.statistics.start == "guess"
@@ -431,23 +431,23 @@ def test_small_steps_and_one_long_one_end_on_the_same_branch() -> None:
 
 def test_the_branch_of_the_thesis_robot_ends_in_a_snap() -> None:
     home = forward_kinematics(THESIS, (0.0, 0.0, 0.0))
-    last = forward_kinematics(THESIS, (214.222426 * DEG, 0.0, 0.0), guess=home)
+    last = forward_kinematics(THESIS, (214.222426 * DEG, 0.0, 0.0), start=home)
     # At the fold the tips lie at 130.231722, 20.009537, 3.579333 deg; short of it by a root of what is missing.
     assert last.tip_rotations / DEG == pytest.approx([130.231722, 20.009537, 3.579333], abs=0.02)
     assert 0 < last.margin < 1e-3
     with pytest.raises(SolveError, match="branch ends before the target joint values") as caught:
-        forward_kinematics(THESIS, (214.222428 * DEG, 0.0, 0.0), guess=last)
+        forward_kinematics(THESIS, (214.222428 * DEG, 0.0, 0.0), start=last)
     assert caught.value.solution is last
-    with pytest.raises(SolveError, match=r"it ends (\d+\.\d\d) % of the path from the guess to the goal") as caught:
-        forward_kinematics(THESIS, (220 * DEG, 0.0, 0.0), guess=home)
+    with pytest.raises(SolveError, match=r"it ends (\d+\.\d\d) % of the path from the start to the goal") as caught:
+        forward_kinematics(THESIS, (220 * DEG, 0.0, 0.0), start=home)
     percent = float(str(caught.value).split("it ends ")[1].split(" %")[0])
     assert percent == pytest.approx(100 * 214.222427 / 220, abs=0.02)
 
 
 def test_there_and_back_through_changing_sections() -> None:
     start = forward_kinematics(THESIS, (0.5, -0.8, 1.0), np.array([60.0, 30.0, 0.0]) * MM)
-    away = forward_kinematics(THESIS, (-1.0, 0.2, 0.4), np.array([-40.0, 20.0, 30.0]) * MM, guess=start)
-    back = forward_kinematics(THESIS, start.rotations, start.translations, guess=away)
+    away = forward_kinematics(THESIS, (-1.0, 0.2, 0.4), np.array([-40.0, 20.0, 30.0]) * MM, start=start)
+    back = forward_kinematics(THESIS, start.rotations, start.translations, start=away)
     assert same_branch(start, back, 1e-10)
 
 
@@ -455,7 +455,7 @@ def test_there_and_back_through_changing_sections() -> None:
 def test_every_method_follows_the_branch(method: str) -> None:
     home = forward_kinematics(THESIS, (0.0, 0.0, 0.0))
     goal = (190 * DEG, 0.0, 0.0)
-    followed, same = (forward_kinematics(THESIS, goal, guess=home, method=m) for m in ("newton", method))
+    followed, same = (forward_kinematics(THESIS, goal, start=home, method=m) for m in ("newton", method))
     assert same_branch(followed, same, 1e-9)
     assert (same.statistics.method, same.statistics.start) == (method, "guess")
 
@@ -573,13 +573,34 @@ def test_impossible_input(arguments: dict[str, Any], message: str) -> None:
 
 def test_a_guess_of_another_robot() -> None:
     guess = forward_kinematics(TWO_TUBE, (0.0, 0.5))
-    with pytest.raises(InputError, match=r"^guess is of a robot with 2 tubes; it must have 3$"):
-        forward_kinematics(THESIS, (0.0, 1.0, 2.0), guess=guess)
+    with pytest.raises(InputError, match=r"^start is of a robot with 2 tubes; it must have 3$"):
+        forward_kinematics(THESIS, (0.0, 1.0, 2.0), start=guess)
+
+
+def test_a_start_is_an_equilibrium_or_joint_values() -> None:
+    turned, goal = np.radians([90, 0, 0]), np.radians([200, 0, 0])
+    followed = forward_kinematics(THESIS, goal, start=forward_kinematics(THESIS, turned))
+    cold = forward_kinematics(THESIS, goal)
+    assert np.linalg.norm(followed.tip_position - cold.tip_position) > 1e-3  # another branch
+    for start in ((turned, None), [turned.tolist(), [0.0, 0.0, 0.0]]):
+        assert np.array_equal(forward_kinematics(THESIS, goal, start=start).tip_position, followed.tip_position)
+    with pytest.raises(InputError, match=r"^start is 3; it must be an Equilibrium or \(rotations, translations\)$"):
+        forward_kinematics(THESIS, goal, start=3)
+
+
+def test_the_old_name_of_the_start_warns() -> None:
+    start, old = forward_kinematics(TWO_TUBE, (0.0, 0.5)), {"guess": forward_kinematics(TWO_TUBE, (0.0, 0.5))}
+    with pytest.warns(DeprecationWarning, match="guess= is now start= in forward_kinematics") as caught:
+        found = forward_kinematics(TWO_TUBE, (0.1, 0.5), **old)
+    assert caught[0].filename == __file__
+    assert np.array_equal(found.position, forward_kinematics(TWO_TUBE, (0.1, 0.5), start=start).position)
+    with pytest.raises(InputError, match="guess and start are the same argument"):
+        forward_kinematics(TWO_TUBE, (0.1, 0.5), start=start, **old)
 
 
 def test_a_guess_of_a_similar_robot_is_a_start_like_any_other() -> None:
     thicker = ConcentricRobot((replace(THESIS.tubes[0], curvature=11.0), *THESIS.tubes[1:]))
-    solved = forward_kinematics(thicker, (0.0, 1.0, 2.0), guess=forward_kinematics(THESIS, (0.0, 1.0, 2.0)))
+    solved = forward_kinematics(thicker, (0.0, 1.0, 2.0), start=forward_kinematics(THESIS, (0.0, 1.0, 2.0)))
     assert solved.robot is thicker
     assert solved.tip_position == pytest.approx(forward_kinematics(thicker, (0.0, 1.0, 2.0)).tip_position, abs=1e-12)
 

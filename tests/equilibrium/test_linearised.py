@@ -105,7 +105,7 @@ def _moved(e: Equilibrium, name: str, by: Array) -> Equilibrium:
     else:
         robot = _resized(robot, name, by)
     guess = e if robot is e.robot else None
-    return forward_kinematics(robot, joints["rotations"], joints["translations"], load=e.load, guess=guess)
+    return forward_kinematics(robot, joints["rotations"], joints["translations"], load=e.load, start=guess)
 
 
 def _told(e: Equilibrium) -> Array:

@@ -103,7 +103,7 @@ def test_varying_tubes_without_load(robot: ConcentricRobot) -> None:
     assert e.margin == pytest.approx(plain.margin, abs=1e-8)
     assert np.allclose(e.rotation[:, -1], plain.rotation[:, -1], rtol=0, atol=1e-9)
     assert np.allclose(e.torsion[:, 0], plain.torsion[:, 0], rtol=0, atol=1e-8)
-    warm = forward_kinematics(robot, ROTATIONS + 0.01, BETA, load=LOAD, guess=e)
+    warm = forward_kinematics(robot, ROTATIONS + 0.01, BETA, load=LOAD, start=e)
     cold = forward_kinematics(robot, ROTATIONS + 0.01, BETA, load=LOAD)
     assert np.allclose(warm.tip_position, cold.tip_position, rtol=0, atol=1e-11)
 

@@ -259,7 +259,7 @@ def test_jacobian_under_load_is_that_of_differences(thesis: ConcentricRobot, loa
         step = np.zeros(6)
         step[k] = 1e-3 if k < 3 else 1e-5
         sides = [
-            forward_kinematics(thesis, WOUND + s * step[:3], shift + s * step[3:], load=load, guess=here)
+            forward_kinematics(thesis, WOUND + s * step[:3], shift + s * step[3:], load=load, start=here)
             for s in (1, -1)
         ]
         scale = 2 * step[k]
@@ -278,7 +278,7 @@ def test_jacobian_under_load_to_one_side(thesis: ConcentricRobot) -> None:
     home = forward_kinematics(thesis, ROTATIONS, load=load)
     for side in (1, -1):
         column = home.jacobian(wrt=("translations",), side=side).position[:, 0]
-        moved = forward_kinematics(thesis, ROTATIONS, (side * 1e-6, 0, 0), load=load, guess=home)
+        moved = forward_kinematics(thesis, ROTATIONS, (side * 1e-6, 0, 0), load=load, start=home)
         assert np.allclose(column, (moved.tip_position - home.tip_position) / (side * 1e-6), rtol=0, atol=1e-4)
     with pytest.raises(InputError, match="wrt names 'colour'; it may name rotations"):
         home.jacobian(wrt=("colour",))
@@ -410,10 +410,10 @@ def test_a_guess_is_followed_to_other_joints_and_loads(thesis: ConcentricRobot) 
         (ROTATIONS, Load((0.0, 0.3, 0.0), gravity=(0, 0, -9.81))),
     ):
         cold = forward_kinematics(thesis, rotations, load=load)
-        warm = forward_kinematics(thesis, rotations, load=load, guess=here)
+        warm = forward_kinematics(thesis, rotations, load=load, start=here)
         assert warm.statistics.start == "guess"
         assert np.allclose(warm.tip_position, cold.tip_position, rtol=0, atol=1e-12)
-    moved = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)), guess=here)
+    moved = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)), start=here)
     cold = forward_kinematics(thesis, ROTATIONS, (-0.03, 0.0, 0.01), load=Load((0.1, 0, 0)))
     assert np.allclose(moved.tip_position, cold.tip_position, rtol=0, atol=1e-12)
 
@@ -424,28 +424,28 @@ def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pyte
     elsewhere = forward_kinematics(robot, alpha + 0.4, shift)
     turned = alpha + np.linspace(1, -0.5, len(alpha))
     ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere), (turned, None, elsewhere)
-    ends = [forward_kinematics(robot, a, shift, load=q, guess=g) for a, q, g in ways]
+    ends = [forward_kinematics(robot, a, shift, load=q, start=g) for a, q, g in ways]
     with monkeypatch.context() as patch:
         patch.setattr("tubeopt.equilibrium.compiled.loaded", lambda *arguments: None)
         patch.setattr("tubeopt.equilibrium.compiled.unloaded", lambda *arguments: None)
         for end, (a, q, g) in zip(ends, ways, strict=True):
-            general = forward_kinematics(robot, a, shift, load=q, guess=g)
+            general = forward_kinematics(robot, a, shift, load=q, start=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)
             assert end.margin == pytest.approx(general.margin, abs=1e-9)
     if kernel_of(robot) is None:
         return
     monkeypatch.setattr("tubeopt.equilibrium.kinematics._to_tolerance", None)  # the kernel goes all of the way
     for a, q, g in ways:
-        forward_kinematics(robot, a, shift, load=q, guess=g)
+        forward_kinematics(robot, a, shift, load=q, start=g)
 
 
 def test_the_branch_that_snaps_is_not_left(thesis: ConcentricRobot) -> None:
     turned = follow(thesis, np.radians([[0, 0, 0], [200, 0, 0]])).equilibria[-1]
     assert turned.margin == pytest.approx(0.875, abs=1e-3)
-    held = forward_kinematics(thesis, turned.rotations, load=Load((-0.0218, 0, 0)), guess=turned)
+    held = forward_kinematics(thesis, turned.rotations, load=Load((-0.0218, 0, 0)), start=turned)
     assert 0 < held.margin < 0.05
     with pytest.raises(SolveError, match=r"fold at 99\.") as lost:
-        forward_kinematics(thesis, turned.rotations, load=Load((-0.0219, 0, 0)), guess=turned)
+        forward_kinematics(thesis, turned.rotations, load=Load((-0.0219, 0, 0)), start=turned)
     assert lost.value.solution.load.force[0] == pytest.approx(-0.021846, abs=1e-6)
 
 
@@ -506,7 +506,7 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
     eccentric = load_robot("configs/robots/thesis_etr.yaml")
     steel = rod(0.1, 1e-3)
     calls: list[tuple[Any, str]] = [
-        (lambda: forward_kinematics(thesis, ROTATIONS, guess=e), "guess has a load"),
+        (lambda: forward_kinematics(thesis, ROTATIONS, start=e), "start has a load"),
         (lambda: forward_kinematics(eccentric, (0, 1, 2), load=load), "only concentric robots"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=Load(points=((0.3, (0, 0, 1)),))), "at most the length"),
         (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "but tube 1 has"),

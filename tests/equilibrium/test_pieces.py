@@ -333,8 +333,8 @@ def test_every_method_finds_the_same(method: str) -> None:
 def test_joint_values_for_the_tip(method: str) -> None:
     """Of tubes of which everything varies, with and without the nonlinear program."""
     goal, seed = forward_kinematics(INNER, TURNED[:2], BETA[:2]), (np.array(TURNED[:2]) + 0.3, BETA[:2] - 0.004)
-    found = inverse_kinematics(INNER, goal.tip_position, seed=seed, options=InverseOptions(method=method))
-    again = forward_kinematics(INNER, found.rotations, found.translations, guess=found.equilibrium)
+    found = inverse_kinematics(INNER, goal.tip_position, start=seed, options=InverseOptions(method=method))
+    again = forward_kinematics(INNER, found.rotations, found.translations, start=found.equilibrium)
     assert np.linalg.norm(again.tip_position - goal.tip_position) < 1e-8
 
 
@@ -348,7 +348,7 @@ def test_motion_along_the_arm_is_that_of_differences() -> None:
         ends = []
         for side in (1, -1):
             change = side * step * np.eye(6)[joint]
-            e = forward_kinematics(ROBOT, TURNED + change[:3], BETA + change[3:], guess=here, tolerance=1e-10)
+            e = forward_kinematics(ROBOT, TURNED + change[:3], BETA + change[3:], start=here, tolerance=1e-10)
             s, first = np.unique(e.arc_length, return_index=True)
             ends.append((CubicHermiteSpline(s, e.position[first], e.frame[first][:, :, 2])(place), e.tip_position))
         inside, tip = ((a - b) / (2 * step) for a, b in zip(*ends, strict=True))

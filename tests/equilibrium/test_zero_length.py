@@ -131,10 +131,10 @@ def test_natural_twist_behind_the_plate_turns_a_tube_that_ends_there() -> None:
 @pytest.mark.parametrize("name", ["thesis_ctr", "two_tube", "thesis_etr", "example_pieces"])
 def test_a_branch_goes_out_from_the_plate_and_back(name: str) -> None:
     at = withdrawn(name, turn=2.5)
-    out = forward_kinematics(at.robot, at.rotations, at.translations + 0.02, guess=at)
+    out = forward_kinematics(at.robot, at.rotations, at.translations + 0.02, start=at)
     cold = forward_kinematics(at.robot, at.rotations, at.translations + 0.02)
     assert out.tip_position == pytest.approx(cold.tip_position, abs=1e-8)
-    back = forward_kinematics(at.robot, at.rotations, at.translations, guess=out)
+    back = forward_kinematics(at.robot, at.rotations, at.translations, start=out)
     assert back.tip_position == pytest.approx([0, 0, 0], abs=1e-15)
     assert verify_equilibrium(back).verification is not None
 
@@ -158,12 +158,12 @@ def test_a_servo_leaves_the_plate(name: str) -> None:
 def test_inverse_kinematics_starts_at_the_plate_and_goes_there() -> None:
     at = withdrawn("thesis_ctr")
     target = forward_kinematics(at.robot, [0.4, 0.2, 0.1], at.translations + 0.02).tip_position
-    found = inverse_kinematics(at.robot, target, seed=at, reachable=True)
+    found = inverse_kinematics(at.robot, target, start=at, reachable=True)
     assert found.equilibrium.tip_position == pytest.approx(target, abs=1e-6)
-    home = inverse_kinematics(at.robot, [0, 0, 0], seed=at)
+    home = inverse_kinematics(at.robot, [0, 0, 0], start=at)
     assert home.equilibrium.tip_position == pytest.approx([0, 0, 0], abs=1e-6)
     with pytest.raises(SolveError, match="5 mm short"):
-        inverse_kinematics(at.robot, [0, 0, -5e-3], seed=at)
+        inverse_kinematics(at.robot, [0, 0, -5e-3], start=at)
 
 
 def test_what_needs_an_arm_says_that_there_is_none(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def test_far_bodies_change_no_answer_of_a_session_and_cost_little() -> None:
     seed = IkSession(THESIS, min_margin=0.1).solve(targets[0])
     times, answers = [], []
     for bodies in ([], crowd(1000)):
-        session = IkSession(THESIS, min_margin=0.1, obstacles=bodies, seed=seed)
+        session = IkSession(THESIS, min_margin=0.1, obstacles=bodies, start=seed)
         session.solve(targets[0])
         took = []
         for target in targets[1:]:
@@ -197,7 +197,7 @@ def test_distances_change_with_the_joints_as_their_slopes_say() -> None:
             assert k != edge or closest.place[0] == arm.tube_end[1]
             told, by = at.contact_slopes(scene, closest)[0], 1e-5
             for j, unit in enumerate(np.eye(len(q)) * by):
-                beside = [forward_kinematics(THESIS, *space.split(q + s * unit), guess=arm) for s in (1, -1)]
+                beside = [forward_kinematics(THESIS, *space.split(q + s * unit), start=arm) for s in (1, -1)]
                 one, two = (least_near(e, scene.bodies[0], closest.place[0]) for e in beside)
                 assert (one - two) / (2 * by) == pytest.approx(told[j], abs=2e-3), (k, j)
 
@@ -226,7 +226,7 @@ def test_points_of_the_arm_move_with_the_joints_as_the_kernel_says(robot: Robot)
             turn = 1e-5 * np.eye(n)[i]
             arm = at.equilibrium
             one, two = (
-                forward_kinematics(robot, arm.rotations + s * turn, arm.translations, guess=arm).position
+                forward_kinematics(robot, arm.rotations + s * turn, arm.translations, start=arm).position
                 for s in (1, -1)
             )
             np.testing.assert_allclose((one - two) / 2e-5, told.along[..., i], atol=1e-7)

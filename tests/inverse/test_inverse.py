@@ -48,7 +48,7 @@ TARGET = np.array([50.0, 30.0, 150.0]) * MM
 def check_answer(answer: tubeopt.InverseSolution, robot: Robot, min_margin: float = 0.05) -> None:
     """What every answer promises, by forward kinematics from its joint values."""
     assert answer.reached
-    again = forward_kinematics(robot, answer.rotations, answer.translations, guess=answer.equilibrium)
+    again = forward_kinematics(robot, answer.rotations, answer.translations, start=answer.equilibrium)
     assert np.linalg.norm(again.tip_position - answer.target_position) <= 1e-7
     assert again.margin >= min_margin
     assert again.margin == pytest.approx(answer.margin, abs=1e-9)
@@ -91,7 +91,7 @@ def test_robots_of_all_kinds(seed: int) -> None:
 def test_several_segments_of_eccentric_tubes() -> None:
     home = forward_kinematics(SEGMENTED, np.radians([20, 50, -30, 80, 0, 10, -60, 15, 40.0]))
     answer = inverse_kinematics(SEGMENTED, home.tip_position, min_margin=0.1)
-    again = forward_kinematics(SEGMENTED, answer.rotations, answer.translations, guess=answer.equilibrium)
+    again = forward_kinematics(SEGMENTED, answer.rotations, answer.translations, start=answer.equilibrium)
     assert np.linalg.norm(again.tip_position - home.tip_position) <= 1e-7
     assert again.margin >= 0.1
 
@@ -111,7 +111,7 @@ def test_the_margin_is_never_below_its_bound(margin: float) -> None:
     found = 0
     for k, wanted in enumerate(reachable(CRL, 6, seed=5, margin=0.02)):
         try:
-            answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, seed=wanted if k % 2 else None)
+            answer = inverse_kinematics(CRL, wanted.tip_position, min_margin=margin, start=wanted if k % 2 else None)
         except SolveError:
             continue
         check_answer(answer, CRL, margin)
@@ -123,14 +123,14 @@ def test_a_target_whose_nearest_posture_is_unstable() -> None:
     """The tip of the unstable equilibrium of opposed tubes: the answer is another, stable posture."""
     saddle = min(tubeopt.find_equilibria(THESIS, np.radians([200, 0, 0])), key=lambda e: e.margin)
     assert saddle.margin < 0
-    answer = inverse_kinematics(THESIS, saddle.tip_position, seed=(saddle.rotations, saddle.translations))
+    answer = inverse_kinematics(THESIS, saddle.tip_position, start=(saddle.rotations, saddle.translations))
     check_answer(answer, THESIS)
 
 
 class TestSeed:
     def test_a_seed_on_target_is_the_answer(self) -> None:
         first = inverse_kinematics(THESIS, TARGET)
-        again = inverse_kinematics(THESIS, TARGET, seed=first)
+        again = inverse_kinematics(THESIS, TARGET, start=first)
         np.testing.assert_allclose(again.rotations, first.rotations, atol=1e-6)
         assert again.statistics.start == "seed"
         assert again.straight_from_seed
@@ -138,7 +138,7 @@ class TestSeed:
     def test_a_small_step_stays_on_the_branch_and_close(self) -> None:
         seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
         target = seed.tip_position + np.array([3e-4, -2e-4, 1e-4])
-        answer = inverse_kinematics(THESIS, target, seed=seed)
+        answer = inverse_kinematics(THESIS, target, start=seed)
         check_answer(answer, THESIS)
         assert answer.straight_from_seed
         assert np.abs(answer.rotations - seed.rotations).max() < 0.1
@@ -174,7 +174,7 @@ class TestSeed:
 
         def cost(method: str, seed: tubeopt.InverseSolution | None) -> tuple[tubeopt.InverseSolution, float]:
             options = InverseOptions(method=method)
-            answer = inverse_kinematics(THESIS, TARGET, reference=reference, seed=seed, options=options)
+            answer = inverse_kinematics(THESIS, TARGET, reference=reference, start=seed, options=options)
             check_answer(answer, THESIS)
             q = np.concatenate([answer.rotations, answer.translations])
             return answer, float(np.sum(((q - centre) / scale) ** 2))
@@ -186,8 +186,8 @@ class TestSeed:
     def test_weights_say_what_moves(self) -> None:
         seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
         target = seed.tip_position + np.array([2e-3, 1e-3, 0.0])
-        still = inverse_kinematics(THESIS, target, seed=seed, weights=([1e3, 1.0, 1.0], [5.0, 5.0, 5.0]))
-        free = inverse_kinematics(THESIS, target, seed=seed, weights=([1.0, 1e3, 1.0], [5.0, 5.0, 5.0]))
+        still = inverse_kinematics(THESIS, target, start=seed, weights=([1e3, 1.0, 1.0], [5.0, 5.0, 5.0]))
+        free = inverse_kinematics(THESIS, target, start=seed, weights=([1.0, 1e3, 1.0], [5.0, 5.0, 5.0]))
         assert abs(still.rotations[0] - 0.4) < 0.1 * abs(free.rotations[0] - 0.4)
 
 
@@ -315,7 +315,7 @@ class TestOutOfReach:
         q = space.join(closest.rotations, closest.translations)
         for _ in range(200):
             near = space.nearest(q + random.choice([1e-3, 1e-2, 5e-2]) * random.normal(size=len(q)) * space.scale)
-            there = forward_kinematics(robot, *space.split(near), guess=closest.equilibrium)
+            there = forward_kinematics(robot, *space.split(near), start=closest.equilibrium)
             if there.margin < 0.05:
                 continue
             tried += 1
@@ -494,8 +494,8 @@ class TestInput:
             ({"direction": [0, 0, 0]}, r"direction is \(0, 0, 0\)"),
             ({"min_margin": 1.0}, "min_margin is 1; it must be at least 0 and less than 1"),
             ({"min_margin": -0.1}, "min_margin is -0.1"),
-            ({"seed": 3}, "seed is 3; it must be a pair"),
-            ({"seed": ([0, 0], None)}, "rotations of seed has 2 numbers"),
+            ({"start": 3}, "start is 3; it must be a pair"),
+            ({"start": ([0, 0], None)}, "rotations of start has 2 numbers"),
             ({"reference": ([0, 0, 0], [1, 1, 1])}, "moves it out of its carriage"),
             ({"robot": None}, "robot is None; it must be a robot"),
             ({"limits": 3}, "limits is 3; it must be a JointLimits"),
@@ -506,7 +506,7 @@ class TestInput:
             ({"weights": ([1, 1, -1], [1, 1, 1])}, "weights must be at least 0"),
             ({"on_failure": "ignore"}, "on_failure is 'ignore'; it must be one of raise, closest"),
             ({"limits": JointLimits(((0, 1),), ((0, 1),))}, "limits are given for 1 tubes; the robot has 3"),
-            ({"options": InverseOptions(objective="nearest")}, "neither reference nor seed is given"),
+            ({"options": InverseOptions(objective="nearest")}, "neither reference nor start is given"),
             ({"options": InverseOptions(direction_weight=1.0)}, "direction_weight is given without a direction"),
         ],
     )
@@ -569,7 +569,7 @@ class TestWays:
 
     def test_it_begins_at_the_seed(self) -> None:
         seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
-        answer = inverse_kinematics(THESIS, TARGET, seed=seed, reachable=True)
+        answer = inverse_kinematics(THESIS, TARGET, start=seed, reachable=True)
         assert answer.path is not None
         assert answer.path.origin == "seed"
         np.testing.assert_allclose(answer.path.translations[0], seed.translations, atol=1e-15)
@@ -604,7 +604,7 @@ def test_a_time_limit_ends_the_search() -> None:
     far = [0.0, 0.0, 2.0]
     inverse_kinematics(THESIS, forward_kinematics(THESIS, [0.3, 0.2, 0.1]).tip_position)  # the table is built
     with pytest.raises(SolveError, match=r"target not reached within 0\.001 s") as told:
-        inverse_kinematics(THESIS, far, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
+        inverse_kinematics(THESIS, far, start=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-3))
     assert told.value.solution.statistics.tries == 1
     assert told.value.solution.status is InverseStatus.TIMED_OUT
     # Without a single start in time, that is what is said, and not that there is no margin.

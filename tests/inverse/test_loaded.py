@@ -57,7 +57,7 @@ def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> 
     middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
     ball = Sphere(middle + np.array([0.0, 0.004, 0.0]), 0.002)
     options = InverseOptions(clearance=1e-3, solver=InverseSolver(starts=Starts(compared=1)))
-    kept = inverse_kinematics(THESIS, TARGET, seed=free, load=LOAD, obstacles=[ball], options=options)
+    kept = inverse_kinematics(THESIS, TARGET, start=free, load=LOAD, obstacles=[ball], options=options)
     assert kept.clearance >= 1e-3
     assert np.allclose(kept.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)
 

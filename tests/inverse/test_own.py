@@ -56,9 +56,9 @@ class Turning(CustomRequirement):
 def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
     target = forward_kinematics(THESIS, *SEED).tip_position
     weights = ([1.0] * 3, [SHARE] * 3)
-    built_in = inverse_kinematics(THESIS, target, seed=SEED, reference=REFERENCE, weights=weights)
+    built_in = inverse_kinematics(THESIS, target, start=SEED, reference=REFERENCE, weights=weights)
     nothing = ([1e-7] * 3, [1e-7] * 3)
-    own = inverse_kinematics(THESIS, target, seed=SEED, weights=nothing, options=InverseOptions(extra_cost=Close()))
+    own = inverse_kinematics(THESIS, target, start=SEED, weights=nothing, options=InverseOptions(extra_cost=Close()))
     assert own.position_error < 1e-8
     gaps = [
         np.append(one.rotations - REFERENCE[0], SHARE * (one.translations - REFERENCE[1])) for one in (built_in, own)
@@ -70,15 +70,15 @@ def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
 
 def test_own_constraint_is_kept_in_every_answer() -> None:
     start = forward_kinematics(THESIS, *SEED)
-    without = inverse_kinematics(THESIS, start.tip_position, seed=SEED)
+    without = inverse_kinematics(THESIS, start.tip_position, start=SEED)
     options = InverseOptions(extra_constraints=(Aside(0.0105),), solver=InverseSolver(starts=Starts(compared=1)))
-    answer = inverse_kinematics(THESIS, start.tip_position, seed=SEED, options=options)
+    answer = inverse_kinematics(THESIS, start.tip_position, start=SEED, options=options)
     places = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
     assert places[0] < 0.009
     assert places[1] >= 0.0105
     assert answer.reached
     assert "place of the middle" in answer.active
-    session = IkSession(THESIS, seed=answer, options=options)
+    session = IkSession(THESIS, start=answer, options=options)
     for step in range(3):
         moved = session.solve(answer.target_position + (step + 1) * np.array([2e-4, 0.0, 0.0]))
         assert point_at(moved.equilibrium, moved.equilibrium.arc_length[-1] / 2)[0][0] >= 0.0105
@@ -95,4 +95,4 @@ def test_what_makes_no_sense_is_refused() -> None:
             inverse_kinematics(THESIS, (0.0, 0.0, 0.2), options=InverseOptions(**options))
     target = forward_kinematics(THESIS, *SEED).tip_position
     with pytest.raises(InputError, match="the turning of a pose is available in designs only"):
-        inverse_kinematics(THESIS, target, seed=SEED, options=InverseOptions(extra_constraints=(Turning(),)))
+        inverse_kinematics(THESIS, target, start=SEED, options=InverseOptions(extra_constraints=(Turning(),)))

@@ -57,7 +57,7 @@ def test_a_path_without_a_jump(robot: Robot, targets: Array) -> None:
 
 def test_directions_are_followed() -> None:
     seed = forward_kinematics(CRL, [0.3, -0.4, 0.8], [0.05, -0.02, -0.04])
-    session = IkSession(CRL, seed=seed)
+    session = IkSession(CRL, start=seed)
     for k in range(1, 16):
         target = seed.tip_position + k * np.array([2e-4, -1e-4, 1e-4])
         answer = session.solve(target, direction=seed.tip_rotation[:, 2])
@@ -69,7 +69,7 @@ def test_what_the_target_leaves_free_goes_to_the_margin() -> None:
     """Back and forth between two targets, the margin grows."""
     seed = forward_kinematics(CRL, np.radians([-129.0, -335.0, 116.0]), [0.107, 0.015, -0.004])
     assert seed.margin < 0.9
-    session = IkSession(CRL, seed=seed)
+    session = IkSession(CRL, start=seed)
     margins = []
     for k in range(60):
         margins.append(session.solve(seed.tip_position + (k % 2) * np.array([5e-4, 0.0, 0.0])).margin)
@@ -78,8 +78,8 @@ def test_what_the_target_leaves_free_goes_to_the_margin() -> None:
 
 def test_a_far_target_is_approached_on_the_branch() -> None:
     seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
-    far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], guess=seed).tip_position
-    answer = IkSession(THESIS, seed=seed).solve(far)
+    far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], start=seed).tip_position
+    answer = IkSession(THESIS, start=seed).solve(far)
     assert answer.position_error <= 1e-7
     assert answer.margin >= 0.05
 
@@ -97,7 +97,7 @@ def test_obstacles_are_kept_clear_of() -> None:
 
 def test_a_target_out_of_reach_leaves_it_where_it_was() -> None:
     robot = eccentric_robot()
-    session = IkSession(robot, seed=forward_kinematics(robot, [0.0, 0.5, -0.5], np.full(3, -0.01)))
+    session = IkSession(robot, start=forward_kinematics(robot, [0.0, 0.5, -0.5], np.full(3, -0.01)))
     first = session.solve([0.0, -0.02, 0.078])
     # Straight up is as close as 94 mm of arm get, though the search ended at a part of the way.
     with pytest.raises(SolveError, match=r"cannot be reached from here: 1\d* mm short"):
@@ -118,7 +118,7 @@ def tips_between(robot: Robot, before: tubeopt.InverseSolution, after: tubeopt.I
 
 
 def test_a_time_limit_ends_a_step() -> None:
-    session = IkSession(THESIS, seed=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-9))
+    session = IkSession(THESIS, start=([0.0, 0.0, 0.0], None), options=InverseOptions(time_limit=1e-9))
     with pytest.raises(SolveError, match="the time limit was reached before the target"):
         session.solve([0.05, 0.03, 0.15])
 
@@ -161,8 +161,8 @@ def test_branch_jump_is_reported() -> None:
 
 def test_the_way_to_a_far_target_is_given() -> None:
     seed = forward_kinematics(THESIS, [0.4, 1.0, -0.5], [-0.01, -0.02, -0.015])
-    far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], guess=seed).tip_position
-    answer = IkSession(THESIS, seed=seed).solve(far)
+    far = forward_kinematics(THESIS, [0.8, 1.3, -0.2], [-0.02, -0.03, -0.025], start=seed).tip_position
+    answer = IkSession(THESIS, start=seed).solve(far)
     assert answer.path is not None
     np.testing.assert_allclose(answer.path.rotations[0], seed.rotations, atol=1e-15)
     path = tubeopt.follow(THESIS, answer.path.rotations, answer.path.translations, start=seed)
@@ -173,14 +173,14 @@ def test_the_way_to_a_far_target_is_given() -> None:
 
 
 def test_seeds_that_are_not_allowed_are_refused() -> None:
-    with pytest.raises(InputError, match=r"seed is out of range: rotation of tube 1 is 515\.662 deg"):
-        IkSession(THESIS, seed=([9.0, 0.0, 0.0], None))
+    with pytest.raises(InputError, match=r"start is out of range: rotation of tube 1 is 515\.662 deg"):
+        IkSession(THESIS, start=([9.0, 0.0, 0.0], None))
     weak = forward_kinematics(
-        THESIS, np.radians([212.0, 0, 0]), guess=forward_kinematics(THESIS, np.radians([200.0, 0, 0]))
+        THESIS, np.radians([212.0, 0, 0]), start=forward_kinematics(THESIS, np.radians([200.0, 0, 0]))
     )
     least = min(e.margin for e in tubeopt.find_equilibria(THESIS, np.radians([212.0, 0, 0])) if e.stable)
     if weak.margin == pytest.approx(least):
         with pytest.raises(InputError, match="it must have more than min_margin"):
-            IkSession(THESIS, seed=weak, min_margin=0.9)
+            IkSession(THESIS, start=weak, min_margin=0.9)
     with pytest.raises(InputError, match="position has 2 numbers"):
         IkSession(THESIS).solve([0.0, 1.0])

@@ -59,7 +59,7 @@ def test_a_way_from_a_seed_is_one_that_find_snap_finds_free(
     """Straight where the tubes are turned little against each other, around where they oppose each other."""
     target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, relative - 0.2], (-0.01, -0.01)).tip_position
     seed = (np.array([0.0, relative]), np.array(shift))
-    found = tubeopt.inverse_kinematics(TWO_TUBE, target, seed=seed, reachable=True)
+    found = tubeopt.inverse_kinematics(TWO_TUBE, target, start=seed, reachable=True)
     assert found.reached
     assert found.straight_from_seed == straight
     if straight:
@@ -106,10 +106,10 @@ def test_reach_from_a_start_with_carriages_apart() -> None:
             lambda q: tubeopt.plan_trajectory(TWO_TUBE, tubeopt.forward_kinematics(TWO_TUBE, *q), ([0, 1], None)),
         ),
         ("goal", lambda q: tubeopt.plan_trajectory(TWO_TUBE, ([0.4, 0], None), q)),
-        ("seed", lambda q: tubeopt.inverse_kinematics(TWO_TUBE, [0, -0.02, 0.09], seed=q)),
+        ("start", lambda q: tubeopt.inverse_kinematics(TWO_TUBE, [0, -0.02, 0.09], start=q)),
         ("reference", lambda q: tubeopt.inverse_kinematics(TWO_TUBE, [0, -0.02, 0.09], reference=q)),
-        ("seed", lambda q: tubeopt.IkSession(TWO_TUBE, seed=q)),
-        ("seed", lambda q: Servo(TWO_TUBE, q)),
+        ("start", lambda q: tubeopt.IkSession(TWO_TUBE, start=q)),
+        ("start", lambda q: Servo(TWO_TUBE, q)),
         ("joints", lambda q: Servo(TWO_TUBE, ([0, 0], None)).step(Command(joints=q), 1e-3)),
         ("goal", lambda q: tubeopt.follow_the_leader(TWO_TUBE, q)),
         ("start", lambda q: tubeopt.follow_tip_path(TWO_TUBE, [[0, -0.02, 0.09], [0, -0.02, 0.08]], start=q)),
@@ -127,7 +127,7 @@ def test_joint_values_out_of_order_are_refused_where_they_enter(name: str, enter
 def test_a_servo_in_c_takes_no_seed_and_no_joints_that_it_cannot_keep() -> None:
     library = c_library(TWO_TUBE)
     with pytest.raises(
-        InputError, match="translations of seed of tubes 1 and 2 are -20 mm and -5 mm: tube 1 would end"
+        InputError, match="translations of start of tubes 1 and 2 are -20 mm and -5 mm: tube 1 would end"
     ):
         CServo(library, ([0.0, 0.0], APART))
     servo = CServo(library, ([0.0, 0.0], (-0.02, -0.02)))
@@ -144,7 +144,7 @@ def test_a_roadmap_in_which_carriages_are_one_is_refused_where_they_are_apart() 
 def test_weights_are_one_per_tube_where_carriages_are_one_joint() -> None:
     target = tubeopt.forward_kinematics(TWO_TUBE, [0.0, 1.0]).tip_position
     weights = ([1.0, 1.0], [20.0, 20.0])
-    assert tubeopt.inverse_kinematics(TWO_TUBE, target, seed=([0, 0.5], None), weights=weights).reached
+    assert tubeopt.inverse_kinematics(TWO_TUBE, target, start=([0, 0.5], None), weights=weights).reached
 
 
 def test_tubes_of_one_segment_have_one_carriage() -> None:
@@ -186,7 +186,7 @@ def test_targets_are_reached_as_soon_by_tubes_of_nearly_equal_length(eps: float)
     assert np.ptp(few[:, 2]) > 0.05  # the starts are spread over all insertions, however little the play
     for k in range(4):
         pose = tubeopt.forward_kinematics(robot, *space.split(few[k]))
-        found = tubeopt.inverse_kinematics(robot, pose.tip_position, seed=space.split(few[12 + k]), min_margin=0.0)
+        found = tubeopt.inverse_kinematics(robot, pose.tip_position, start=space.split(few[12 + k]), min_margin=0.0)
         assert found.reached
         assert space.outside(space.join(found.rotations, found.translations)) == ""
         assert found.statistics.solves < 400

@@ -68,7 +68,7 @@ def sampled(arms: list[PlacedRobot], motions: list[Motion], count: int) -> float
     for t in np.linspace(0, end, count):
         shapes = []
         for k, (arm, motion) in enumerate(zip(arms, motions, strict=True)):
-            near[k] = tubeopt.forward_kinematics(arm.robot, *motion.joints(float(t)), guess=near[k])
+            near[k] = tubeopt.forward_kinematics(arm.robot, *motion.joints(float(t)), start=near[k])
             shapes.append(surface_points(near[k], arm.base))
         least = min(least, gap(*shapes))
     return least
@@ -105,7 +105,7 @@ def moments(plan: arms_plan.ArmsPlan, arms: list[PlacedRobot], count: int) -> It
         for k, moved in enumerate(plan.trajectories):
             table = np.concatenate([moved.rotations, moved.translations], axis=1)
             q = np.array([np.interp(t, moved.time, column) for column in table.T])
-            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], guess=near[k])
+            near[k] = tubeopt.forward_kinematics(ROBOT, q[:3], q[3:], start=near[k])
         yield [surface_points(each, arm.base) for each, arm in zip(near, arms, strict=True)]
 
 

@@ -86,7 +86,7 @@ def test_tubes_that_vary_are_planned_for() -> None:
     assert plan.proved
     assert plan.proof.measured_clearance - 2e-5 < plan.proof.least_clearance
     for k in range(0, len(plan.time), 20):
-        e = forward_kinematics(robot, plan.rotations[k], plan.translations[k], guess=plan.start, verify=True)
+        e = forward_kinematics(robot, plan.rotations[k], plan.translations[k], start=plan.start, verify=True)
         assert e.verification is not None
         assert e.verification.tip_position < 1e-9
         near = np.linalg.norm(e.position - ball.centre, axis=1) - ball.radius

@@ -155,7 +155,7 @@ def test_obstacles_are_kept_clear_of_by_the_surface() -> None:
     assert plan.proof.holds
     here, least = start, np.inf
     for alpha, shift in zip(plan.rotations, plan.translations, strict=True):
-        here = forward_kinematics(THESIS, alpha, shift, guess=here)
+        here = forward_kinematics(THESIS, alpha, shift, start=here)
         s = np.linspace(0, here.arc_length[-1], 500)
         line = np.column_stack([np.interp(s, here.arc_length, here.position[:, k]) for k in range(3)])
         radius = np.select([s <= end for end in here.tube_end[::-1]], [7e-4, 6e-4, 5e-4])
@@ -224,7 +224,7 @@ def test_other_postures_are_tried_where_the_nearest_is_cut_off(monkeypatch: pyte
     monkeypatch.setattr(plan, "find_way", nearest_cut_off)
     monkeypatch.setattr("tubeopt.planning.goals.InverseOptions", partial(InverseOptions, starts=6))
     found = plan_trajectory(THESIS, HOME, there.tip_position, options=PlanOptions(objective="none"))
-    first = inverse_kinematics(THESIS, there.tip_position, seed=forward_kinematics(THESIS, *HOME))
+    first = inverse_kinematics(THESIS, there.tip_position, start=forward_kinematics(THESIS, *HOME))
     np.testing.assert_allclose(found.tip_position[-1], there.tip_position, atol=1e-6)
     assert np.abs(found.rotations[-1] - first.rotations).max() > 0.1
     assert found.proof.holds

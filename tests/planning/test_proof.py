@@ -14,7 +14,6 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, 
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
-from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning.branch import branch
 from tubeopt.planning.cross_sections import Constants
@@ -36,7 +35,7 @@ FROM, TO = ([0.0, 0.3, -0.2], [-0.02, -0.02, -0.01]), ([0.5, 0.5, 0.0], [-0.015,
 def between(robot: Robot, one: Equilibrium, other: Equilibrium, share: float) -> Equilibrium:
     alpha = (1 - share) * one.rotations + share * other.rotations
     shift = (1 - share) * one.translations + share * other.translations
-    return forward_kinematics(robot, alpha, shift, guess=one)
+    return forward_kinematics(robot, alpha, shift, start=one)
 
 
 def surface(e: Equilibrium, step: float) -> tuple[Array, Array]:
@@ -193,7 +192,7 @@ def test_the_least_margin_is_that_of_all_times() -> None:
     dense = [forward_kinematics(THESIS, table[0])]
     for a, b in pairwise(table):
         for share in np.linspace(0, 1, 300)[1:]:
-            dense.append(forward_kinematics(THESIS, a + share * (b - a), guess=dense[-1]))
+            dense.append(forward_kinematics(THESIS, a + share * (b - a), start=dense[-1]))
     assert proof.least_margin == pytest.approx(min(e.margin for e in dense), abs=1e-6)
 
 
@@ -215,7 +214,7 @@ def test_equilibria_are_as_close_as_asked_for() -> None:
 
 def test_what_is_not_shown_in_time_is_a_fault() -> None:
     table = np.linspace(0, 3, 200)[:, None] * [1.0, 0.2, 0.1]
-    proof = verify_trajectory(THESIS, np.arange(200.0), table, clock=Clock(1e-6))
+    proof = verify_trajectory(THESIS, np.arange(200.0), table, time_limit=1e-6)
     assert any("the time limit was reached" in fault for fault in proof.faults)
     assert proof.open
 

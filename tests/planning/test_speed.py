@@ -74,10 +74,10 @@ def test_second_and_third_derivatives_of_the_tip_are_bounded(
 def test_the_speed_of_a_wound_tip_is_no_mean_between_equilibria() -> None:
     """The inner tube from 0 to 214 deg: chords between equilibria give 116.3 mm/s, J q' 132.9 mm/s."""
     last = np.radians([214, 0, 0])
-    near = [forward_kinematics(THESIS, last * x, guess=None) for x in (0.0,)]
+    near = [forward_kinematics(THESIS, last * x, start=None) for x in (0.0,)]
     for x in np.append(np.linspace(0.02, 0.98, 49), 1 - np.logspace(-2, -5, 7)):
-        near.append(forward_kinematics(THESIS, last * x, guess=near[-1]))
-    jacobian = forward_kinematics(THESIS, last, guess=near[-1]).jacobian().position
+        near.append(forward_kinematics(THESIS, last * x, start=near[-1]))
+    jacobian = forward_kinematics(THESIS, last, start=near[-1]).jacobian().position
     fastest = float(np.linalg.norm(jacobian[:, 0])) * last[0] / 10
     proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last])
     assert 0.13 < fastest <= proof.largest_tip_rate <= 1.03 * fastest

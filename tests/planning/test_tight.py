@@ -116,7 +116,7 @@ def test_goals_of_barely_enough_margin_are_planned_to() -> None:
     found = (forward_kinematics(THESIS, *space.split(q)) for q in space.sample(60))
     goal = next(e for e in found if 0.3 < e.margin < 0.8)
     around = (goal.rotations + 0.2 * random.normal(size=3) for _ in range(100))
-    near = (forward_kinematics(THESIS, each, goal.translations, guess=goal) for each in around)
+    near = (forward_kinematics(THESIS, each, goal.translations, start=goal) for each in around)
     start = next(e for e in near if e.margin > goal.margin + 0.02)
     options = PlanOptions(objective="none", time_limit=20.0)
     plan = plan_trajectory(THESIS, start, goal, min_margin=goal.margin - 1e-5, options=options)
@@ -182,12 +182,12 @@ def test_the_arm_between_points_of_the_chart_is_the_arm() -> None:
 
 def test_a_proof_that_is_out_of_time_says_so() -> None:
     t, ways = np.linspace(0, 10, 50), np.linspace(0, 1, 50)[:, None] * [2.0, 1.0, 0.0]
-    proof = verify_trajectory(THESIS, t, ways, clock=Clock(1e-3))
+    proof = verify_trajectory(THESIS, t, ways, time_limit=1e-3)
     assert not proof.holds
     assert proof.open
     assert 0 < proof.followed < 1 or proof.followed == 0
     assert "not proved: the time limit was reached" in proof.faults[0]
-    assert verify_trajectory(THESIS, t, ways, clock=Clock(60.0)).holds
+    assert verify_trajectory(THESIS, t, ways, time_limit=60.0).holds
 
 
 def unproved(*arguments: Any) -> object:
@@ -257,7 +257,7 @@ def test_short_time_limits_bound_what_slow_robots_do(kind: str) -> None:
         lambda: plan_trajectory(robot, start, (goal.rotations, goal.translations), obstacles=[body], options=plan),
         lambda: plan_trajectory(robot, start, goal.tip_position, options=plan),
         lambda: follow_the_leader(robot, goal, options=plan),
-        lambda: inverse_kinematics(robot, goal.tip_position, seed=start, obstacles=[body], options=ik),
+        lambda: inverse_kinematics(robot, goal.tip_position, start=start, obstacles=[body], options=ik),
         lambda: inverse_kinematics(robot, goal.tip_position, all_solutions=True, options=ik),
         lambda: inverse_kinematics(robot, 3 * goal.tip_position, reachable=True, options=ik),
     ):

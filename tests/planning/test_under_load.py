@@ -58,7 +58,7 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
     chain = [forward_kinematics(robot, begin[:n], begin[n:], load=load)]
     for x in np.arange(1, 2 * count + 1) / (2 * count):
         joints = begin + x * (end - begin)
-        chain.append(forward_kinematics(robot, joints[:n], joints[n:], load=load, guess=chain[-1]))
+        chain.append(forward_kinematics(robot, joints[:n], joints[n:], load=load, start=chain[-1]))
     intervals, margins = intervals_of(chain[::2], load)
     found = loaded_branch(intervals, margins)
     assert found.unbroken.all()
@@ -82,7 +82,7 @@ def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load
     for part in (1.0, 0.5):
         chain = [forward_kinematics(THESIS, *np.split(begin, 2), load=load)]
         for x in np.linspace(0, part, 9)[1:]:
-            chain.append(forward_kinematics(THESIS, *np.split(begin + x * step, 2), load=load, guess=chain[-1]))
+            chain.append(forward_kinematics(THESIS, *np.split(begin + x * step, 2), load=load, start=chain[-1]))
         intervals, margins = intervals_of([chain[0], chain[-1]], load)
         bounds = _Bounds(intervals)
         _, convex, kept = bounds.ball(margins[:1])
@@ -230,7 +230,7 @@ def test_two_branches_at_one_place_are_not_joined() -> None:
     assert snap is not None
     way = [np.zeros(3), snap.rotations - [2e-3, 0, 0]]
     on = follow(THESIS, way, [HOME, HOME], load=SIDEWAYS).equilibria[-1]
-    landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=SIDEWAYS, guess=snap.after)
+    landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=SIDEWAYS, start=snap.after)
     intervals, margins = intervals_of([on, landed], SIDEWAYS)
     assert margins.min() > 0
     assert not loaded_branch(intervals, margins).unbroken.any()
@@ -269,7 +269,7 @@ def test_the_clearance_is_that_of_the_loaded_arm() -> None:
     proof = verify_trajectory(THESIS, [0, 5], joints[:, :3], joints[:, 3:], load=load, obstacles=[body])
     here, least = forward_kinematics(THESIS, joints[0, :3], joints[0, 3:], load=load), np.inf
     for x in np.linspace(0, 1, 61):
-        here = forward_kinematics(THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, guess=here)
+        here = forward_kinematics(THESIS, *np.split(joints[0] + x * (joints[1] - joints[0]), 2), load=load, start=here)
         least = min(least, ArmSurface(here).clearance(scene_of([body])))
     assert proof.holds
     assert least - 3e-5 <= proof.least_clearance <= least

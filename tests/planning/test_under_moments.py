@@ -158,7 +158,7 @@ def test_two_branches_under_a_moment_are_not_joined() -> None:
     snap = find_snap(THESIS, (ends[0], HOME), (ends[1], HOME), load=load)
     assert snap is not None
     on = follow(THESIS, [ends[0], snap.rotations - [2e-3, 0, 0]], [HOME, HOME], load=load).equilibria[-1]
-    landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=load, guess=snap.after)
+    landed = forward_kinematics(THESIS, snap.rotations - [1e-3, 0, 0], HOME, load=load, start=snap.after)
     sure = np.array([sure_margin(e) for e in (on, landed)])
     assert not loaded_branch(intervals_of(on, landed), np.maximum(sure, 0.01)).unbroken.any()
     proof = verify_trajectory(THESIS, [0, 1], ends, load=load)
@@ -184,7 +184,7 @@ def test_a_motion_under_moments_is_proved_and_followed_densely(load: Load) -> No
     here = forward_kinematics(THESIS, begin[:3], begin[3:], load=load)
     tips = []
     for x in np.linspace(0, 1, 41):
-        here = forward_kinematics(THESIS, *np.split(begin + x * (end - begin), 2), load=load, guess=here)
+        here = forward_kinematics(THESIS, *np.split(begin + x * (end - begin), 2), load=load, start=here)
         assert here.margin >= proof.least_margin - 1e-7
         tips.append(here.tip_position)
     assert 40 * np.linalg.norm(np.diff(tips, axis=0), axis=1).max() <= proof.largest_tip_rate

@@ -21,7 +21,7 @@ def test_fk_is_forward_kinematics() -> None:
         assert np.array_equal(pose.tip_position, expected.tip_position)
     home = ROBOT.fk([0, 1, 2])
     assert home.tip_position * 1e3 == pytest.approx([72.83688204, -41.40882527, 169.68901052], abs=1e-6)
-    assert ROBOT.fk([0.1, 1, 2], guess=home).stable
+    assert ROBOT.fk([0.1, 1, 2], start=home).stable
 
 
 def test_the_pose_of_the_tip_is_a_rigid_motion() -> None:

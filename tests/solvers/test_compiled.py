@@ -58,7 +58,7 @@ def general_solver() -> Iterator[None]:
 
 def general(robot: Robot, *joints: Array, guess: Equilibrium | None = None) -> Equilibrium:
     with general_solver():
-        return forward_kinematics(robot, *joints, guess=guess)
+        return forward_kinematics(robot, *joints, start=guess)
 
 
 def check_same(one: Equilibrium, other: Equilibrium) -> None:
@@ -105,7 +105,7 @@ def test_random_concentric_robots(n: int) -> None:
         one = forward_kinematics(robot, alpha, shift)
         check_same(one, general(robot, alpha, shift))
         turn, push = random.uniform(-0.05, 0.05, n), random.uniform(-1e-3, 0.0, n)
-        there = forward_kinematics(robot, alpha + turn, shift + push, guess=one)
+        there = forward_kinematics(robot, alpha + turn, shift + push, start=one)
         check_same(there, general(robot, alpha + turn, shift + push, guess=one))
 
 
@@ -357,11 +357,11 @@ def test_loaded_equilibria_are_those_of_the_general_solver(load: Load) -> None:
         alpha, shift = random.uniform(-2, 2, 3), random.uniform([-0.03, -0.02, -0.01], 0.0)
         turned = alpha + random.uniform(-0.1, 0.1, 3)
         one = forward_kinematics(THESIS, alpha, shift, load=load)
-        warm = forward_kinematics(THESIS, turned, shift, load=load, guess=one)
+        warm = forward_kinematics(THESIS, turned, shift, load=load, start=one)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(compiled, "solve_loaded_compiled", lambda *_: None)
             check_same_loaded(one, forward_kinematics(THESIS, alpha, shift, load=load))
-            check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, guess=one))
+            check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, start=one))
 
 
 @compiler
@@ -431,7 +431,7 @@ def test_every_translation_has_the_derivative_of_its_own_side_where_breakpoints_
 @compiler
 def test_derivatives_of_what_was_solved_last_do_not_solve_again(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
-    at = forward_kinematics(THESIS, [0.01, 1.0, 2.0], [-0.05, -0.03, -0.02], guess=seed)
+    at = forward_kinematics(THESIS, [0.01, 1.0, 2.0], [-0.05, -0.03, -0.02], start=seed)
     monkeypatch.setattr(binding, "solve_compiled", lambda *_: pytest.fail("solved once more"))
     arm = at.arc_length, at.rotation, at.torsion, at.point, at.point_rotation
     start = binding.Start(*arm, np.zeros(3), at.translations)

@@ -74,7 +74,7 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     for _ in range(20):
         noisy = [(s, p + noise * random.normal(size=3)) for s, p in points]
         at = tip + noise * random.normal(size=3)
-        found = estimate_force(THESIS, ROTATIONS, tip_position=at, points=noisy, noise=noise, guess=guess)
+        found = estimate_force(THESIS, ROTATIONS, tip_position=at, points=noisy, noise=noise, start=guess)
         guess = found.equilibrium
         error = found.force - force
         distances.append(float(error @ np.linalg.solve(found.covariance, error)))

@@ -84,7 +84,7 @@ def serve(study: ServeEntry, output: Output) -> None:
             "speed_mm_per_s", "turn_rate_deg_per_s", "shift_rate_mm_per_s", "min_margin", "clearance_mm", "objective"
         )
     )
-    with said_of(seed=("--rotations-deg", "--translations-mm")):
+    with said_of(start=("--rotations-deg", "--translations-mm")):
         servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=study.si("watchdog_s")),

@@ -214,11 +214,11 @@ class CRobot:
 
 
 def servo_of(
-    robot: Robot, seed: Configuration, *, obstacles: Sequence[Obstacle] = (), options: ServoOptions | None = None
+    robot: Robot, start: Configuration, *, obstacles: Sequence[Obstacle] = (), options: ServoOptions | None = None
 ) -> Servo | CServo:
     """The fastest servo that there is: that of the robot's C library, a tenth of a millisecond per step, or, where the
     library cannot do what is asked or cannot be made here, `Servo`, with its errors."""
-    servo = Servo(robot, seed, obstacles=obstacles, options=options)
+    servo = Servo(robot, start, obstacles=obstacles, options=options)
     if obstacles:
         return servo
     here = servo.equilibrium
@@ -234,13 +234,13 @@ class CServo:
 
     Raises:
         InputError: options that only the servo in Python has: bodies' clearance, priorities, an objective other than
-            the margin. A seed outside the limits or the order of the tubes, or with carriages apart that lengths leave
+            the margin. A start outside the limits or the order of the tubes, or with carriages apart that lengths leave
             no play.
-        SolveError: the library finds no stable equilibrium at the seed from tubes without torsion.
+        SolveError: the library finds no stable equilibrium at the start from tubes without torsion.
     """
 
     def __init__(
-        self, library: CLibrary, seed: tuple[ArrayLike, ArrayLike], options: ServoOptions | None = None
+        self, library: CLibrary, start: tuple[ArrayLike, ArrayLike], options: ServoOptions | None = None
     ) -> None:
         self.options = options or ServoOptions()
         o = self.options
@@ -250,9 +250,9 @@ class CServo:
             )
         self.space = joint_space(library.robot)
         self._robot = CRobot(library)
-        if words := self.space.outside(configuration(self.space, "seed", seed)):
-            raise InputError(f"seed is out of range: {words}")
-        self.equilibrium = self._before = self._robot.solve(*seed)
+        if words := self.space.outside(configuration(self.space, "start", start)):
+            raise InputError(f"start is out of range: {words}")
+        self.equilibrium = self._before = self._robot.solve(*start)
 
     @property
     def compliance(self) -> Array | None:

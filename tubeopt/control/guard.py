@@ -19,7 +19,7 @@ from ..errors import InputError, SolveError
 from ..inverse.configurations import Configuration, shift_of
 from ..inverse.goal import angle
 from ..inverse.joints import JointSpace, joint_space
-from ..inverse.posture import Posture, seed_posture
+from ..inverse.posture import Posture, start_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array
@@ -35,24 +35,24 @@ class Guard:
     def __init__(
         self,
         robot: Robot,
-        seed: Configuration,
+        start: Configuration,
         limits: JointLimits | None,
         obstacles: Sequence[Obstacle],
         options: ServoOptions,
     ) -> None:
         self.options = options
-        self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, seed))
+        self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
         self._lookout = Lookout(self.scene)
-        self.here = self.before = seed_posture(self.space, seed)
+        self.here = self.before = start_posture(self.space, start)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0
         """Distance (m) up to which bodies are looked at where a step leads: once for the guard and the next step."""
         if words := self.space.outside(self.here.q):
-            raise InputError(f"seed is out of range: {words}")
+            raise InputError(f"start is out of range: {words}")
         if self.here.margin < options.min_margin:
             raise InputError(
-                f"seed has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"
+                f"start has margin {self.here.margin:.3g}; it must be min_margin, {options.min_margin:g}, or more"
             )
 
     def go(self, change: Array, why: Why) -> tuple[Equilibrium, Why]:

@@ -33,7 +33,7 @@ class PredictiveServo:
     """Servo of one robot with look-ahead: it plans several knots to the target.
 
     Args:
-        seed, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective apply where a
+        start, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective apply where a
             single step suffices.
         knots: number of knots of the planned path.   solver: settings of the planner.
 
@@ -44,7 +44,7 @@ class PredictiveServo:
     def __init__(
         self,
         robot: Robot,
-        seed: Configuration,
+        start: Configuration,
         *,
         limits: JointLimits | None = None,
         obstacles: Sequence[Obstacle] = (),
@@ -56,7 +56,7 @@ class PredictiveServo:
             raise InputError(f"knots is {knots}; it must be at least 2")
         instance("solver", solver, HorizonSolver)
         self.options, self.solver = options or ServoOptions(), solver
-        self._servo = Servo(robot, seed, limits=limits, obstacles=obstacles, options=self.options)
+        self._servo = Servo(robot, start, limits=limits, obstacles=obstacles, options=self.options)
         self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
         self._floor = self.options.min_margin + solver.margin_room
@@ -168,7 +168,7 @@ class PredictiveServo:
                 self._guard.space.robot,
                 aim.position,
                 direction=aim.direction,
-                seed=self.equilibrium,
+                start=self.equilibrium,
                 min_margin=self._floor,
                 limits=self._limits,
                 obstacles=self._bodies,

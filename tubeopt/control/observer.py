@@ -206,7 +206,7 @@ class Observer:
         """The equilibrium of the robot of parameters, on the branch of the last one."""
         robot, turn, shift = self._robot(x), rotations + x[: self._n], tuple(translations.tolist())
         near = one_step(robot, self._arm, turn, shift)
-        return forward_kinematics(robot, turn, shift, guess=replace(self._arm, robot=robot)) if near is None else near
+        return forward_kinematics(robot, turn, shift, start=replace(self._arm, robot=robot)) if near is None else near
 
     def _slope(self, arm: Equilibrium) -> Array:
         """(3, 2n + 3) of the measured tip by the parameters."""

@@ -56,25 +56,25 @@ class Servo:
     """Servo of one robot: joint rates that move the tip to a commanded pose.
 
     Args:
-        seed: current configuration or equilibrium of the robot; the servo stays on its branch.
+        start: current configuration or equilibrium of the robot; the servo stays on its branch.
         limits, obstacles: as for `inverse_kinematics`.   options: see `ServoOptions`.
 
     Raises:
-        InputError: the seed is outside the limits, or its margin is below the smallest allowed one.
-        SolveError: no stable equilibrium is found at the seed.
+        InputError: the start is outside the limits, or its margin is below the smallest allowed one.
+        SolveError: no stable equilibrium is found at the start.
     """
 
     def __init__(
         self,
         robot: Robot,
-        seed: Configuration,
+        start: Configuration,
         *,
         limits: JointLimits | None = None,
         obstacles: Sequence[Obstacle] = (),
         options: ServoOptions | None = None,
     ) -> None:
         self.options = options or ServoOptions()
-        self.guard = Guard(robot, seed, limits, obstacles, self.options)
+        self.guard = Guard(robot, start, limits, obstacles, self.options)
         self.space = self.guard.space
         groups = [tuple(group.split("+")) for group in self.options.priorities]
         self._groups = groups if self.options.objective is None else [*groups, ()]

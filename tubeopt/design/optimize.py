@@ -139,7 +139,7 @@ def optimize_design(  # noqa: PLR0913
     workers: int = 1,
     turns: int = 6,
     progress: Progress | None = None,
-    begin: Attempt | None = None,
+    start: Attempt | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> DesignSolution:
     """The best robot that satisfies all requirements of a task, with its verification.
@@ -161,7 +161,7 @@ def optimize_design(  # noqa: PLR0913
         turns: random full turns back and forth per checked set of translations; no certified robot may snap on them.
         progress: called with the number of starts done and of all. If it has a method `iteration` and there is one
             worker, that is called with stage and measure after each iteration.
-        begin: an earlier result for a task with the same unknowns, used as the start.
+        start: an earlier result for a task with the same unknowns, used as the start.
         time_limit: maximum run time, s. The best design found by then is returned with the status
             `DesignStatus.STOPPED`; a fifth of the time is reserved for its checks.
 
@@ -195,7 +195,7 @@ def optimize_design(  # noqa: PLR0913
     if one is not None:
         return _bearing(task, one, search, turns, (began, share))
     with within(share):
-        found = search(task, begin=begin)
+        found = search(task, begin=start)
     try:
         return solution_of(task, found, turns, began)
     except LateError as late:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..errors import InputError, SolveError, finite
 from ..robots.concentric import ConcentricRobot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
@@ -59,13 +59,14 @@ def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float,
     return out
 
 
+@renamed(begin="start")
 @typed
 @limited
 def pareto_front(
     task: DesignTask,
     margins: Sequence[float],
     *,
-    begin: Attempt | None = None,
+    start: Attempt | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
@@ -74,7 +75,7 @@ def pareto_front(
 
     Args:
         margins: demanded of the certificate or in use; they are taken in order of size.
-        begin: an answer for the least of them, or near it.
+        start: an answer for the least of them, or near it.
         time_limit: s, on the clock, at which the front ends.
 
     Raises:
@@ -84,7 +85,7 @@ def pareto_front(
     """
     one = task.objectives[0]
     points: list[FrontPoint] = []
-    here = begin
+    here = start
     tasks = front_tasks(task, margins)
     for k, (margin, eased) in enumerate(tasks):
         if here is None:

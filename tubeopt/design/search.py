@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
@@ -194,13 +194,14 @@ class _Search:
                 u, before = found.x, float(found.fun)
 
 
+@renamed(seconds="time_limit")
 @typed
 @small
 def search_design(
     task: DesignTask,
     wanted: Wanted,
     *,
-    seconds: float = 180.0,
+    time_limit: float = 180.0,
     starts: int = 1,
     seed: int = 0,
     turns: int = 6,
@@ -214,7 +215,7 @@ def search_design(
     Args:
         task: free dimensions, and requirements on tubes and certificates; its objective is ignored.
         wanted: the goal, for example `tubeopt.planning.RegionReach`.
-        seconds: search time, s, from the first start that satisfies the requirements, shared by all starts.
+        time_limit: search time, s, from the first start that satisfies the requirements, shared by all starts.
         starts: number of starts: the dimensions of the task, then random ones.
         turns: as for `optimize_design`.   progress: called with the number of evaluated designs, and 0.
 
@@ -230,21 +231,23 @@ def search_design(
         >>> tip = tubeopt.forward_kinematics(robot, [0.0, 0.0]).tip_position
         >>> task = tubeopt.DesignTask(robot, free=[Free("curvature", (0,), 1.0, 20.0)], ordered=False)
         >>> wanted = tubeopt.RegionReach(([0.0, 0.0], None), [tip], count=10)
-        >>> tubeopt.search_design(task, wanted, seconds=10).after
+        >>> tubeopt.search_design(task, wanted, time_limit=10).after
         1.0
     """
-    limit = positive("seconds", seconds) + TIME_LIMIT
-    (solution,), told = without_derivatives((task,), wanted, (seconds, starts, seed, turns), progress, time_limit=limit)
+    limit = positive("time_limit", time_limit) + TIME_LIMIT
+    settings = (time_limit, starts, seed, turns)
+    (solution,), told = without_derivatives((task,), wanted, settings, progress, time_limit=limit)
     return SearchedDesign(*told, solution)
 
 
+@renamed(seconds="time_limit")
 @typed
 @small
 def search_pair(
     tasks: tuple[DesignTask, DesignTask],
     wanted: WantedOfPair,
     *,
-    seconds: float = 180.0,
+    time_limit: float = 180.0,
     starts: int = 1,
     seed: int = 0,
     turns: int = 6,
@@ -255,7 +258,7 @@ def search_pair(
     Args:
         tasks: as of `search_design`, one for each robot.
         wanted: as `tubeopt.planning.PairReach`.
-        seconds, starts, seed, turns, progress: as of `search_design`.
+        time_limit, starts, seed, turns, progress: as of `search_design`.
 
     Raises:
         InputError: not two tasks; tasks as `search_design` refuses them; numbers that make no sense.
@@ -272,14 +275,14 @@ def search_pair(
         ...     def __call__(self, one, other, own):
         ...         apart = abs(one.tubes[0].curvature - other.tubes[0].curvature) / 20
         ...         return apart, 1 - apart
-        >>> float(tubeopt.search_pair((task, task), Alike(), seconds=1).after)
+        >>> float(tubeopt.search_pair((task, task), Alike(), time_limit=1).after)
         1.0
     """
     if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
-    limit = positive("seconds", seconds) + TIME_LIMIT
+    limit = positive("time_limit", time_limit) + TIME_LIMIT
     (one, other), told = without_derivatives(
-        tuple(tasks), wanted, (seconds, starts, seed, turns), progress, time_limit=limit
+        tuple(tasks), wanted, (time_limit, starts, seed, turns), progress, time_limit=limit
     )
     return SearchedPair(*told, (one, other))
 

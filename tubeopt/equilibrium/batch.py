@@ -121,7 +121,7 @@ def forward_kinematics_batch(  # noqa: PLR0913
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> EquilibriumBatch:
-    """Equilibria of N configurations, each the one that `forward_kinematics` finds without a guess.
+    """Equilibria of N configurations, each the one that `forward_kinematics` finds without a start.
 
     The compiled kernel solves them where there is a C compiler; `forward_kinematics` solves the remaining ones.
 

@@ -87,7 +87,7 @@ class SegmentChain:
         apart = self.deviation(guess)[0]
         if apart > 1e-6:
             raise SolveError(f"the equivalent robot at d = 0 is on another branch, {1e3 * apart:.3g} mm away")
-        return forward_kinematics(self.robot, self.rotations, self.translations, guess=guess)
+        return forward_kinematics(self.robot, self.rotations, self.translations, start=guess)
 
     def deviation(self, equilibrium: Equilibrium) -> tuple[float, float]:
         """Distance (m) of the chain's tip from that of `equilibrium`, and the same as a part of the arm's length.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..block.transcription.arm import profile
 from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
@@ -46,6 +47,7 @@ KINEMATICS_LIMIT = 60.0
 Along = Callable[[Array], Array]
 
 
+@renamed(guess="start")
 @typed
 @limited
 def forward_kinematics(  # noqa: PLR0913
@@ -54,7 +56,7 @@ def forward_kinematics(  # noqa: PLR0913
     translations: ArrayLike | None = None,
     *,
     method: str | Newton | Ipopt = "newton",
-    guess: Equilibrium | None = None,
+    start: Any = None,
     load: Load | None = None,
     tolerance: float = TOLERANCE,
     verify: bool = False,
@@ -63,14 +65,15 @@ def forward_kinematics(  # noqa: PLR0913
 ) -> Equilibrium:
     """Equilibrium of a robot at given joint values.
 
-    Without a guess the result is a stable equilibrium. Energy descent (method "newton") finds it from tubes without
-    torsion. If that one is unstable, all tubes are moved together from home instead. With a guess, an equilibrium at
-    other joint values, the branch of the guess is followed, stable or not.
+    Without a start the result is a stable equilibrium. Energy descent (method "newton") finds it from tubes without
+    torsion. If that one is unstable, all tubes are moved together from home instead. With a start, an equilibrium at
+    other joint values, the branch of the start is followed, stable or not.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
-        load: external load. Without a guess, the unloaded equilibrium is followed while the load grows. With one, the
-            branch of the guess is followed to these joint values and this load.
+        start: an Equilibrium or InverseSolution, or a pair (rotations, translations) for its `forward_kinematics`.
+        load: external load. Without a start, the unloaded equilibrium is followed while the load grows. With one, the
+            branch of the start is followed to these joint values and this load.
         method: "newton" (condensed collocation equations), "ipopt" (the same equations as constraints of a nonlinear
             program), "energy" (minimum elastic energy by IPOPT; concentric tubes only), or solver settings:
             `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are the same: minimum
@@ -85,7 +88,7 @@ def forward_kinematics(  # noqa: PLR0913
         InputError: no robot, an unknown method, or wrong joint values: their number, a value that is not finite, a
             rotation beyond MOST_TURN, a tube out of its actuator. With a load also: an eccentric
             robot, a discretisation, or IPOPT for a load without an energy.
-        SolveError: no stable equilibrium was found, the tolerance cannot be reached, or the branch of the guess ends on
+        SolveError: no stable equilibrium was found, the tolerance cannot be reached, or the branch of the start ends on
             the path (a snap). Or the branch ends or loses stability before the full load; the message names the load
             fraction. `.solution` is the best equilibrium found, if any.
         TimeLimitError: (a SolveError) the time limit was reached.
@@ -103,20 +106,19 @@ def forward_kinematics(  # noqa: PLR0913
     shift = tuple(place.tolist())
     by = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
-    if guess is not None and guess.robot.n_tubes != robot.n_tubes:
-        raise InputError(f"guess is of a robot with {guess.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+    guess = None if start is None else _start_of(robot, start, tolerance)
     asked, found = Asked(by, tolerance, began), None
     if load is not None:
         check_load(robot, load, shift)
         guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
-        raise InputError("guess has a load, but no load is given; give the load, or a guess without load")
+        raise InputError("start has a load, but no load is given; give the load, or a start without load")
     elif asked.of_kernel(None, discretisation):
         found = unloaded(robot, alpha, place, guess, asked)
     if found is None and guess is None:
-        point, start = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
-        found = _to_tolerance(point, start, asked)
+        point, home = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
+        found = _to_tolerance(point, home, asked)
     elif found is None:
         assert guess is not None
         own = np.concatenate([guess.rotations, guess.translations])
@@ -125,11 +127,23 @@ def forward_kinematics(  # noqa: PLR0913
     return verify_equilibrium(found) if verify else found
 
 
+def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
+    """The equilibrium that a start is or has, or that of its joint values; raises InputError where it is none."""
+    known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
+    if isinstance(known, Equilibrium):
+        if known.robot.n_tubes != robot.n_tubes:
+            raise InputError(f"start is of a robot with {known.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+        return known
+    if not isinstance(start, tuple | list) or len(start) != 2:
+        raise InputError(f"start is {reprlib.repr(start)}; it must be an Equilibrium or (rotations, translations)")
+    return forward_kinematics(robot, *start, tolerance=tolerance)
+
+
 def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
     """The equilibrium at the same joint values into which one grows with a load, or goes over as its load becomes
     another; raises SolveError where it is lost."""
     robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
-    return forward_kinematics(robot, *joints, load=load, guess=equilibrium)
+    return forward_kinematics(robot, *joints, load=load, start=equilibrium)
 
 
 def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
@@ -201,7 +215,7 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
 
 
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
-    """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a guess that does not
+    """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a start that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
     asked = Asked()
     quick = unloaded(robot, rotations, np.array(translations), guess, asked)
@@ -219,7 +233,7 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     found = to_equilibrium(near, "guess", asked.began)
     if error_of(found) <= asked.tolerance:
         return found
-    return forward_kinematics(robot, rotations, translations, guess=found)
+    return forward_kinematics(robot, rotations, translations, start=found)
 
 
 @small
@@ -239,14 +253,14 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
     near, shortest = _start(family, here), CONTINUATION.shortest_step if grows else CONTINUATION.sharpest_step
     if grows:
         near = Point.near(near.member, near.state.x, FOLDED)
-    # Without a load the branch of the guess is followed whether it stays stable or not.
+    # Without a load the branch of the start is followed whether it stays stable or not.
     stable = grows or (family.load is not None and near.margin > 0)
     point = reach(family, near, stable=stable, shortest=shortest)
     if point.t < 1.0 and grows:
         why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"
         raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
     if point.t < 1.0:
-        why = f"it ends {100 * point.t:.2f} % of the path from the guess to the goal"
+        why = f"it ends {100 * point.t:.2f} % of the path from the start to the goal"
         raise SolveError(f"{Status.BRANCH_ENDED}: {why}", here.pose)
     start = "the load before, from none" if grows else "guess"
     return _to_tolerance(_by_method(point, asked.method), start, asked)

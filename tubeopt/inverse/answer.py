@@ -70,7 +70,7 @@ class InverseSolution(Displayed):
     scene: Scene
     """The obstacles."""
     cold_start_agrees: bool | None
-    """True if `forward_kinematics` without a guess finds this equilibrium; None if it was not checked, as in a servo
+    """True if `forward_kinematics` without a start finds this equilibrium; None if it was not checked, as in a servo
     step.
     """
     straight_from_seed: bool | None

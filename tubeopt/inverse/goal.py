@@ -38,7 +38,7 @@ class Goal:
     objective: str | None
     """One of OBJECTIVES."""
     named: bool
-    """Whether a seed or a reference is given."""
+    """Whether a start or a reference is given."""
     reference: Array
     """(m,) joint values to stay near."""
     weights: Array
@@ -236,7 +236,7 @@ def pose_question(
     obstacles: Sequence[Obstacle] = (),
     options: InverseOptions = DEFAULT_OPTIONS,
 ) -> Goal:
-    """The question, checked; `wanted` are position and direction of the tip, `places` seed and reference."""
+    """The question, checked; `wanted` are position and direction of the tip, `places` start and reference."""
     position, direction = wanted
     check_robot(robot)
     instance("options", options, InverseOptions)
@@ -247,13 +247,13 @@ def pose_question(
     floor = finite("min_margin", min_margin)
     if not 0 <= floor < 1:
         raise InputError(f"min_margin is {floor:g}; it must be at least 0 and less than 1")
-    seed, reference = places
+    start, reference = places
     space = joint_space(robot, limits, options.carriage_gap, options.section_length)
-    space = space.holding(*shift_of(robot, seed, reference))
+    space = space.holding(*shift_of(robot, start, reference))
     centre = space.middle()
-    for name, place in (("seed", seed), ("reference", reference)):
+    for name, place in (("start", start), ("reference", reference)):
         centre = configuration(space, name, place) if place is not None else centre
-    named = seed is not None or reference is not None
+    named = start is not None or reference is not None
     return Goal(
         space=space,
         position=target,

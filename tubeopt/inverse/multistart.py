@@ -55,7 +55,7 @@ class Multistart:
 
     goal: Goal
     first: Posture | None
-    """Of the seed."""
+    """Of the start."""
     tries: int = 0
     clear: int = 0
     """Of the tries, those from starts that are clear of the obstacles."""

@@ -208,10 +208,10 @@ def posture_of(space: JointSpace, equilibrium: Equilibrium, name: str = "") -> P
     return Posture(space, space.join(equilibrium.rotations, equilibrium.translations, name), equilibrium)
 
 
-def seed_posture(space: JointSpace, seed: Configuration) -> Posture:
-    """The equilibrium of a seed: its own, else that of a cold forward kinematics at its joint values."""
-    q = configuration(space, "seed", seed)
-    known = seed if isinstance(seed, Equilibrium) else getattr(seed, "equilibrium", None)
+def start_posture(space: JointSpace, start: Configuration) -> Posture:
+    """The equilibrium of a start: its own, else that of a cold forward kinematics at its joint values."""
+    q = configuration(space, "start", start)
+    known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
     if isinstance(known, Equilibrium) and known.robot == space.robot:
         return posture_of(space, known)
     rotations, shift = space.split(q)

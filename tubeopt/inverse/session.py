@@ -24,7 +24,7 @@ from .gauss_newton import Model
 from .goal import Goal, pose_question, unit_vector
 from .joint_path import answer_at, joint_path_of, jump_between
 from .order import Order, breakpoint_order, crossings
-from .posture import Posture, posture_of, same_place, seed_posture
+from .posture import Posture, posture_of, same_place, start_posture
 from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import answers_of
@@ -52,7 +52,7 @@ class IkSession:
 
     Args:
         robot, min_margin, limits, weights, obstacles, options: as for `inverse_kinematics`.
-        seed: current configuration of the robot; without it, the first target starts from the table of configurations.
+        start: current configuration of the robot; without it, the first target starts from the table of configurations.
 
     Raises:
         InputError, SolveError: as `inverse_kinematics` does.
@@ -62,7 +62,7 @@ class IkSession:
         self,
         robot: Robot,
         *,
-        seed: Configuration | None = None,
+        start: Configuration | None = None,
         min_margin: float = 0.05,
         limits: JointLimits | None = None,
         weights: tuple[ArrayLike, ArrayLike] | None = None,
@@ -72,7 +72,7 @@ class IkSession:
         self._goal = pose_question(
             robot,
             (np.zeros(3), None),
-            (seed, None),
+            (start, None),
             min_margin=min_margin,
             limits=limits,
             weights=weights,
@@ -83,8 +83,8 @@ class IkSession:
         self._here: Posture | None = None
         self._near: _Slopes | None = None
         self._pointed = False
-        if seed is not None:
-            self._here = self._allowed(seed_posture(self._goal.space, seed))
+        if start is not None:
+            self._here = self._allowed(start_posture(self._goal.space, start))
 
     @property
     def solution(self) -> InverseSolution | None:
@@ -183,15 +183,15 @@ class IkSession:
             return False
         return True
 
-    def _allowed(self, seed: Posture) -> Posture:
-        """The seed; raises InputError where it is not allowed itself."""
-        if words := self._goal.space.outside(seed.q):
-            raise InputError(f"seed is out of range: {words}")
-        if seed.margin < self._goal.floor:
+    def _allowed(self, start: Posture) -> Posture:
+        """The start; raises InputError where it is not allowed itself."""
+        if words := self._goal.space.outside(start.q):
+            raise InputError(f"start is out of range: {words}")
+        if start.margin < self._goal.floor:
             raise InputError(
-                f"seed has margin {seed.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"
+                f"start has margin {start.margin:.3g}; it must have more than min_margin, {self._goal.min_margin:g}"
             )
-        return seed
+        return start
 
     def _first(self, goal: Goal) -> InverseSolution:
         (answer,) = answers_of(goal, None)

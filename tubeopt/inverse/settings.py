@@ -76,7 +76,7 @@ class Starts(Settings):
     clear: int = 8
     """Clear of the obstacles, that are tried where all others ended in one."""
     compared: int = 3
-    """Answers among which the best is taken where there is an objective and no seed."""
+    """Answers among which the best is taken where there is an objective and no start."""
     doubted: int = 4
     """Answers that a cold forward kinematics does not find, after which one of them is taken."""
     unanimous: int = 10
@@ -254,7 +254,7 @@ class InverseOptions(Displayed):
         str | None, OneOf(OBJECTIVES), "objective: nearest (to the start or reference), margin or curvature"
     ] = None
     """Among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least int |u|^2 ds), or None:
-    "nearest" where a seed or a reference is given, else any answer."""
+    "nearest" where a start or a reference is given, else any answer."""
     direction_weight: Annotated[
         float | None, POSITIVE, "weight of the direction as a cost; by default it is a constraint"
     ] = None

@@ -14,7 +14,7 @@ from typing import Literal, TypedDict, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -32,7 +32,7 @@ from .descent import broyden
 from .goal import Goal, angle, pose_question
 from .joint_path import with_a_way
 from .multistart import Multistart, known_home
-from .posture import posture_of, seed_posture
+from .posture import posture_of, start_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions
 
 
@@ -40,7 +40,7 @@ class Asked(TypedDict, total=False):
     """What `inverse_kinematics` may be asked besides, with one answer or all."""
 
     direction: ArrayLike | None
-    seed: Configuration | None
+    start: Configuration | None
     reference: Configuration | None
     min_margin: float
     limits: JointLimits | None
@@ -64,6 +64,7 @@ def inverse_kinematics(
 ) -> list[InverseSolution]: ...
 
 
+@renamed(seed="start")
 @typed
 @small
 def inverse_kinematics(  # noqa: PLR0913
@@ -71,7 +72,7 @@ def inverse_kinematics(  # noqa: PLR0913
     position: ArrayLike,
     *,
     direction: ArrayLike | None = None,
-    seed: Configuration | None = None,
+    start: Configuration | None = None,
     reference: Configuration | None = None,
     min_margin: float = 0.05,
     limits: JointLimits | None = None,
@@ -86,14 +87,14 @@ def inverse_kinematics(  # noqa: PLR0913
     """Joint values that bring the tip to a target, in a stable equilibrium with at least `min_margin`.
 
     Every step of the search is a solved, stable equilibrium. `.reachable` states whether a snap-free path from the
-    seed, or else from home, is known; `.path` is that path.
+    start, or else from home, is known; `.path` is that path.
 
     Args:
         position: (3,) target position of the tip, m.
         direction: (3,) target direction of the tip, of any length; None leaves it free.
-        seed: current configuration: a pair (rotations, translations), an Equilibrium or an InverseSolution. The search
+        start: current configuration: a pair (rotations, translations), an Equilibrium or an InverseSolution. The search
             starts there and follows its branch; if that fails, it starts elsewhere.
-        reference: configuration to stay close to; by default the seed.
+        reference: configuration to stay close to; by default the start.
         min_margin: smallest allowed stability margin, in [0, 1).
         limits: range of every joint; by default `robot.limits`. The order of the tubes is kept as well.
         weights: weights of the joint distances from the reference: (n,) per rad and (n,) per m; by default 1 per rad
@@ -130,7 +131,7 @@ def inverse_kinematics(  # noqa: PLR0913
     goal = pose_question(
         robot,
         (position, direction),
-        (seed, reference),
+        (start, reference),
         min_margin=min_margin,
         limits=limits,
         weights=weights,
@@ -139,14 +140,14 @@ def inverse_kinematics(  # noqa: PLR0913
     )
     goal = replace(goal, clock=clock)
     if load is not None:
-        return _under_load(goal, _without_load(seed), load, held=reference is not None)
-    found = answers_of(goal, seed, every=all_solutions, on_failure=on_failure, reachable=reachable)
+        return _under_load(goal, _without_load(start), load, held=reference is not None)
+    found = answers_of(goal, start, every=all_solutions, on_failure=on_failure, reachable=reachable)
     return found if all_solutions else found[0]
 
 
 def answers_of(
     goal: Goal,
-    seed: Configuration | None,
+    start: Configuration | None,
     *,
     every: bool = False,
     on_failure: str = "raise",
@@ -154,7 +155,7 @@ def answers_of(
 ) -> list[InverseSolution]:
     """The answer to a question, or `every` one."""
     if goal.objective == "nearest" and not goal.named:
-        raise InputError("objective is 'nearest', but neither reference nor seed is given; give one of them")
+        raise InputError("objective is 'nearest', but neither reference nor start is given; give one of them")
     if goal.direction_weight is not None and goal.direction is None:
         raise InputError("direction_weight is given without a direction; give the direction to point along")
     if goal.options.method == "nlp" and goal.overdetermined:
@@ -163,7 +164,7 @@ def answers_of(
             f"{len(goal.space.lower)} independent joints of the robot; use auto or "
             "gauss_newton"
         )
-    first = seed_posture(goal.space, seed) if seed is not None else None
+    first = start_posture(goal.space, start) if start is not None else None
     search = Multistart(goal, first)
     found = (search.all() if every else search.one()) or [search.failure(on_failure)]
     if reachable:
@@ -172,15 +173,15 @@ def answers_of(
     return found
 
 
-def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: bool) -> InverseSolution:
+def _under_load(goal: Goal, start: Configuration | None, load: Load, *, held: bool) -> InverseSolution:
     """Joint values whose loaded equilibrium has its tip at a target, with margin and clearance under the load; near the
-    seed or, where its reference is `held`, that of the goal.
+    start or, where its reference is `held`, that of the goal.
 
     Where the loaded arm falls short of the margin or the clearance, the unloaded one is asked for so much more.
     """
     if goal.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is a constraint or free")
-    wanted, last, room = goal, seed, goal.solver.aim.room
+    wanted, last, room = goal, start, goal.solver.aim.room
     for _ in range(goal.solver.aim.shots):
         last, e = _aim(wanted, last, load, held=held)
         answer = _loaded_answer(last, e, goal)
@@ -200,12 +201,12 @@ def _under_load(goal: Goal, seed: Configuration | None, load: Load, *, held: boo
     )
 
 
-def _without_load(seed: Configuration | None) -> Configuration | None:
+def _without_load(start: Configuration | None) -> Configuration | None:
     """Where a robot is, without the load that it bears there."""
-    known = getattr(seed, "equilibrium", seed)
+    known = getattr(start, "equilibrium", start)
     if isinstance(known, Equilibrium) and known.load is not None:
         return known.rotations, known.translations
-    return seed
+    return start
 
 
 def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> tuple[InverseSolution, Equilibrium]:
@@ -221,7 +222,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
             at = replace(at, named=True, objective=at.objective or "nearest", reference=here)
         (last,) = answers_of(at, last)
         e = forward_kinematics(
-            last.equilibrium.robot, last.rotations, last.translations, load=load, guess=last.equilibrium
+            last.equilibrium.robot, last.rotations, last.translations, load=load, start=last.equilibrium
         )
         gap = goal.position - e.tip_position
         turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)

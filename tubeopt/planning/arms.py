@@ -20,11 +20,11 @@ from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, instance, vector
+from ..errors import InputError, instance, positive, vector
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..robots.robot import Robot, check_robot
-from ..solvers.time_limit import LONG_TIME_LIMIT
+from ..solvers.time_limit import LEAST_SECONDS, LONG_TIME_LIMIT
 from ..typing import Array
 from .arm_distance_bound import PairProof, apart, tracked
 from .clearance_bound import Table, Wanted
@@ -175,7 +175,7 @@ def verify_arms(  # noqa: PLR0913
     min_margin: float = 0.0,
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
-    clock: Clock | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
     effort: ProofSearch = DEFAULT_PROOF,
 ) -> ArmsProof:
     """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
@@ -186,7 +186,8 @@ def verify_arms(  # noqa: PLR0913
     Args:
         motions: one for each arm, their times on one clock.   starts: stable equilibria at the first samples.
         obstacles: in the frame that the arms share; each arm keeps `clearance` (m) from them and from all other arms.
-        min_margin, rate_limits, clock, effort: as in `verify_trajectory`, of every arm.
+        min_margin, rate_limits, effort: as in `verify_trajectory`, of every arm.
+        time_limit: s, for all arms together.
 
     Raises:
         InputError: fewer than two arms, not one motion for each, tables that `verify_trajectory` refuses.
@@ -201,6 +202,7 @@ def verify_arms(  # noqa: PLR0913
         >>> tubeopt.verify_arms(arms, [plan, plan]).holds
         True
     """
+    clock = Clock(positive("time_limit", time_limit))
     known = checked_arms(arms)
     one_each("motions", motions, known)
     begins = [None] * len(known) if starts is None else list(starts)
@@ -223,12 +225,12 @@ def verify_arms(  # noqa: PLR0913
                     min_margin=min_margin,
                     clearance=clearance,
                     rate_limits=rate_limits,
-                    clock=clock,
+                    time_limit=max(clock.left, LEAST_SECONDS),
                     effort=effort,
                 )
             )
         wanted = Wanted(0.0, effort.arms_accuracy, effort.cells)
-        follower = Follower(arm.robot, scene_of(()), wanted, clock or Clock(LONG_TIME_LIMIT), effort)
+        follower = Follower(arm.robot, scene_of(()), wanted, clock, effort)
         tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []

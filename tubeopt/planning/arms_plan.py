@@ -27,6 +27,7 @@ from ..inverse.clock import Clock
 from ..inverse.configurations import shift_of
 from ..inverse.joints import joint_space
 from ..solvers.parallel.blas import small
+from ..solvers.time_limit import LEAST_SECONDS
 from ..typing import Array
 from .arms import (
     ArmsProof,
@@ -184,9 +185,9 @@ def plan_arms(
 
     order, moves = _one_by_one(known, first, planned, clock)
     asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
-    asks |= {"min_margin": min_margin - 1e-6, "clock": clock, "effort": options.effort.proof}
+    asks |= {"min_margin": min_margin - 1e-6, "effort": options.effort.proof}
     for motions in _sooner(known, first, moves, options.clearance, options.effort.arms):
-        proof = verify_arms(known, motions, **asks)
+        proof = verify_arms(known, motions, time_limit=max(clock.left, LEAST_SECONDS), **asks)
         if proof.holds or clock.over:
             break
     twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)

@@ -32,7 +32,7 @@ class LoadedChart(TipCoordinates):
         """
         known = equilibrium
         if known.load is not None:
-            known = forward_kinematics(known.robot, known.rotations, known.translations, load=Load(), guess=known)
+            known = forward_kinematics(known.robot, known.rotations, known.translations, load=Load(), start=known)
         return super().of(known)
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
@@ -62,7 +62,7 @@ class LoadedChart(TipCoordinates):
                 problem = reduced_problem(robot, tuple(translations.tolist()), DEFAULT_DISCRETISATION)
                 theta = profiles(problem, tips[None])[0]
                 bare = equilibrium_at(robot, rotations, translations, lambda s: theta.T)
-            return forward_kinematics(robot, rotations, translations, load=self.load, guess=bare)
+            return forward_kinematics(robot, rotations, translations, load=self.load, start=bare)
         except SolveError:
             return None
 

@@ -148,7 +148,7 @@ class Follower:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
         self.count += 1
         try:
-            e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, guess=here.equilibrium)
+            e = forward_kinematics(self.robot, *np.split(joints, 2), load=self.load, start=here.equilibrium)
         except SolveError:
             return None
         return Step(at, e, joints) if e.stable else None

@@ -185,7 +185,7 @@ def verify_trajectory(  # noqa: PLR0913
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
     limits: JointLimits | None = None,
-    clock: Clock | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
     max_force: float = 0.0,
     load: Load | None = None,
     effort: ProofSearch = DEFAULT_PROOF,
@@ -197,7 +197,7 @@ def verify_trajectory(  # noqa: PLR0913
         start: stable equilibrium at the first sample; by default that of `forward_kinematics`.
         obstacles, min_margin, clearance (m), rate_limits, limits: requirements. By default rates are not limited.
             Default joint limits are those of the robot, else those of its lengths with free rotations.
-        clock: time limit, s; one hour by default. Parts that are unproved at its end are a fault: `.open`, `.followed`.
+        time_limit: s; one hour by default. Parts that are unproved at its end are a fault: `.open`, `.followed`.
         max_force: N; margin and clearance then include any dead force on the tip up to that size, in addition to the
             load. One bound for all rotations shows it (see `snap_free_certificate`, `deflection_bound`).
         load: constant external load; a start without it is first loaded. The proof is that of the loaded robot, for
@@ -219,6 +219,7 @@ def verify_trajectory(  # noqa: PLR0913
         >>> proof.holds
         False
     """
+    clock = Clock(positive("time_limit", time_limit))
     check_robot(robot)
     bodies = checked_obstacles(obstacles)
     instance("limits", limits, JointLimits, optional=True)
@@ -233,7 +234,7 @@ def verify_trajectory(  # noqa: PLR0913
     positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
     kept = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
-    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock or Clock(LONG_TIME_LIMIT), effort)
+    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock, effort)
 
 
 def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock, effort: ProofSearch) -> Proof:
@@ -269,7 +270,7 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
     if np.abs(own).max() > 1e-6:
         raise InputError("start is at other joint values than the first sample; they must be the same")
     if own.any() or first.load != load:  # within round-off of a file, or yet to be loaded
-        first = forward_kinematics(robot, *joints, load=load, guess=first)
+        first = forward_kinematics(robot, *joints, load=load, start=first)
     return first
 
 

@@ -294,7 +294,7 @@ def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = No
     for row in q:
         rotations, shift = space.split(row)
         try:
-            here = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, guess=here)
+            here = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, start=here)
         except SolveError:
             break
         if not here.stable or (clock is not None and clock.over):

@@ -195,7 +195,7 @@ def _track(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equi
     out: list[Equilibrium] = []
     floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
     try:
-        session = IkSession(first.robot, seed=first, **kept(task, floor, math.inf))
+        session = IkSession(first.robot, start=first, **kept(task, floor, math.inf))
         out.append(first)
         for place in places[1:]:
             if task.clock.over:

@@ -197,7 +197,7 @@ def between(start: Load, end: Load, t: float) -> Load:
     """(1 - t) times one load and t times another; raises InputError where their frames differ."""
     if start.frame != end.frame and not (start.has_energy and not any(start.force)):
         raise InputError(
-            f"the load of the guess has the frame {start.frame!r}, the target load {end.frame!r}; they must be the same"
+            f"the load of the start has the frame {start.frame!r}, the target load {end.frame!r}; they must be the same"
         )
     one, other = start.scaled(1 - t), end.scaled(t)
 

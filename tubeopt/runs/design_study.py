@@ -157,5 +157,5 @@ class DesignStudy(Designed, Tried, Timed):
             )
         front = None
         if self.pareto_margins is not None:
-            front = pareto_front(task, [float(m) for m in self.pareto_margins], begin=solution.attempt)
+            front = pareto_front(task, [float(m) for m in self.pareto_margins], start=solution.attempt)
         return DesignAnswer(solution, tolerance, front, choice, region)

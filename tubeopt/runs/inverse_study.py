@@ -148,7 +148,7 @@ class InverseStudy(Surrounded, LoadedStudy):
     def _common(self) -> dict[str, Any]:
         given = values(InverseOptions, self) | self.in_si("time_limit_s")
         return {
-            "seed": self.start,
+            "start": self.start,
             "min_margin": self.si("min_margin"),
             "obstacles": self.bodies,
             "options": InverseOptions(**given),

@@ -164,7 +164,7 @@ class RegionEntry(SearchPart):
         """The design, and what it reaches; raises as `search_design`."""
         wanted, other = self.reach(task.robot.n_tubes, seed)
         found = search_design(
-            task, wanted, seconds=self.si("seconds"), starts=starts, seed=seed, turns=turns, progress=progress
+            task, wanted, time_limit=self.si("seconds"), starts=starts, seed=seed, turns=turns, progress=progress
         )
         robot = task.robot
         assert isinstance(robot, ConcentricRobot)

@@ -291,7 +291,7 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
         raise InputError(f"equilibrium has margin {equilibrium.margin:.3g}; it must be stable (margin above 0)")
     alpha, shift = equilibrium.rotations, equilibrium.translations
     try:
-        return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, guess=equilibrium)), ())
+        return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, start=equilibrium)), ())
     except SolveError:
         here = np.concatenate([alpha, shift])
     family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)

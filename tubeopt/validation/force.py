@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..block.transcription.loaded import tip_slopes
 from ..block.transcription.loaded_arm import position_slopes
 from ..display import Displayed
@@ -371,6 +371,7 @@ class _Trial:
     jacobian: Array
 
 
+@renamed(guess="start")
 @typed
 @small
 @limited
@@ -383,7 +384,7 @@ def estimate_force(  # noqa: PLR0913
     points: Sequence[tuple[float, ArrayLike]] | None = None,
     noise: float = 1e-3,
     known: Load | None = None,
-    guess: Equilibrium | None = None,
+    start: Equilibrium | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = TIME_LIMIT,
 ) -> ForceEstimate:
@@ -397,7 +398,7 @@ def estimate_force(  # noqa: PLR0913
         points: (arc length from the plate, (3,) measured position), m, along the arm.
         noise: standard deviation of every measured coordinate, m.
         known: other loads, such as the robot's weight; the estimate is added to its tip force.
-        guess: start of the fit, such as the equilibrium of the last estimate; by default without force.
+        start: where the fit begins, such as the equilibrium of the last estimate; by default without force.
         solver: settings of the fit.
         time_limit: maximum run time, s.
 
@@ -420,7 +421,7 @@ def estimate_force(  # noqa: PLR0913
     places = _measured(
         float(robot.assembly(shift).total_length), tip_position, points, usual_length("noise", noise, SEEN_WITHIN)
     )
-    return _fitted(robot, (alpha, shift), places, _known(known), guess, solver)
+    return _fitted(robot, (alpha, shift), places, _known(known), start, solver)
 
 
 def _known(load: Load | None) -> Load:
@@ -436,14 +437,14 @@ def _fitted(
     joints: tuple[Array, Array],
     measured: Measured,
     base: Load,
-    guess: Equilibrium | None,
+    start: Equilibrium | None,
     solver: ForceSolver,
 ) -> ForceEstimate:
     """The estimate at joint values of the model, rad and m."""
     check_target(robot.tubes, "what is measured", measured.position)
-    first = base if guess is None or guess.load is None else replace(base, force=guess.load.force)
-    start = forward_kinematics(robot, *joints, load=first, guess=guess)
-    return _estimate(_trial(start, base, np.subtract(first.force, base.force), measured), base, measured, solver)
+    first = base if start is None or start.load is None else replace(base, force=start.load.force)
+    pushed = forward_kinematics(robot, *joints, load=first, start=start)
+    return _estimate(_trial(pushed, base, np.subtract(first.force, base.force), measured), base, measured, solver)
 
 
 def _settled(

@@ -192,7 +192,7 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
             try:
                 if here is None:
                     here = forward_kinematics(robot, batch.rotations[before], batch.translations[before])
-                here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], guess=here)
+                here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], start=here)
             except SolveError:
                 break  # the branch ends: the robot snaps to what the row alone leads to
             if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < 1e-3).all():

@@ -153,7 +153,7 @@ def test_margin_vanishes_at_the_fold() -> None:
     # The snap of the two-tube file at 203.90356628 deg, from the closed form; next to it the margin goes as a root.
     fold = 203.90356628
     home = forward_kinematics(TWO_TUBE, (0.0, 0.0))
-    near = [forward_kinematics(TWO_TUBE, ((fold - gap) * DEG, 0.0), guess=home).margin for gap in (4e-4, 1e-4)]
+    near = [forward_kinematics(TWO_TUBE, ((fold - gap) * DEG, 0.0), start=home).margin for gap in (4e-4, 1e-4)]
     assert near[1] == pytest.approx(0.0, abs=5e-3)
     assert near[0] / near[1] == pytest.approx(2.0, rel=1e-2)
 

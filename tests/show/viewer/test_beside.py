@@ -37,7 +37,7 @@ def test_it_takes_the_joint_values_and_keeps_its_own_branch() -> None:
     for degrees in (120.0, 230.0):
         first, _ = move_joint(first, 0, np.radians(degrees))
         assert beside.follow(first) == ""
-    alone = forward_kinematics(other, np.radians([230.0, 0.0, 0.0]), guess=beside.session.equilibrium)
+    alone = forward_kinematics(other, np.radians([230.0, 0.0, 0.0]), start=beside.session.equilibrium)
     assert beside.session.equilibrium.tip_position == pytest.approx(alone.tip_position, abs=1e-9)
     label = drawn.added["/beside/name"]
     assert label.text == f"three equal ends: {beside.session.verdict}, margin {alone.margin:.3f}"

@@ -97,7 +97,7 @@ def test_a_slider_does_not_step_over_a_narrow_fold() -> None:
         assert past.last[0].rotations == pytest.approx(snap.rotations, abs=1e-8)
         with pytest.raises(SolveError, match="snaps"):
             forward_kinematics(
-                home.robot, past.equilibrium.rotations, past.equilibrium.translations, guess=near.equilibrium
+                home.robot, past.equilibrium.rotations, past.equilibrium.translations, start=near.equilibrium
             )
 
 
@@ -217,7 +217,7 @@ def test_the_tip_follows_the_hand() -> None:
     led, words = pull(session, target)
     assert not words
     here = led.equilibrium
-    solved = forward_kinematics(THESIS, here.rotations, here.translations, guess=here)
+    solved = forward_kinematics(THESIS, here.rotations, here.translations, start=here)
     assert solved.tip_position == pytest.approx(target, abs=1e-6)
 
 
@@ -271,7 +271,7 @@ def test_another_design_is_the_same_branch_or_says_that_it_is_not() -> None:
     assert not near.log
     assert near.equilibrium.tip_rotations == pytest.approx(session.equilibrium.tip_rotations, abs=0.1)
     fresh = forward_kinematics(
-        near.robot, near.equilibrium.rotations, near.equilibrium.translations, guess=near.equilibrium
+        near.robot, near.equilibrium.rotations, near.equilibrium.translations, start=near.equilibrium
     )
     assert fresh.tip_position == pytest.approx(near.equilibrium.tip_position, abs=1e-9)
     calm = redesign(session, with_knob(THESIS, curvature, 2.0))

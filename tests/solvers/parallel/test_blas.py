@@ -65,7 +65,7 @@ def test_a_servo_step_runs_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(gauss_newton, "constrained_least_squares", asked)
     here = forward_kinematics(THESIS, [0.1, 0.2, 0.3])
-    IkSession(THESIS, seed=here).solve(here.tip_position + 1e-4)
+    IkSession(THESIS, start=here).solve(here.tip_position + 1e-4)
     assert seen
     assert set().union(*seen) == {1}
     assert counts() == {2}

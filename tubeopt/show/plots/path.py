@@ -139,7 +139,7 @@ def _between(
         turns = start.rotations + x * (end.rotations - start.rotations)
         shifts = start.translations + x * (end.translations - start.translations)
         try:
-            guess = forward_kinematics(start.robot, turns, shifts, guess=guess, load=start.load)
+            guess = forward_kinematics(start.robot, turns, shifts, start=guess, load=start.load)
         except SolveError:
             break
         found.append((first + x * (last - first), guess))

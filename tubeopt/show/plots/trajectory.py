@@ -146,7 +146,7 @@ def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
             for values in (joints.rotations, joints.translations)
         )
         try:
-            here = forward_kinematics(joints.robot, rotations, translations, load=proof.end.load, guess=found[-1])
+            here = forward_kinematics(joints.robot, rotations, translations, load=proof.end.load, start=found[-1])
         except SolveError:  # so close to a snap that no step from the last one reaches it
             break
         times.append(float(time))

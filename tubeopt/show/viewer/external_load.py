@@ -52,7 +52,7 @@ def push_on(session: Session, load: Load) -> Session:
 def bare(equilibrium: Equilibrium) -> Equilibrium:
     """An equilibrium under no force as one without load."""
     guess = replace(equilibrium, load=None)
-    return forward_kinematics(equilibrium.robot, equilibrium.rotations, equilibrium.translations, guess=guess)
+    return forward_kinematics(equilibrium.robot, equilibrium.rotations, equilibrium.translations, start=guess)
 
 
 def without_load(equilibrium: Equilibrium) -> Equilibrium | None:

@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal, pose_question
-from ...inverse.posture import Posture, seed_posture
+from ...inverse.posture import Posture, start_posture
 from ...inverse.settings import Descent, InverseOptions, InverseSolver
 from ...typing import Array
 from .session import Session, moved_to
@@ -49,7 +49,7 @@ def pull(
     goal = pose_question(
         session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles, options=QUICK
     )
-    here = seed_posture(goal.space, session.equilibrium)
+    here = start_posture(goal.space, session.equilibrium)
     for part in _parts(goal, here.tip):
         found = reach(replace(goal, position=part), here)
         here = found.posture

@@ -277,7 +277,7 @@ def redesign(session: Session, robot: Robot) -> Session:
     keeps = inside and (space.admissible(q) or not before.admissible(session.q))
     rotations, translations = space.split(q if keeps else space.nearest(q))
     try:
-        there = forward_kinematics(robot, rotations, translations, guess=replace(old, robot=robot))
+        there = forward_kinematics(robot, rotations, translations, start=replace(old, robot=robot))
         same = there.stable and float(np.abs(there.tip_rotations - old.tip_rotations).max()) < 0.5
     except (SolveError, InputError):
         same = False
