@@ -10,13 +10,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from ..files.units import TO_MM
 from ..typing import Array
+from .arm_surface import MOST_CONTACTS
 from .gauss_newton import SLACK, Back, Descent, Model, Search, Step
 from .goal import Goal
 from .order import Order, breakpoint_order
 from .posture import Posture
+
+SMALL_MARGIN = 0.01
+"""Margin below which a smaller one is no advice."""
+
+HELD = 1e-5
+"""Distance from a limit, in units of the joints' scales, up to which it counts as reached."""
+
+LEAST_SHARE = 0.05
+"""Share of the pull to the target that the limit has to carry which is the cause."""
 
 MOST_PULL = 1e6
 """Right-hand side of the cost in a step: a larger one would drown the target in round-off."""
@@ -183,6 +194,35 @@ def broyden(slope: Array, moved: Array, change: Array, scale: Array | float = 1.
     weighted = moved / scale**2
     size = float(moved @ weighted)
     return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
+
+
+def held_most(goal: Goal, at: Posture) -> tuple[str, str]:
+    """The limit with the largest multiplier where a search has ended, and what moves the tip beyond it, in words; empty
+    where none holds the tip back.
+
+    At a minimum the pull to the target is a sum of the limits' normals with multipliers that are not negative.
+    """
+    rows, bounds, names = goal.demands(at)
+    normals = rows * goal.space.scale
+    size = np.linalg.norm(normals, axis=1)
+    held = np.flatnonzero((size > 0) & (bounds >= -HELD * size))
+    pull = goal.slope(at).T @ goal.residual(at) * goal.space.scale
+    if not len(held) or not pull.any():
+        return "", ""
+    force, _ = scipy.optimize.nnls((normals[held] / size[held, None]).T, pull)
+    if force.max() < LEAST_SHARE * np.linalg.norm(pull):
+        return "", ""
+    k, ranges = int(held[np.argmax(force)]), len(at.room)
+    if k < ranges:
+        return goal.space.limit(k), "move the target"
+    if k == ranges:
+        least = f"margin at its bound ({goal.min_margin:g})"
+        return least, "allow a smaller min_margin" if goal.min_margin > SMALL_MARGIN else "move the target"
+    if names[k] < 0:
+        return next(iter(goal.extras.broken(at)), ""), "relax that constraint"
+    body = int(names[k]) // MOST_CONTACTS
+    words = f"arm at obstacle {body + 1} ({type(goal.scene.bodies[body]).__name__.lower()})"
+    return words, "allow a smaller clearance" if goal.clearance else "move the target away from it"
 
 
 def millimetres(length: float) -> str:

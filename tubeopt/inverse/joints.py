@@ -213,15 +213,24 @@ class JointSpace:
 
     def active(self, q: Array) -> list[str]:
         """In words, what holds q: joints at the end of their range, tubes that touch in their order."""
-        n = self.robot.n_tubes
-        words = []
-        for k, name in enumerate(self.names):
-            end = self.lower[k] if q[k] - self.lower[k] <= self.upper[k] - q[k] else self.upper[k]
+        m, words = len(self.scale), []
+        for k in range(m):
+            row = k if q[k] - self.lower[k] <= self.upper[k] - q[k] else m + k
+            end = self.lower[k] if row == k else self.upper[k]
             if abs(q[k] - end) <= CLOSE * self.scale[k] or not self.lower[k] < q[k] < self.upper[k]:
-                unit = f"{np.degrees(end):.4g} deg" if k < n else f"{end * 1e3:.4g} mm"
-                words.append(f"{name} at its end ({unit})")
+                words.append(self.limit(row))
         gap = self.rows @ q - self.least
         return words + [name for name, size in zip(self.row_names, gap, strict=True) if size <= CLOSE * self.length]
+
+    def limit(self, row: int) -> str:
+        """In words, the limit that a row of `inequalities` is, from 0."""
+        m = len(self.scale)
+        if row >= 2 * m:
+            return self.row_names[row - 2 * m]
+        k = row % m
+        end = float(self.lower[k] if row < m else self.upper[k])
+        unit = f"{np.degrees(end):.4g} deg" if k < self.robot.n_tubes else f"{end * 1e3:.4g} mm"
+        return f"{self.names[k]} at its end ({unit})"
 
     def wrap(self, q: Array, near: Array) -> Array:
         """q (..., m) with every rotation turned by whole turns into its range, as near to `near` as it can be.

@@ -14,7 +14,7 @@ from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .arm_surface import ArmSurface
 from .clock import Clock
 from .closest import closest_of
-from .descent import correct, improve, millimetres, missed_by, reach
+from .descent import correct, held_most, improve, millimetres, missed_by, reach
 from .gauss_newton import SLACK, Search
 from .goal import Goal
 from .joint_path import answer_at, straight_way
@@ -286,19 +286,28 @@ class Multistart:
         closest = self._packed(at, status, ("table", "gauss_newton"))
         if on_failure == "closest":
             return closest
-        local = "no limit is active, the search " + ("was cut short" if late else "ended in a local minimum")
-        why = ", ".join(closest.active) or local
         others = self.tries - self.clear
         tried = f"in {others} start{'' if others == 1 else 's'}" + (
             f" and {self.clear} clear of the obstacles" if self.clear else ""
         )
         if late:
-            tried = f"within {self.goal.options.time_limit:g} s: time ran out {tried.replace('in', 'after', 1)}"
+            tried = f"within {self.goal.options.time_limit:g} s, {tried.replace('in', 'after', 1)}"
+        cause, advice = self._cause(at, late)
+        raise SolveError(f"target not reached {tried}: {missed_by(goal, at)}: {cause}; {advice}", closest)
+
+    def _cause(self, at: Posture, late: bool) -> tuple[str, str]:
+        """Why the closest pose misses the target, and what to change; the first that applies."""
+        goal = self.goal
         beyond = goal.beyond_reach()
-        far = f"; the target is out of reach, {millimetres(beyond)} beyond the longest arm" if beyond > 0 else ""
-        if late and not far:
-            far = "; whether the target can be reached is not known"
-        raise SolveError(f"target not reached {tried}: {missed_by(goal, at)}: {why}{far}", closest)
+        if beyond > 0:
+            far = f"the target is out of reach, {millimetres(beyond)} beyond the longest arm"
+            return far, "move it closer to the plate"
+        if late:
+            return "whether the target can be reached is not known", "increase time_limit"
+        limit, advice = held_most(goal, at)
+        if limit and goal.pointed:
+            advice = "leave the direction free, or give it a direction_weight"
+        return (limit, advice) if limit else ("the search ended in a local minimum", "increase starts")
 
     def _without_a_pose(self, late: bool) -> str:
         """Why there is not even a closest pose."""
