@@ -152,7 +152,7 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
     """
     kind, keys = _kind_of(study), _Keys(study)
     keyed = [_argument("study", "STUDY.yaml", f"Study of kind {kind}.", required=True)]
-    keyed += [_option(key, field, keys.called[key], None) for key, field in keys.fields.items()]
+    keyed += [_option(key, field, keys.called[key], None, shown=_else(field)) for key, field in keys.fields.items()]
 
     @contextmanager
     def _question(typed: Mapping[str, Any]) -> Iterator[F]:
@@ -283,8 +283,8 @@ def _argument(key: str, metavar: str, words: str, *, required: bool) -> inspect.
     return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
-def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None) -> inspect.Parameter:
-    """A flag; one without a default says nothing where it is not typed."""
+def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None, *, shown: str = "") -> inspect.Parameter:
+    """A flag; one without a default says nothing where it is not typed, but its help may show one."""
     kind: Any = bool if _plain(field.annotation) is bool else str
     if kind is bool and default is not False:
         flag = f"{flag}/--no-{flag.removeprefix('--')}"
@@ -292,7 +292,7 @@ def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None) -
         *flag.split(","),
         metavar=None if kind is bool else _metavar(key, field),
         help=_sentence(field),
-        show_default=default is not None,
+        show_default=shown or default is not None,
         autocompletion=_completion(key, field),
     )
     return _parameter(key, kind | None if default is None else kind, option, default)
@@ -316,6 +316,14 @@ def _usual(field: FieldInfo) -> str | bool | None:
     """What stands for a key whose flag is not typed, as it would be typed."""
     own = None if field.is_required() else field.get_default(call_default_factory=True)
     return own if isinstance(own, bool) else as_typed(own)
+
+
+def _else(field: FieldInfo) -> str:
+    """Default of a flag that overrides a key of a study, for its help; "" where the key has none."""
+    usual = _usual(field)
+    if usual is None:
+        return ""
+    return f"key of the study, else {('no', 'yes')[usual] if isinstance(usual, bool) else usual}"
 
 
 def _sentence(field: FieldInfo) -> str:

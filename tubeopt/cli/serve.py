@@ -30,7 +30,11 @@ from .output import OF_PICTURES, Output, told
 class ServeEntry(Posed):
     """A robot to be served, where it begins, and how it may move."""
 
-    obstacles: Bodies = Field((), description="obstacles: a YAML file or a list of bodies", examples=["OBSTACLES.yaml"])
+    obstacles: Bodies = Field(
+        (),
+        description="obstacles: a YAML file, or a list as [{centre_mm: [30, 0, 120], radius_mm: 8}]; default none",
+        examples=["OBSTACLES.yaml"],
+    )
     clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal(0), description="smallest allowed distance between arm and obstacles"
     )
@@ -74,9 +78,9 @@ class ServeEntry(Posed):
 def serve(study: ServeEntry, output: Output) -> None:
     """Serve the robot over WebSocket on this machine, with CRTK commands (servo_cp, move_cp, servo_jp, ...).
 
-    One controller, many observers, protected against snapping. All clients need the token. The robot stops if
-    commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with address and token. It needs the
-    extra `control`.
+    One commander moves the robot, any number of watchers see it, and a guard prevents snaps. All clients need the
+    token. The robot stops if commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with
+    address and token. It needs the extra `control`.
     """
     robot = study.robot
     options = ServoOptions(

@@ -251,12 +251,17 @@ class InverseOptions(Displayed):
     """
 
     objective: Annotated[
-        str | None, OneOf(OBJECTIVES), "objective: nearest (to the start or reference), margin or curvature"
+        str | None,
+        OneOf(OBJECTIVES),
+        "objective: nearest (to the start or reference), margin or curvature; "
+        "default nearest with a start or reference, otherwise any answer",
     ] = None
     """Among the answers: "nearest" (to the reference), "margin" (largest), "curvature" (least int |u|^2 ds), or None:
     "nearest" where a start or a reference is given, else any answer."""
     direction_weight: Annotated[
-        float | None, POSITIVE, "weight of the direction as a cost; by default it is a constraint"
+        float | None,
+        POSITIVE,
+        "factor on half the squared difference of the unit vectors in the cost; by default the direction is exact",
     ] = None
     """None makes the direction a constraint. A number adds half the squared difference of the unit vectors to the
     objective, with that weight.

@@ -61,7 +61,9 @@ class FabricationStudy(Timed):
     robot: RobotPath
     rig: RigPath = Field(examples=["RIG.yaml"])
     mold: MoldPath | None = Field(
-        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
+        None,
+        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
+        examples=["MOLD.yaml"],
     )
     hold_s: Positive | None = Field(
         None, ge=1, le=1800, description="hold time, 1 to 1800 s; by default that of the mold file, or 60"
@@ -70,7 +72,8 @@ class FabricationStudy(Timed):
         "time", description="objective: time (shortest), energy (least charge) or margin (to the window and the limit)"
     )
     charges_percent: list[Charge] = Field(
-        [], description="additional states of charge for tables of the duty cycle, percent; none for no tables"
+        [],
+        description="additional states of charge for tables of the duty cycle, percent; as a flag, none for no tables",
     )
     samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
     sensor: SensorName | None = SENSOR

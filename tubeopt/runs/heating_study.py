@@ -209,14 +209,14 @@ class HeatingStudy(HeatedTube):
 
     kind: Literal["heating"]
     charges_percent: list[Charge] = Field(
-        [], description="additional states of charge for tables of the duty cycle, percent; none for no tables"
+        [],
+        description="additional states of charge for tables of the duty cycle, percent; as a flag, none for no tables",
     )
     loss_percent: NotNegative | None = Field(
         None,
         lt=100,
         description="half-width of the uncertainty of the heat loss of a calibrated rig; "
-        "contacts (30 %) and resistivity (2 %) add to it. By default the rig is "
-        "uncalibrated, as for heat firmware",
+        "contacts (30 %) and resistivity (2 %) add to it. By default the rig is uncalibrated",
     )
     robust: bool = Field(False, description="scale the duty cycle for the highest success probability")
     samples: Annotated[Whole, Field(ge=0)] = Field(64, description=SAMPLES)

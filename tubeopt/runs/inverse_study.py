@@ -96,7 +96,8 @@ class InverseStudy(Surrounded, LoadedStudy):
     )
     start: Joints | None = Field(
         None,
-        description="YAML file of the current joint values, with keys rotations_deg and translations_mm",
+        description="YAML file of the current joint values, with keys rotations_deg and translations_mm; "
+        "default no start",
         examples=["JOINTS.yaml"],
     )
     reference_deg: OnePerTube | None = Field(

@@ -65,7 +65,9 @@ class Pushed(Entry):
     load: Annotated[
         LoadEntry | None,
         PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
-        Field(description="external load: path of a load file, or keys of a load"),
+        Field(
+            description="external load: path of a load file, or its keys as {tip_force_mN: [20, 0, 0]}; default no load"
+        ),
     ] = None
 
     def pushing(self) -> Load | None:

@@ -64,7 +64,7 @@ class LoadLimitStudy(Posed, LoadedStudy, Timed):
     up_to: Positive | None = Field(
         None,
         description="largest load factor to search, by default 10, then 100 and 1000 until the limit is found; "
-        "with axial, largest force, by default 10 N",
+        "with axial, largest force, N, by default 10",
     )
 
     @model_validator(mode="after")

@@ -58,7 +58,9 @@ class MoldStudy(Study):
     kind: Literal["mold_plan"]
     robot: RobotPath
     mold: MoldPath | None = Field(
-        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
+        None,
+        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
+        examples=["MOLD.yaml"],
     )
     tubes: list[Whole] | None = Field(
         None, description="numbers of the tubes, from 1; default every different curved tube", examples=["N,.."]
@@ -99,7 +101,9 @@ class MandrelStudy(Study):
     robot: RobotPath
     tube: TubeNumber = 1
     mold: MoldPath | None = Field(
-        None, description="mold file: grooves, plates, clamps, machine and heat", examples=["MOLD.yaml"]
+        None,
+        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
+        examples=["MOLD.yaml"],
     )
 
     def run(self, progress: Progress | None = None) -> Mandrel:

@@ -150,7 +150,8 @@ class Surrounded(Entry):
 
     obstacles: Bodies = Field(
         (),
-        description="obstacles for the whole arm: a YAML file or a list of bodies",
+        description="obstacles for the whole arm: a YAML file, or a list as "
+        "[{centre_mm: [30, 0, 120], radius_mm: 8}]; default none",
         examples=["OBSTACLES.yaml"],
     )
     anatomy: AnatomyKey | None = Field(

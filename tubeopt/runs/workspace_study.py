@@ -36,7 +36,9 @@ class WorkspaceStudy(Timed):
         Decimal(0), description="smallest stability margin of a counted configuration", examples=["MU"]
     )
     loss: Annotated[Whole, Field(ge=0)] = Field(
-        0, description="number of equilibria, stable or not, to estimate the part lost to snapping; 0 to skip"
+        0,
+        description="number of sampled equilibria, stable or not, that estimate the share of the workspace lost to "
+        "snapping; 0 to skip",
     )
     workers: Annotated[Whole, Field(ge=0)] = Field(1, description="number of threads; 0 for one per core")
 

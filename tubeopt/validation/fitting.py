@@ -58,7 +58,9 @@ class FitOptions:
     """Of the intervals, between 0 and 1."""
     loss: Annotated[str, OneOf(tuple(LOSSES)), "loss function of the residuals: linear, huber or soft_l1"] = "linear"
     """Linear is that of least squares."""
-    priors: Annotated[bool, "add priors that keep parameters near their nominal values"] = False
+    priors: Annotated[
+        bool, "penalise deviations from the robot file, relative to a typical error of each parameter"
+    ] = False
     """Each with the standard deviation by which the drawing may be off, the `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""

@@ -39,8 +39,8 @@ class HeatingSpec(Displayed):
         key("ramp_K_per_s"),
         POSITIVE,
         Typical(0.05, 1000.0),
-        "largest heating rate of any point outside the clamps, for the mean power of a duty "
-        "cycle. Feasible only if one duty step heats the cold tube more slowly",
+        "largest heating rate of any point outside the clamps, averaged over the pulses. "
+        "Infeasible if the smallest duty, 1 of 255, heats the cold tube faster",
     ] = 20.0
     objective: Annotated[
         str,

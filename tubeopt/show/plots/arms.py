@@ -90,6 +90,6 @@ def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:
             axes.axhline(
                 pair.least_clearance * TO_MM, lw=0.8, color=line.get_color(), ls=":", label="proved at all times"
             )
-    axes.axhline(plan.min_clearance * TO_MM, color=FAINT, lw=0.8, ls="--", label="asked for")
+    axes.axhline(plan.min_clearance * TO_MM, color=FAINT, lw=0.8, ls="--", label="required")
     axes.set(xlabel="time (s)", ylabel="between arms (mm)")
     axes.set_ylim(bottom=0)

@@ -46,7 +46,7 @@ def _heading(plan: HeatingPlan, title: str, band: Band | None) -> str:
     wanted = f"{low:g} to {high:g} °C for {plan.spec.hold_time:g} s"
     kept = plan.verdict
     if band is not None:
-        kept += f" by the rig as filed, by {100 * band.probability:.0f} % of uncertain rigs"
+        kept += f" by the rig of the file, and by {100 * band.probability:.0f} % of uncertain rigs"
     curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
     return f"{title or plan.rig.name or 'rig'}:  {wanted}: {kept}\n{curved},  hottest point {plan.hottest:.1f} °C"
 
@@ -111,7 +111,7 @@ def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
 def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
     on = plan.duty > 0
     axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
-    axes.set(ylabel="battery (V)", xlabel="time (s)")
+    axes.set(ylabel="battery,\nwhile on (V)", xlabel="time (s)")
     if on.any():
         pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on])))
         axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)

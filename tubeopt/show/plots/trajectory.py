@@ -297,7 +297,7 @@ def _draw_curves(axes: Sequence[Axes], t: Trajectory) -> None:
     rest = iter(axes[2:])
     margin = next(rest)
     margin.plot(t.time, t.margin, color=INK, lw=1.4)
-    margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--", label="asked for")
+    margin.axhline(t.min_margin, color=FAINT, lw=0.8, ls="--", label="required")
     legend_beside(margin)
     margin_scale(margin, float(t.margin.min()))
     if np.isfinite(t.clearance).all():
