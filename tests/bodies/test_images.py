@@ -68,6 +68,58 @@ def test_voxels_lie_where_they_were_written(tmp_path: Path, name: str) -> None:
     assert image.chosen([3]).sum() == (LABELS == 3).sum()
 
 
+def write_layers(path: Path, values: tuple[int, ...]) -> np.ndarray:
+    """Segments as 3D Slicer saves those that overlap: two share the first layer, one has the second."""
+    layers = np.zeros((2, *LABELS.shape), dtype=np.uint8)
+    layers[0, 1:4], layers[0, 5:7], layers[1, 2:6] = values
+    back = np.diag([-1.0, -1.0, 1.0])
+    header = {
+        "kinds": ["list", "domain", "domain", "domain"],
+        "space": "left-posterior-superior",
+        "space directions": np.vstack([np.full(3, np.nan), (back @ affine()[:3, :3]).T]),
+        "space origin": back @ affine()[:3, 3],
+    }
+    for k, (name, layer) in enumerate((("airway", 0), ("vessel", 0), ("tumour", 1))):
+        header |= {f"Segment{k}_LabelValue": str(values[k]), f"Segment{k}_Layer": str(layer), f"Segment{k}_Name": name}
+    nrrd.write(str(path), layers, header)
+    return layers
+
+
+@pytest.mark.parametrize("values", [(1, 2, 1), (4, 5, 9)])
+def test_segments_that_overlap_are_read_from_their_layers(
+    tmp_path: Path, values: tuple[int, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    layers = write_layers(tmp_path / "a.seg.nrrd", values)
+    image = read_image(tmp_path / "a.seg.nrrd")
+    alike = len(set(values)) < 3
+    assert image.labels == ((1, 2, 3) if alike else values)  # numbers of the segments where values do not tell them
+    assert ("their labels are 1 airway, 2 vessel, 3 tumour" in caplog.text) == alike
+    airway, vessel, tumour = image.labels
+    assert np.array_equal(image.chosen([airway]), layers[0] == values[0])
+    assert np.array_equal(image.chosen([tumour, vessel]), (layers[1] > 0) | (layers[0] == values[1]))
+    assert np.array_equal(image.chosen([0]), ~layers.any(0))
+    assert (image.chosen([airway]) & image.chosen([tumour])).any()
+    index = np.array([[0, 0, 0], [3, 4, 5]])
+    expected = (index @ affine()[:3, :3].T + affine()[:3, 3]) * 1e-3
+    assert np.allclose(image.frame.placed(index * image.spacing), expected, atol=1e-7)
+    with pytest.raises(InputError, match=r"lumen 77 is not in .*a\.seg\.nrrd; its labels are"):
+        image.chosen([77], "lumen")
+    with pytest.raises(InputError, match="which has segments; give labels"):
+        image.between(0, 1)
+
+
+def test_layers_without_segments_are_refused(tmp_path: Path) -> None:
+    header = {"kinds": ["list", "domain", "domain", "domain"], "space": "left-posterior-superior"}
+    header |= {"space directions": np.vstack([np.full(3, np.nan), np.eye(3)])}
+    nrrd.write(str(tmp_path / "a.nrrd"), np.ones((2, 3, 3, 3), dtype=np.uint8), header)
+    with pytest.raises(InputError, match="has 2 layers, but names no segments"):
+        read_image(tmp_path / "a.nrrd")
+    header |= {"Segment0_LabelValue": "1", "Segment0_Layer": "2"}
+    nrrd.write(str(tmp_path / "b.nrrd"), np.ones((2, 3, 3, 3), dtype=np.uint8), header)
+    with pytest.raises(InputError, match="Segment0_Layer is 2; it must be from 0 to 1"):
+        read_image(tmp_path / "b.nrrd")
+
+
 def test_units_and_scales_of_headers(tmp_path: Path) -> None:
     metres = affine() * np.array([[1e-3], [1e-3], [1e-3], [1.0]])
     image = read_image(write_nifti(tmp_path / "m.nii", where=metres, unit="meter"))

@@ -11,9 +11,13 @@ import pytest
 
 import tubeopt
 from tubeopt import InputError
+from tubeopt.bodies.corridors import load_points
 from tubeopt.files.csv_file import read_csv
 from tubeopt.robots.path_file import load_waypoints
+from tubeopt.runs.anatomy_file import load_landmarks
 from tubeopt.runs.measurement_file import load_measurements
+from tubeopt.runs.mold_file import load_trials
+from tubeopt.runs.rig_file import load_heating_log, load_heating_trials
 from tubeopt.runs.target_file import load_targets
 
 PLAIN = "x_mm,y_mm,z_mm\n10.5,-20.25,150\n0,1e1,140.125\n"
@@ -102,6 +106,44 @@ def test_measurements_are_read_by_the_same_rules(tmp_path: Path) -> None:
     path.write_text(f"{header}\n10,5;0;0,001;0,002;0,15\n", encoding="utf-16")
     read = load_measurements(path, ROBOT)
     np.testing.assert_allclose(np.ravel(read.sensors), [0.001, 0.002, 0.15], rtol=1e-15)
+
+
+def test_heating_logs_are_read_by_the_same_rules(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    header = "Time [ms];PWM;Temp [\N{DEGREE SIGN}C];U (mV);Current_mA;temperature_-20_mm_degC"
+    path.write_text(
+        f"{header}\n0;10;25,5;1250;2000;24\n500;12;30;1300;;25,5\n1000;12;31;1300;;26\n", encoding="latin-1"
+    )
+    log = load_heating_log(path)
+    assert log.voltage is not None
+    assert log.current is not None
+    assert log.temperature is not None
+    np.testing.assert_array_equal(log.time, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(log.duty, [10, 12, 12])
+    np.testing.assert_allclose(log.temperature - 273.15, [[25.5, 24.0], [30.0, 25.5], [31.0, 26.0]], atol=1e-12)
+    np.testing.assert_array_equal(log.voltage, [1.25, 1.3, 1.3])
+    np.testing.assert_array_equal(log.current, [2.0, np.nan, np.nan])
+    path.write_text("time_s,duty,temp\n0,10,25\n", encoding="utf-8")
+    with pytest.raises(InputError, match="column temp has no unit; call it temperature_degC"):
+        load_heating_log(path)
+
+
+def test_trials_are_read_by_the_same_rules(tmp_path: Path) -> None:
+    path = tmp_path / "trials.csv"
+    path.write_text("duty cycle\tTime (min)\tspringback [%]\n40\t0,5\t12\n50\t1\t1\n", encoding="utf-16")
+    trials = load_heating_trials(path)
+    assert [(each.duty, each.duration, each.result) for each in trials] == [(40, 30, "under"), (50, 60, "set")]
+    path.write_text("Mold radius [cm];obtained radius (mm);Note\n1,5;16,25;first\n", encoding="utf-8")
+    found = load_trials(path)
+    np.testing.assert_allclose([found.mold_radius, found.obtained_radius], [[0.015], [0.01625]], rtol=1e-15)
+
+
+def test_landmarks_and_clouds_are_read_by_the_same_rules(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("# SPACE=LPS\nname;X [cm];pos_y_mm;z_m\ncarina;1,5;-2;0,1\n", encoding="utf-8")
+    np.testing.assert_allclose(load_landmarks(path)["carina"], [-0.015, 0.002, 0.1], rtol=1e-15)
+    path.write_text("x_m\ty_m\tz_m\n0,01\t0,02\t0,03\n", encoding="utf-8")
+    np.testing.assert_allclose(load_points(path), [[0.01, 0.02, 0.03]], rtol=1e-15)
 
 
 def test_columns_that_mean_nothing_known_stay(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tubeopt import InputError
 from tubeopt.files.csv_file import to_csv
 from tubeopt.runs.measurement_file import load_measurements, save_measurements
+from tubeopt.runs.tracker_file import read_recorded
 from tubeopt.validation import Measurements, validate
 
 from .drives import driven, joints, robot, trivial
@@ -128,6 +129,30 @@ def test_an_export_of_ndi(tmp_path: Path) -> None:
     assert np.argwhere(np.isnan(found.sensors[:, :, 0])).tolist() == [[7, 0]]
     np.testing.assert_allclose(found.tip_position, m.tip_position, atol=1e-8)
     assert found.orientation is not None
+
+
+@pytest.mark.parametrize("names", ["Rz,Ry,Rx", "Rx,Ry,Rz"])
+def test_an_export_of_ndi_with_euler_angles(tmp_path: Path, names: str) -> None:
+    """NDI turns about the axes of the tool: R = Rz Ry Rx, in degrees."""
+    angles = np.random.default_rng(3).uniform([-180, -89, -180], [180, 89, 180], (4, 3))  # of z, y, x
+    lines = [f"Tools,Port 1,Frame,State,{names},Tx,Ty,Tz,Error"]
+    for k, turn in enumerate(angles.tolist()):
+        written = turn if names.startswith("Rz") else turn[::-1]
+        lines.append(f"1,A,{k},{'MISSING' if k == 2 else 'OK'},{','.join(map(repr, written))},1,2,3,0.1")
+    (tmp_path / "ndi.csv").write_text("\n".join(lines))
+    read = read_recorded(tmp_path / "ndi.csv", 40.0)
+    assert read.table.columns == ("time", "qw_1", "qx_1", "qy_1", "qz_1", "x_1", "y_1", "z_1")
+    assert read.table.rows[2][1:] == ("",) * 7
+    for k in (0, 1, 3):
+        z, y, x = np.radians(angles[k])
+        about_z = [[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]]
+        about_y = [[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]]
+        about_x = [[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]]
+        w, *v = map(float, read.table.rows[k][1:5])
+        np.testing.assert_allclose(
+            Rotation.from_quat([*v, w]).as_matrix(), np.array(about_z) @ about_y @ about_x, atol=1e-12
+        )
+        assert read.table.rows[k][5:] == ("1", "2", "3")
 
 
 def test_an_export_of_optitrack(tmp_path: Path) -> None:

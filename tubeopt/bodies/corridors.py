@@ -289,7 +289,7 @@ def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | N
     """
     own = agreed(path, axes) or "RAS"
     if str(path).lower().endswith(".csv"):
-        table = read_csv(path)
+        table = read_csv(path, PLACE)
         table.expect(PLACE)
         points = table.numbers(PLACE, MM)
         table.check()

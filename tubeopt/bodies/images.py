@@ -142,6 +142,44 @@ class LabelImage:
         return np.asarray(found)
 
 
+@dataclass(frozen=True, eq=False)
+class LayeredImage(LabelImage):
+    """Segments of 3D Slicer that overlap: several layers of labels; `.values` is the first one."""
+
+    layers: Any = field(kw_only=True, repr=False)
+    """(layers, a, b, c) labels."""
+    segments: dict[int, tuple[int, int]] = field(kw_only=True)
+    """Label -> layer and value there."""
+
+    @cached_property
+    def labels(self) -> tuple[int, ...]:
+        """The labels of the segments."""
+        return tuple(sorted(self.segments))
+
+    def chosen(self, labels: Sequence[int], what: str = "label") -> Mask:
+        """(a, b, c) voxels in one of some segments; label 0 is where no segment is.
+
+        Raises:
+            InputError: a label of no segment.
+        """
+        found = np.zeros(self.shape, dtype=bool)
+        for label in labels:
+            if label == 0:
+                found |= ~self.chosen(self.labels)
+                continue
+            if label not in self.segments:
+                raise InputError(
+                    f"{what} {label} is not in {self.name}; its labels are {', '.join(map(str, self.labels))}"
+                )
+            layer, value = self.segments[label]
+            found |= self.layers[layer] == value
+        return found
+
+    def between(self, low: float, high: float, what: str = "range") -> Mask:
+        """A range of values means nothing for segments: raises InputError."""
+        raise InputError(f"{what} is given for {self.name}, which has segments; give labels: {self.labels}")
+
+
 def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage:
     """Image from a NIfTI (.nii, .nii.gz), FreeSurfer (.mgz, .mgh) or NRRD (.nrrd, .nhdr) file.
 
@@ -164,13 +202,13 @@ def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage
     if not file.is_file():
         raise no_such_file(path)
     if name.endswith((".nii", ".nii.gz", ".mgz", ".mgh")):
-        read: Callable[[Path, str | None], tuple[Any, Array, float]] = _nifti
+        read: Callable[[Path, str | None], tuple[Any, Array, float, dict[int, tuple[int, int]]]] = _nifti
     elif name.endswith((".nrrd", ".nhdr")):
         read = _nrrd
     else:
         raise InputError(f"{path} is not a supported image; it must be .nii, .nii.gz, .mgz, .nrrd or .nhdr")
     try:
-        values, affine, length = read(file, axes)
+        values, affine, length, segments = read(file, axes)
     except InputError:
         raise
     except MemoryError:
@@ -180,7 +218,10 @@ def read_image(path: str | PathLike[str], axes: str | None = None) -> LabelImage
     except Exception as error:
         words = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no image can be read from it: {words}") from None
-    return _placed(values, affine, length, str(path))
+    if not segments:
+        return _placed(values, affine, length, str(path))
+    first = _placed(values[0], affine, length, str(path))
+    return LayeredImage(first.values, first.spacing, first.frame, first.name, layers=values, segments=segments)
 
 
 def _placed(values: Any, affine: Array, length: float, name: str) -> LabelImage:
@@ -236,8 +277,8 @@ def _signs(path: Path, stated: str, axes: str | None) -> Array:
     return np.array([*(SIGNS[letter] for letter in (stated or str(axes)).lower()[:2]), 1.0])
 
 
-def _nifti(path: Path, axes: str | None) -> tuple[Any, Array, float]:
-    """Values, affine map to RAS, and the unit of length in m."""
+def _nifti(path: Path, axes: str | None) -> tuple[Any, Array, float, dict[int, tuple[int, int]]]:
+    """Values, affine map to RAS, the unit of length in m, and no segments."""
     nibabel = extra("nibabel", "anatomy", "NIfTI files")
     logging.getLogger("nibabel.global").setLevel(logging.CRITICAL + 1)  # what it has to say is said below
     image = nibabel.load(str(path))
@@ -258,7 +299,7 @@ def _nifti(path: Path, axes: str | None) -> tuple[Any, Array, float]:
     slope, inter = 1.0 if slope is None else float(slope), 0.0 if inter is None else float(inter)
     if (slope, inter) != (1.0, 0.0):
         raw = np.stack([part.astype(np.float32) * np.float32(slope) + np.float32(inter) for part in raw])
-    return raw, affine, UNITS.get(unit, 1e-3)
+    return raw, affine, UNITS.get(unit, 1e-3), {}
 
 
 def _has_place(header: Any, path: Path) -> bool:
@@ -271,17 +312,44 @@ def _has_place(header: Any, path: Path) -> bool:
     return any(said)
 
 
-def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float]:
-    """Values, affine map to RAS, and the unit of length in m."""
+def _segments(about: dict[str, Any], layers: int, path: Path) -> dict[int, tuple[int, int]]:
+    """Label -> layer and value of the segments that 3D Slicer names in a header; their numbers from 1, in the order of
+    the file, where segments of different layers have the same value."""
+    found: list[tuple[int, int]] = []
+    names: list[str] = []
+    while f"Segment{len(found)}_LabelValue" in about:
+        own = f"Segment{len(found)}_"
+        try:
+            found.append((int(about.get(f"{own}Layer", 0)), int(about[f"{own}LabelValue"])))
+        except ValueError:
+            raise InputError(f"{path}: {own}Layer and {own}LabelValue of its header must be whole numbers") from None
+        names.append(str(about.get(f"{own}Name", f"segment {len(found)}")))
+        if not 0 <= found[-1][0] < layers:
+            raise InputError(f"{path}: {own}Layer is {found[-1][0]}; it must be from 0 to {layers - 1}")
+    if not found:
+        raise InputError(f"{path} has {layers} layers, but names no segments; save the segmentation with 3D Slicer")
+    values = [value for _, value in found]
+    if len(set(values)) == len(values):
+        return dict(zip(values, found, strict=True))
+    listed = ", ".join(f"{k} {name}" for k, name in enumerate(names, start=1))
+    LOGGER.warning(f"{path}: segments of different layers have the same value; their labels are {listed}")
+    return dict(enumerate(found, start=1))
+
+
+def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float, dict[int, tuple[int, int]]]:
+    """Values, affine map to RAS, the unit of length in m, and the segments of layers, which are the first axis then."""
     nrrd = extra("nrrd", "anatomy", "NRRD files")
     about = nrrd.read_header(str(path))
     each = next((size for words, size in BYTES.items() if any(word in about["type"] for word in words)), 1)
     sizes = [int(size) for size in about["sizes"]]
     # A sequence of one volume has an axis that lies nowhere.
-    lost = tuple(k for k, size in enumerate(sizes) if size == 1)[: max(len(sizes) - 3, 0)]
-    _check_size([size for k, size in enumerate(sizes) if k not in lost], each, path)
+    layered = len(sizes) == 4 and sizes[0] > 1 and str((about.get("kinds") or [""])[0]).lower() == "list"
+    segments = _segments(about, sizes[0], path) if layered else {}
+    lost = (0,) if layered else tuple(k for k, size in enumerate(sizes) if size == 1)[: max(len(sizes) - 3, 0)]
+    voxel = each * (sizes[0] if layered else 1)
+    _check_size([size for k, size in enumerate(sizes) if k not in lost], voxel, path)
     values, header = nrrd.read(str(path), index_order="F")
-    values, directions = values.squeeze(lost), header.get("space directions")
+    values, directions = values if layered else values.squeeze(lost), header.get("space directions")
     space = str(header.get("space", "")).lower()
     if directions is None:
         directions = np.diag(np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float))
@@ -303,4 +371,4 @@ def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float]:
         _signs(path, letters, axes)
     affine[:3] *= signs[:, None]
     units = header.get("space units") or ["mm"]
-    return values, affine, UNITS.get(str(units[0]).strip('"'), 1e-3)
+    return values, affine, UNITS.get(str(units[0]).strip('"'), 1e-3), segments

@@ -233,13 +233,26 @@ NAMES = {
     "timestamp": "time",
     **dict.fromkeys(("alpha", "rot", "angle", "theta"), "rotation"),
     **dict.fromkeys(("trans", "insertion", "displacement"), "translation"),
+    "temp": "temperature",
+    **dict.fromkeys(("u", "volt"), "voltage"),
+    **dict.fromkeys(("i", "amp"), "current"),
+    **dict.fromkeys(("pwm", "duty_cycle"), "duty"),
+    "springback": "spring_back",
     **{f"{word}_{axis}": axis for word in ("pos", "position", "tip", "p", "target") for axis in "xyz"},
     **{f"{axis}_{word}": axis for word in ("pos", "position", "tip", "target") for axis in "xyz"},
     **{f"{word}{axis}": axis for word in ("p", "t") for axis in "xyz"},
 }
 """Other names of columns -> those of tubeopt; without unit and number."""
 
-SPELLED = {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "sec": "s", "seconds": "s"}
+SPELLED = {
+    **dict.fromkeys(("degree", "degrees", "°"), "deg"),
+    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("sec", "seconds"), "s"),
+    **dict.fromkeys(("c", "°c", "celsius"), "degC"),
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("amp", "amps", "ampere"), "A"),
+    "%": "percent",
+}
 """Other spellings of units."""
 
 

@@ -53,6 +53,8 @@ ALIKE = (
     {"per_mm": Decimal(1000), "per_m": Decimal(1), "per_cm": Decimal(100)},
     {"s": Decimal(1), "ms": Decimal("1e-3"), "min": Decimal(60), "h": Decimal(3600)},
     {"ohm": Decimal(1), "mohm": Decimal("1e-3")},
+    {"V": Decimal(1), "mV": Decimal("1e-3")},
+    {"A": Decimal(1), "mA": Decimal("1e-3")},
     {"kg": Decimal(1), "g": Decimal("1e-3")},
     {"Hz": Decimal(1), "kHz": Decimal(1000)},
     {"N": Decimal(1), "mN": Decimal("1e-3")},

@@ -61,7 +61,7 @@ def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[s
     if kind in (".fcsv", ".json"):
         found = markups(path)
         return {name: ras(place, own) for name, place in found.items()}
-    table = read_csv(path)
+    table = read_csv(path, PLACE)
     table.expect(("name", *PLACE))
     places, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
     for k, place in enumerate(places):

@@ -19,7 +19,15 @@ from ..typing import Array, Progress
 from .base import Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
-from .rig_file import LOG_COLUMNS, OUTCOMES, load_camera, load_colours, load_heating_log, load_heating_trials
+from .rig_file import (
+    LOG_COLUMNS,
+    OUTCOMES,
+    TRIAL_COLUMNS,
+    load_camera,
+    load_colours,
+    load_heating_log,
+    load_heating_trials,
+)
 
 CameraView = tuple[Array, Array, Array]
 """Times, places and temperatures that a camera saw."""
@@ -65,7 +73,7 @@ class HeatingCalibrationStudy(TubeOnRig):
 
     @functools.cached_property
     def _read(self) -> HeatingLog | tuple[Trial, ...]:
-        columns = read_csv(self.log).columns
+        columns = read_csv(self.log, (*LOG_COLUMNS, *TRIAL_COLUMNS)).columns
         outcomes, readings = ([name for name in known if name in columns] for known in (OUTCOMES, LOG_COLUMNS[2:]))
         if outcomes and not self.trials:
             raise ValueError(f"trials is missing; the file has the column {outcomes[0]} of trials")

@@ -99,7 +99,7 @@ def load_trials(path: str | PathLike[str]) -> Trials:
         InputError: no such file, a column that is unknown or missing, a cell that is no positive number: one line for
             every problem.
     """
-    table = read_csv(path)
+    table = read_csv(path, (*TRIAL_COLUMNS, NOTE))
     table.expect(TRIAL_COLUMNS, [NOTE])
     radii = table.numbers(TRIAL_COLUMNS, MM)
     for row in range(len(table.rows)):

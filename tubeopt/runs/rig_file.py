@@ -119,7 +119,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
     Raises:
         InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
     """
-    table = read_csv(path)
+    table = read_csv(path, LOG_COLUMNS)
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
@@ -154,7 +154,7 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     Raises:
         InputError: no such file, a column that is no place, or cells that are no numbers.
     """
-    table = read_csv(path)
+    table = read_csv(path, ("time_s",))
     placed = [name for name in table.columns if name != "time_s"]
     strange = [name for name in placed if not re.fullmatch(r"[-+]?[0-9.]+", name)]
     refuse(path, [f"column {name} is not known; it must be time_s or a place in mm" for name in strange])
@@ -187,7 +187,7 @@ def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
     Raises:
         InputError: no such file, columns unknown or missing, or cells that make no trial: one line for every problem.
     """
-    table = read_csv(path)
+    table = read_csv(path, TRIAL_COLUMNS)
     table.expect(TRIAL_COLUMNS[:2], TRIAL_COLUMNS[2:])
     if not set(OUTCOMES) & set(table.columns):
         refuse(path, ["column result, spring_back_percent or colour is missing"])

@@ -4,8 +4,9 @@ An export becomes a table whose columns have meanings of their own: `time`, `x_1
 rigid body, and so on, in the order of the file.
 
 - NDI (Track, ToolBox, the recorders of the CAPI samples): one header line in which every tool has the columns Frame,
-  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, between commas or tabs; positions in mm. Not seen is what has a state other than OK
-  or Enabled, the word MISSING or NDI's number for it, or a quaternion of zeros.
+  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, between commas or tabs; positions in mm. With Euler angles, Rz, Ry and Rx stand in
+  place of the quaternion: degrees, R = Rz Ry Rx. Not seen is what has a state other than OK or Enabled, the word
+  MISSING or NDI's number for it, or a quaternion of zeros.
 - OptiTrack Motive: "Format Version" in the first line with the units of length and the kind of rotation, then lines
   that name type, body and quantity of every column.
 """
@@ -18,9 +19,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 
+from scipy.spatial.transform import Rotation
+
 from ..errors import InputError
 from ..files.csv_file import CsvTable, read_csv
 from ..files.files import read_text
+
+QUATERNIONS, EULER = ("q0", "qx", "qy", "qz"), ("rz", "ry", "rx")
+"""Names of NDI for the parts of a rotation."""
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 BAD_FLOAT = 1e20
@@ -62,14 +68,18 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     if first and first[0].lower() == "format version":
         return _optitrack(path, cells)
     lowered = [cell.lower() for cell in first]
-    if "q0" in lowered and "tx" in lowered:
+    if "tx" in lowered and ("q0" in lowered or {*EULER} <= {*lowered}):
         return _ndi(path, cells, frame_rate)
     return Recorded(read_csv(path), {})
 
 
 def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | None) -> Recorded:
     header = [cell.strip().lower().rstrip("#") for cell in cells[0]]
-    tools = [k for k, name in enumerate(header) if name == "q0"]
+    angles = "q0" not in header
+    width = 3 if angles else 4
+    tools = [
+        k for k in range(len(header) - width + 1) if {*header[k : k + width]} == {*(EULER if angles else QUATERNIONS)}
+    ]
     rows, lines = [], []
     for number, row in enumerate(cells[1:], start=2):
         padded = [cell.strip() for cell in row] + [""] * (len(header) - len(row))
@@ -79,8 +89,11 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
         lines.append(number)
         for k in tools:
             state = _before(header, k, ("state", "transformstatus"))
-            seen = (state is None or padded[state].lower() in SEEN) and _is_pose(padded[k : k + 7])
-            rows[-1] += padded[k : k + 7] if seen else [""] * 7
+            pose = padded[k : k + width + 3]
+            if angles:
+                pose = [*_turned(dict(zip(header[k : k + 3], pose, strict=False))), *pose[3:]]
+            seen = (state is None or padded[state].lower() in SEEN) and _is_pose(pose)
+            rows[-1] += pose if seen else [""] * 7
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
     if not rows or not rows[0][0]:  # nothing to tell the time by
         rows, names = [row[1:] for row in rows], names[1:]
@@ -95,6 +108,23 @@ def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequ
         return ""
     cell = next((row[frame - 1].strip() for row in rows if len(row) >= frame), "")
     return cell or titles[frame - 1].strip()
+
+
+def _turned(angles: dict[str, str]) -> list[str]:
+    """The quaternion of Euler angles in deg; words in place of a number are left to the table."""
+    try:
+        turn = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=True)
+    except ValueError:
+        return next(([cell] * 4 for cell in angles.values() if not _is_number(cell)), [""] * 4)
+    x, y, z, w = turn.as_quat().tolist()
+    return [repr(each) for each in (w, x, y, z)]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False
 
 
 def _is_pose(cells: Sequence[str]) -> bool:
