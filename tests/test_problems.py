@@ -10,6 +10,7 @@ import inspect
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -37,11 +38,8 @@ LAW_RIGS = 12
 PROBLEMS = sorted((Path(__file__).resolve().parents[1] / "problems").glob("*.py"))
 
 
-@pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
-def test_problem(
-    script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
+def problem(script: Path) -> tuple[Callable[..., list[Path]], dict[str, int]]:
+    """The function of a problem that draws its pictures, and how many samples of a few are enough for a test."""
     spec = importlib.util.spec_from_file_location(script.stem, script)
     assert spec is not None
     assert spec.loader is not None
@@ -49,11 +47,19 @@ def test_problem(
     spec.loader.exec_module(module)
     samples = inspect.signature(module.main).parameters.get("samples")
     fewer = SAMPLES.get(script.stem, 12)
-    coarse = {"samples": fewer} if samples is not None and samples.default > fewer else {}
+    return module.main, {"samples": fewer} if samples is not None and samples.default > fewer else {}
+
+
+@pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
+def test_problem(
+    script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
+    main, coarse = problem(script)
     gallery = os.environ.get("TUBEOPT_GALLERY")
     if coarse or not gallery:
         draw_quickly(monkeypatch)
-    pictures = module.main(tmp_path, **coarse)
+    pictures = main(tmp_path, **coarse)
     assert pictures
     for picture in pictures:
         with Image.open(picture) as image:

@@ -1,11 +1,11 @@
 """Pictures for a page: no text overlaps another or is clipped, and none is higher than 1.2 widths.
 
-By day some kinds of pictures at the narrowest width; by night all kinds at three, and every picture of `problems/`.
+By day some kinds of pictures at the narrowest width; by night all kinds at three, every picture of `problems/`, and
+those of commands that no problem has.
 """
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -17,7 +17,10 @@ import pytest
 from PIL import Image
 
 import tubeopt
+from tests.test_problems import LAW_RIGS, PROBLEMS, problem
+from tubeopt.cli.app import main
 from tubeopt.shaping import plan_mandrel, plan_pegs, rank_mold_materials
+from tubeopt.shaping.heating.settings import DEFAULT_HEATING
 from tubeopt.show.page import TITLED, WIDTH
 from tubeopt.show.plots import style
 from tubeopt.show.plots.crowding import faults
@@ -112,23 +115,49 @@ def test_no_text_overlaps_another_or_is_clipped(kind: str, width_mm: float) -> N
         assert figure.get_figwidth() == pytest.approx(width_mm / 25.4)
 
 
-@pytest.mark.parametrize("script", sorted((ROOT / "problems").glob("*.py")), ids=lambda script: script.stem)
-def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = importlib.util.spec_from_file_location(script.stem, script)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+@contextmanager
+def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """What is wrong with pictures that are drawn meanwhile, each at three widths; nothing is saved."""
     found: list[str] = []
+    fitted = style.fitted
 
-    def saved(figure: Any, path: Any) -> Any:
-        found.extend(f"{Path(path or '').name} at {width_mm} mm: {fault}" for fault in faults(figure))
+    def _fitted(draw: Callable[[], Any]) -> Any:
+        for width_mm in (60, 88, 180):
+            with page(width_mm):
+                figure = fitted(draw)
+            heading = figure.get_suptitle().split("\n")[0]
+            found.extend(f"{heading} at {width_mm} mm: {fault}" for fault in faults(figure))
         return figure
 
-    monkeypatch.setattr(style, "saved", saved)
-    for width_mm in (60, 88, 180):
-        with page(width_mm):
-            module.main(tmp_path)
+    patch.setattr(style, "fitted", _fitted)
+    patch.setattr(style, "saved", lambda figure, _: figure)
+    with page(60):
+        yield found
+
+
+@pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
+def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
+    draw, coarse = problem(script)
+    with measured(monkeypatch) as found:
+        draw(tmp_path, **coarse)
+    assert found == []
+
+
+COMMANDS = (
+    "validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv --fit curvature",
+    "heat calibrate configs/experiments/heating_log.csv --rig configs/rigs/thesis_calcium_silicate.yaml",
+    "heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno",
+    "mold calibrate configs/molds/example_trials.csv",
+    "mold mandrel configs/robots/example_pieces.yaml --tube 1",
+)
+
+
+@pytest.mark.parametrize("typed", COMMANDS, ids=lambda typed: typed.split(" configs")[0])
+def test_pictures_of_commands_fit_a_page(typed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    with measured(monkeypatch) as found, pytest.raises(SystemExit):
+        main([*typed.split(), "--out", str(tmp_path), "--width-mm", "60", "--quiet"])
     assert found == []
 
 

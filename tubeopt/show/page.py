@@ -10,5 +10,11 @@ WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 TITLED: ContextVar[bool] = ContextVar("TITLED", default=True)
 """Whether pictures have a heading; a paper has a caption below."""
 
+HEADINGS: ContextVar[list[str] | None] = ContextVar("HEADINGS", default=None)
+"""Where pictures without a heading leave it, for their captions."""
+
+FONTS: ContextVar[tuple[str, ...]] = ContextVar("FONTS", default=())
+"""Families of letters, the best first; of those that are not installed the next is taken."""
+
 SCALE = "scale"
 """`gid` of the numbers along the edges of a scene, of which some may be left out."""

@@ -176,7 +176,7 @@ def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figu
     wanted = task.objectives[0]
     best = [one for one in choice.candidates if one.objective is not None][:most]
     figure = new_figure(6.4, 0.8 + 0.34 * len(best))
-    left, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 5))
+    left, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 8))
     for row, one in enumerate(best):
         for k, size in enumerate(one.sizes):
             outer = 0.45 * size.outer_diameter / max(s.outer_diameter for c in best for s in c.sizes)

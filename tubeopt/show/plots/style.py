@@ -20,13 +20,14 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..formatting import in_a_word, tip_in_words
 from ..load_words import load_in_words
-from ..page import TITLED, WIDTH
+from ..page import FONTS, HEADINGS, TITLED, WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis
     from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure as Figure
+    from matplotlib.legend import Legend
     from matplotlib.text import Text
 else:
     Axes = Figure = Any  # only types of pictures: Matplotlib takes longer to load than a solve
@@ -49,7 +50,7 @@ STILL = 1e-3
 
 FORMATS = ("png", "pdf", "svg", "eps", "tiff")
 
-RC = {
+RC: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -103,10 +104,20 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
-            matplotlib.rcParams.update(cast(Any, RC))
+            matplotlib.rcParams.update(cast(Any, RC | {"font.sans-serif": families()}))
             return draw(*args, **kwargs)
 
     return wrapper
+
+
+def families() -> list[str]:
+    """Families of letters of pictures: the first has them, the others what it lacks."""
+    if not FONTS.get():
+        return list(RC["font.sans-serif"])
+    from matplotlib.font_manager import fontManager
+
+    installed = {font.name for font in fontManager.ttflist}
+    return [*(name for name in FONTS.get() if name in installed), *RC["font.sans-serif"]]
 
 
 class Picture(Protocol[D, P]):
@@ -160,14 +171,22 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
 def headed(figure: Figure, heading: str) -> Figure:
     """Put a heading, if there is one, above everything in a figure, to the left."""
-    if heading and TITLED.get():
+    if heading and _shown(heading):
         figure.suptitle(heading, fontsize=9, x=0.02, ha="left")
     return figure
 
 
+def _shown(heading: str) -> bool:
+    """Whether pictures have headings; where they have none, this one is left for their captions."""
+    headings = HEADINGS.get()
+    if headings is not None and not TITLED.get():
+        headings.append(heading)
+    return TITLED.get()
+
+
 def entitle(axes: Axes, heading: str, **look: Any) -> None:
     """Put the heading of a picture above its one panel, to the left."""
-    if TITLED.get():
+    if _shown(heading):
         axes.set_title(heading, loc="left", **look)
 
 
@@ -287,6 +306,8 @@ def fitted(draw: Callable[[], Figure]) -> Figure:
         if not arrange(figure, stacked=stacked, letters=letters):
             continue
         merit = len(faults(figure)), -min(_filled(figure), ROOMY)
+        if best is not None and best[0][0] == 0 and -best[0][1] > FAIR and merit[1] > GAIN * best[0][1]:
+            break  # panels of a given shape do not grow with smaller letters
         if best is None or merit < best[0]:
             best = merit, figure
         if merit == (0, -ROOMY):
@@ -299,8 +320,12 @@ def fitted(draw: Callable[[], Figure]) -> Figure:
     return figure
 
 
-ROOMY = 0.3
+ROOMY = 0.25
 """Part of a page that panels fill at least, where smaller letters can reach it."""
+
+FAIR, GAIN = 0.18, 1.1
+"""Part of a page that is enough where smaller letters do not let panels fill more, and by how much more
+they must."""
 
 
 def _filled(figure: Figure) -> float:
@@ -317,6 +342,7 @@ def arrange(figure: Figure, *, stacked: bool, letters: float = 1.0) -> bool:
         stack(figure)
     width, height = figure.get_size_inches()
     figure.set_figheight(min(height, TALLEST * width))
+    _tell_sizes(figure)
     if letters != 1.0:
         _scale_letters(figure, letters)
     with warnings.catch_warnings():
@@ -349,24 +375,52 @@ def _settle(figure: Figure) -> None:
 
 
 def _scale_letters(figure: Figure, scale: float) -> None:
-    """Make all letters smaller, and what stands off a point by a number of points nearer to it."""
+    """Make all letters smaller, and with them the ticks, the gaps between texts and panels, and legends."""
     from matplotlib.text import Annotation, Text
 
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            labels = axis.get_ticklabels()
-            if labels:
-                axis.set_tick_params(labelsize=labels[0].get_fontsize())
     for found in figure.findobj(Text):
         text: Any = found
         text.set_fontsize(scale * text.get_fontsize())
         if isinstance(text, Annotation) and text.anncoords == "offset points":
             text.xyann = (scale * text.xyann[0], scale * text.xyann[1])
+    _tell_sizes(figure)
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.labelpad *= scale
+            first: Any = next(iter(axis.get_major_ticks(1)))
+            axis.set_tick_params(length=scale * first.tick1line.get_markersize(), pad=scale * first.get_pad())
+        if axes.get_legend() is not None:
+            _legend_anew(axes)
+    engine: Any = figure.get_layout_engine()
+    engine.set(**{name: scale * pad for name, pad in engine.get().items() if name in ("w_pad", "h_pad")})
+
+
+def _tell_sizes(figure: Figure) -> None:
+    """Let ticks that are made later, with other settings of Matplotlib too, have labels as large as those there are."""
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             labels = axis.get_ticklabels()
             if labels:
                 axis.set_tick_params(labelsize=labels[0].get_fontsize())
+
+
+def _legend_anew(axes: Axes, **other: Any) -> Legend:
+    """The legend of a panel made again, as large as its letters are, where something of it is to be another."""
+    legend: Any = axes.get_legend()
+    texts, title = legend.get_texts(), legend.get_title()
+    look: dict[str, Any] = {
+        "ncols": legend._ncols,  # noqa: SLF001
+        "loc": legend._loc,  # noqa: SLF001
+        "bbox_to_anchor": legend.get_bbox_to_anchor().transformed(axes.transAxes.inverted()).bounds,
+        "borderaxespad": legend.borderaxespad,
+        "columnspacing": legend.columnspacing,
+        "handlelength": min(legend.handlelength, 1.4),
+        "title": title.get_text() or None,
+        "title_fontsize": title.get_fontsize(),
+    }
+    if texts:
+        look["fontsize"] = texts[0].get_fontsize()
+    return axes.legend(legend.legend_handles, [text.get_text() for text in texts], **look | other)
 
 
 def _lay_out(figure: Figure) -> None:
@@ -391,15 +445,13 @@ def _uncover(axes: Axes) -> bool:
     box = legend.get_window_extent()
     if not any(_drawn_in(artist, box) for artist in (*axes.lines, *axes.collections, *axes.texts)):
         return False
-    handles: Any = legend.legend_handles
-    names = [text.get_text() for text in legend.get_texts()]
-    size, columns = legend.get_texts()[0].get_fontsize(), legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
     if axes.get_title() or axes.get_title("left"):
-        axes.legend(handles, names, loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2, fontsize=size)
+        _legend_anew(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return True
-    columns = int(np.clip(axes.bbox.width / box.width * columns, 1, len(names)))
+    own: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+    columns = int(np.clip(axes.bbox.width / box.width * own, 1, len(legend.get_texts())))
     where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.1}
-    axes.legend(handles, names, ncols=columns, fontsize=size, columnspacing=1.2, **where)
+    _legend_anew(axes, ncols=columns, **where)
     return True
 
 
@@ -462,12 +514,7 @@ def _narrow_legend(axes: Axes, room: float) -> None:
         return
     width, own = legend.get_window_extent().width, legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
     if width > room and own > 1:
-        handles: Any = legend.legend_handles
-        names, size = [text.get_text() for text in legend.get_texts()], legend.get_texts()[0].get_fontsize()
-        place: Any = legend.get_bbox_to_anchor().transformed(axes.transAxes.inverted()).bounds
-        where: Any = {"loc": legend._loc, "bbox_to_anchor": place}  # type: ignore[attr-defined]  # noqa: SLF001
-        columns = max(int(own * room / width), 1)
-        legend = axes.legend(handles, names, ncols=columns, fontsize=size, handlelength=1.2, columnspacing=1.0, **where)
+        legend = _legend_anew(axes, ncols=max(int(own * room / width), 1), columnspacing=1.0)
     for text in legend.get_texts():
         _fold_lines(text, 0.4 * room if own == 1 else room)
 

@@ -12,7 +12,7 @@ from ...typing import Array
 from ...validation import ErrorTable, Validation
 from ..colours import tube_colour
 from .stage import note, round_below
-from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, narrow, new_figure, picture
 
 MEASURED = "#D55E00"
 PREDICTED = "#0072B2"
@@ -134,7 +134,8 @@ def _draw_radar(axes: Axes, direction: Array, separation: Array, error: Array) -
         words.set_bbox({"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6})
     axes.set_axisbelow(False)  # numbers above the lines
     axes.grid(color="#D5D8DC", lw=0.5)
-    axes.legend(title="separation", loc="upper left", bbox_to_anchor=(-0.28, 1.13), handlelength=1.4)
+    corner = (1.15, 1.0) if narrow() else (-0.28, 1.13)
+    axes.legend(title="separation", loc="upper left", bbox_to_anchor=corner, handlelength=1.4)
     axes.set_title("tip error (mm) over direction", pad=12)
 
 
