@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.command_line import CRL as CRL_FILE
 from tests.command_line import ROOT, Run, answer, refused
@@ -33,7 +34,7 @@ from tubeopt import (
 )
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
-from tubeopt.show.plots.workspace import plot_workspace
+from tubeopt.show.plots.workspace import _section, plot_workspace
 from tubeopt.typing import Array
 from tubeopt.workspaces import alpha_volume, meridian_volume, save_workspace, voxel_volume, voxels
 from tubeopt.workspaces.loss import from_tips
@@ -391,6 +392,37 @@ def test_the_picture(tmp_path: Path, lossy: bool, monkeypatch: pytest.MonkeyPatc
     figure = plot_workspace(found, tmp_path / "w.png", loss=loss)
     assert (tmp_path / "w.png").read_bytes().startswith(b"\x89PNG")
     assert len(figure.axes) == 6
+
+
+def turned(places: Array, directions: Array, margins: list[float], angles_deg: list[float]) -> Workspace:
+    """A workspace of tips in the plane xz, each turned about z with its direction."""
+    rows = np.zeros((len(places), 2 * CRL.n_tubes + 7))
+    for row, place, direction, margin, angle in zip(rows, places, directions, margins, angles_deg, strict=True):
+        about_z = Rotation.from_euler("z", angle, degrees=True)
+        row[-7:-4], row[-4:-1], row[-1] = about_z.apply(place), about_z.apply(direction), margin
+    return Workspace(CRL, "random", 0, rows)
+
+
+def test_a_section_has_the_smallest_margin_and_the_directions_in_its_half_plane() -> None:
+    # Three tips in a cell 35 mm from the axis: two point upwards, one outwards. One far from them.
+    places = np.array([[0.035, 0, 0.105], [0.035, 0, 0.105], [0.035, 0, 0.105], [0.075, 0, 0.155]])
+    ways = np.array([[0.1, 0.02, 1.0], [0.1, 0.02, 1.0], [1.0, 0.02, 0.1], [1.0, 0.02, 0.1]])
+    found = _section(turned(places, ways, [0.9, 0.4, 0.7, 0.8], [0, 100, 200, 300]), 0.01)
+    assert found.first.tolist() == [3, 10]
+    assert (found.margin[0, 0], found.margin[-1, -1]) == (0.4, 0.8)
+    assert (found.dexterity[0, 0], found.dexterity[-1, -1]) == (2 / 64, 1 / 64)
+    assert np.isnan(found.margin).sum() == found.margin.size - 2
+
+
+def test_colours_of_a_section_span_the_margins_there_are() -> None:
+    found = workspace(CRL, 500)
+    figure = plot_workspace(found)
+    low, high = figure.axes[2].collections[0].get_clim()
+    assert low == pytest.approx(np.nanmin(found.margin), abs=1e-12)
+    assert low < high <= 1.0
+    drawn = figure.axes[2].collections[0].get_array().compressed()
+    assert np.ptp(drawn) > 0.3
+    assert drawn.min() >= low - 1e-12
 
 
 def test_the_command(run: Run, tmp_path: Path) -> None:

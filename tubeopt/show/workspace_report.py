@@ -130,4 +130,4 @@ class WorkspaceReport(Report[Findings]):
     def pictures(self) -> dict[str, Drawing]:
         """The workspace, seen from two sides and cut."""
         a = self.answer
-        return {"workspace": drawing("workspace.plot_workspace", a.workspace, loss=a.loss, size=a.voxels.size)}
+        return {"workspace": drawing("workspace.plot_workspace", a.workspace, loss=a.loss)}

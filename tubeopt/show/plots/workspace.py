@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, positive
 from ...files.units import TO_MM
 from ...typing import Array
-from ...workspaces import SnappingLoss, Voxels, Workspace, voxels
-from ...workspaces.voxels import Keys
+from ...workspaces import SnappingLoss, Workspace
+from ...workspaces.table import held, require_samples
+from ...workspaces.voxels import PATCHES, Keys, Store, index_of
 from .shape import draw_plate
 from .stage import View
 from .style import Axes, Figure, colour_bar, headed, new_figure, number, picture
@@ -24,6 +26,15 @@ LOST_COLOUR = "#D55E00"
 MOST_TIPS = 4000
 """Tips that are drawn; of more, so many are drawn."""
 
+PER_CELL = 12
+"""Samples per cell of a section, if they were evenly spread over its bounding box."""
+
+ACROSS = 200
+"""Points that are drawn of a section along its longer side, at least: between cells values change smoothly."""
+
+LEAST_SPAN = 0.01
+"""Range of margins that the colours span at least: smaller differences are not worth a colour."""
+
 
 @picture
 def plot_workspace(
@@ -34,36 +45,46 @@ def plot_workspace(
     title: str = "",
     view: tuple[float, float] = (18.0, -60.0),
 ) -> Figure:
-    """Figure of a workspace: tips coloured by margin, dexterity, and largest margin in the half-plane through z.
+    """Figure of a workspace: tips in space, and a section: directions of the tip, and smallest margin.
+
+    The section is a half-plane through z into which all tips are turned. Each of its points shows the samples about it:
+    the share of directions in which their tips point, relative to the half-plane, and the smallest of their margins.
 
     Args:
         loss: of `snapping_loss`.
-        size: edge of the voxels, m; by default as in `voxels`.
+        size: edge of the cells of the section, m; by default small enough for about 12 samples per cell.
         title: heading; default the robot's name and the number of samples.
         view: elevation and azimuth of the viewer of the scene, deg.
 
     Raises:
-        InputError: no sample has a stable equilibrium, a loss of another robot, the name of the picture does not end in
-            a known format.
+        InputError: no sample has a stable equilibrium, a loss of another robot, a size that is not positive, the name
+            of the picture does not end in a known format.
     """
     if loss is not None and loss.robot != workspace.robot:
         raise InputError("loss is of another robot than the workspace")
-    found = voxels(workspace, size)
+    require_samples(workspace)
+    found = _section(workspace, size)
     figure = new_figure(9.0, 4.9)
     name = workspace.robot.name or f"robot of {workspace.robot.n_tubes} tubes"
     headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
-    share = _draw_section(sides, found, found.dexterity, float(found.dexterity.max()))
-    best = _draw_section(margins, found, found.margin, 1.0)
+    share = _draw_section(sides, found, found.dexterity, (0.0, float(np.nanmax(found.dexterity))))
+    worst = _draw_section(margins, found, found.margin, _span(found.margin))
     where: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.75, "aspect": 25, "pad": 0.02}
     colour_bar(figure, tips, "stability margin", ax=scene, **where)
     colour_bar(figure, share, "share of directions", ax=sides, **where)
-    colour_bar(figure, best, "largest margin", ax=margins, **where)
+    colour_bar(figure, worst, "smallest margin", ax=margins, **where)
     if loss is not None:
         _draw_lost(margins, loss)
     margins.sharey(sides)
     return figure
+
+
+def _span(margins: Array) -> tuple[float, float]:
+    """Least and largest of some margins, as the ends of a scale of colours."""
+    most = float(np.nanmax(margins))
+    return min(float(np.nanmin(margins)), most - LEAST_SPAN), most
 
 
 def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
@@ -75,7 +96,8 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
     seen = view.project(points)
     order = np.argsort(seen[:, 2], kind="stable")
     style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
-    return axes.scatter(seen[order, 0], seen[order, 1], c=margin[order], cmap=MAP, vmin=0, vmax=1, **style)
+    low, high = _span(margin)
+    return axes.scatter(seen[order, 0], seen[order, 1], c=margin[order], cmap=MAP, vmin=low, vmax=high, **style)
 
 
 def _fold(centres: Array, size: float) -> Keys:
@@ -84,15 +106,87 @@ def _fold(centres: Array, size: float) -> Keys:
     return np.floor(np.column_stack([distance, centres[:, 2]]) / size).astype(np.int64)
 
 
-def _draw_section(axes: Axes, found: Voxels, values: Array, most: float) -> Collection:
-    """Voxels folded into the meridian, the largest value of each cell, in colours from 0 to `most`."""
-    cells = _fold(found.centres, found.size)
-    low, high = cells.min(0), cells.max(0)
-    grid = np.full(high - low + 1, -np.inf)
-    np.maximum.at(grid, tuple((cells - low).T), values)
-    edges = [np.arange(low[k], high[k] + 2) * found.size * TO_MM for k in range(2)]
-    shown = np.ma.masked_invalid(grid.T)
-    drawn = axes.pcolormesh(*edges, shown, cmap=MAP, vmin=0, vmax=most, rasterized=True)
+@dataclass(frozen=True, eq=False)
+class _Section:
+    """Cells of a half-plane through z: cell (i, j) begins (first + (i, j)) * size from the axis and the plate."""
+
+    size: float
+    first: Keys
+    margin: Array
+    """(I, J) smallest margin of the samples in a cell and those next to it; NaN where no sample is in the cell."""
+    dexterity: Array
+    """(I, J) share of directions of the same samples; NaN likewise."""
+
+
+def _section(workspace: Workspace, size: float | None) -> _Section:
+    """Tips turned about z into one half-plane, with their directions, and sorted into cells."""
+    from scipy.ndimage import minimum_filter
+
+    edge = _cell_size(workspace) if size is None else positive("size", size)
+    store = Store(edge)
+    for _, part in workspace.chunks():
+        table = part[held(part, -np.inf)]
+        x, y, z = table[:, -7:-4].T
+        distance = np.hypot(x, y)
+        safe = np.where(distance > 0, distance, 1.0)
+        cosine, sine = np.where(distance > 0, x / safe, 1.0), y / safe
+        across, along, up = table[:, -4:-1].T
+        turned = np.column_stack([cosine * across + sine * along, cosine * along - sine * across, up])
+        tips = np.column_stack([distance, np.zeros(len(table)), z])
+        store.add(tips, turned, -table[:, -1], np.ones(len(table), dtype=bool))  # of equal cells it keeps the largest
+    cells = index_of(store.keys)[:, ::2]
+    first = cells.min(0)
+    where = tuple((cells - first).T)
+    shape = cells.max(0) - first + 1
+    margin, patches = np.full(shape, np.inf), np.zeros(shape + 2, np.uint64)
+    margin[where] = -store.margin
+    patches[1:-1, 1:-1][where] = store.patches
+    empty = np.isinf(margin)
+    near = np.zeros(shape, np.uint64)
+    for i, j in np.ndindex(3, 3):
+        near |= patches[i : i + shape[0], j : j + shape[1]]
+    shares = np.bitwise_count(near) / PATCHES
+    smallest = minimum_filter(margin, 3, mode="nearest")
+    return _Section(edge, first, np.where(empty, np.nan, smallest), np.where(empty, np.nan, shares))
+
+
+def _cell_size(workspace: Workspace) -> float:
+    """Edge (m) at which cells of the bounding box of the half-plane hold `PER_CELL` samples."""
+    low, high, count = np.full(2, np.inf), np.full(2, -np.inf), 0
+    for _, part in workspace.chunks():
+        tips = part[held(part, -np.inf), -7:-4]
+        if len(tips):
+            plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), tips[:, 2]])
+            low, high, count = np.minimum(low, plane.min(0)), np.maximum(high, plane.max(0)), count + len(tips)
+    longest = max(float((high - low).max()), 1e-3)
+    area = float(np.prod(np.maximum(high - low, longest / 100)))
+    return max(float(np.sqrt(area * PER_CELL / count)), longest / 100)
+
+
+def _draw_section(axes: Axes, found: _Section, values: Array, span: tuple[float, float]) -> Collection:
+    """A section with values (I, J) between its cells, and a smooth edge."""
+    from scipy.ndimage import gaussian_filter, zoom
+
+    # Cells without samples take no part in the mean of a point; the edge is where half of the cells about it have some.
+    padded = np.pad(values, 2, constant_values=np.nan)
+    inside = np.isfinite(padded)
+    weight = gaussian_filter(inside.astype(float), 0.7)
+    mean = gaussian_filter(np.where(inside, padded, 0.0), 0.7) / np.maximum(weight, 1e-9)
+    if found.first[0] == 0:  # beyond the axis lies the other side
+        weight[:2], mean[:2] = weight[3:1:-1], mean[3:1:-1]
+    finer = -(-ACROSS // max(padded.shape))
+    fine, part = (zoom(each, finer, order=1, grid_mode=True, mode="nearest") for each in (mean, weight))
+    edges = [
+        TO_MM * found.size * (found.first[k] - 2 + np.arange(finer * padded.shape[k] + 1) / finer) for k in range(2)
+    ]
+    outside = part < 0.5
+    outside[edges[0][:-1] < -1e-9] = True
+    shown = np.ma.masked_where(outside, fine)
+    low, high = span
+    drawn = axes.pcolormesh(*edges, shown.T, cmap=MAP, vmin=low, vmax=high, rasterized=True)
+    kept = [np.flatnonzero(~outside.all(axis=1 - k)) for k in range(2)]
+    axes.set_xlim(edges[0][kept[0][0]], edges[0][kept[0][-1] + 1])
+    axes.set_ylim(edges[1][kept[1][0]], edges[1][kept[1][-1] + 1])
     axes.set(xlabel="from the axis (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
     return drawn
