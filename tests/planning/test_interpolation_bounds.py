@@ -141,9 +141,14 @@ def test_interpolation_along_tubes_beside_the_centreline_is_off_by_how_they_are_
     speed = 1.1 + h * PAIRS * EASE[0]
     bent = 2 * YIELD * speed
     winding = (1 + offset * U) * PAIRS * EASE[0] + speed * offset * bent / (1 - offset * U)
-    u = series(0.0, U, bent, 2 * BOW * speed**2 + 2 * YIELD * winding)
+    slopes_of_bend = 2 * BOW * speed**2 + 2 * YIELD * winding
+    u = series(0.0, U, bent, slopes_of_bend)
     assert shape[0] == pytest.approx(shape_errors(h, u), rel=1e-5, abs=0)
-    assert turned[0] == pytest.approx(h**3 * PAIRS * 2 * speed * EASE[0])
+    # theta' = g w, with the derivatives of both.
+    stretched = series(1 + offset * U, offset * bent, offset * slopes_of_bend)
+    twisted = series(speed / (1 - offset * U), PAIRS * EASE[0], PAIRS * 2 * speed * EASE[0])
+    rate = derivatives(lambda s: stretched(s) * twisted(s), 0.02)
+    assert turned[0] == pytest.approx(h**3 * rate[2], rel=1e-6)
 
 
 def test_nothing_bounds_interpolation_across_too_many_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,13 +272,13 @@ def test_what_nothing_bounds_is_exact_at_points_alone() -> None:
 
 
 def test_changes_are_as_wrong_as_what_is_interpolated_at_both_ends() -> None:
-    """Places with changes 0.5 and -0.7 of one tube and 0.4 of the other, off by 0.01 and 0.02 (0.03 and 0)."""
+    """Places with changes 0.5 and -0.7 of one tube and 0.4 of the other, off by 0.02 and 0.03 (0.01) at both ends."""
     places = iter([np.zeros((1, 1, 2, 2)), np.array([[[[0.5, 0.4], [-0.7, 0.4]]]])][::-1])
-    wrong = iter([np.array([[[[0.01, 0.0], [0.0, 0.0]]]]), np.array([[[[0.02, 0.0], [0.03, 0.0]]]])])
+    wrong = iter([np.array([[[[0.01, 0.01], [0.02, 0.01]]]]), np.array([[[[0.02, 0.0], [0.03, 0.0]]]])])
     arms = SimpleNamespace(rotations=lambda *_: next(places), turn_error=lambda *_: next(wrong))
     own, pair = found_by(Intervals, "changes", SimpleNamespace(arms=arms, parts=((), ())))
-    assert own.ravel() == pytest.approx([0.73, 0.4])
-    assert pair[0, 0, 0, 1] == pytest.approx(1.1 + 0.03)
+    assert own.ravel() == pytest.approx([0.75, 0.41])
+    assert pair[0, 0] == pytest.approx(np.array([[0.1, 1.16], [1.16, 0.02]]))
 
 
 def test_the_torque_along_a_step_is_the_larger_of_its_ends_and_what_it_gains() -> None:
@@ -365,3 +370,25 @@ def test_no_branch_is_looked_for_where_the_sections_of_an_arm_change_their_order
 ) -> None:
     """Tubes of 50 and 30 mm: at -30 and -10 mm both end at 20 mm."""
     assert between(STEPPED, *(([0.3, 0.1], shift) for shift in shifts)).ordered.item() == ordered
+
+
+def test_rotations_torques_and_moments_are_each_as_wrong_as_their_own_third_derivative() -> None:
+    arms: Any = SimpleNamespace(
+        _wrong=(0.0, np.array([[1.0]]), np.array([[2.0]]), np.array([[3.0]])),
+        hermite_error=lambda which, s, third: third,
+    )
+    assert LoadedArms.turn_error(arms, None, None).tolist() == [[1.0]]
+    assert [each.tolist() for each in LoadedArms.load_error(arms, None, None)] == [[[2.0]], [3.0]]
+
+
+def test_a_step_across_two_changes_of_a_tube_counts_all_three_stretches() -> None:
+    """Changes at 0.25 and 0.5 of a step of length 1."""
+    stretch = lambda s, cuts: (s[:, None] > 0.25).astype(int) + (s[:, None] > 0.5)  # noqa: E731
+    arms: Any = SimpleNamespace(
+        constants=SimpleNamespace(still=False, stretch=stretch),
+        arc_length=np.array([0.0, 1.0]),
+        breakpoints=np.zeros((1, 1)),
+        owner=np.array([0, 0]),
+        inner=np.array([0]),
+    )
+    assert [each.item() for each in found_by(Arms, "crossed", arms)] == [0, 1, 2]

@@ -677,6 +677,20 @@ def test_what_differs_is_sure_also_where_it_spreads_from_rotations_alone(strengt
         assert (bound <= 1.6 * exact).all()
 
 
+@pytest.mark.parametrize("grows", ["turn of one tube", "torque", "moment", "nothing"])
+def test_what_differs_is_sure_only_if_all_of_it_is(grows: str) -> None:
+    """One of them feeds itself by 0.95, the others by a half."""
+    factors = {"turn of one tube": 0.5, "torque": 0.5, "moment": 0.5} | {grows: 0.95}
+    turns = np.array([0.5, factors["turn of one tube"]])
+    ends: Any = SimpleNamespace(changes=(np.ones((1, 1, 2)), np.ones((1, 1, 2, 2))))
+    still: Any = SimpleNamespace(
+        intervals=ends,
+        _between=lambda c: (turns * c.turn[0], factors["torque"] * c.torque, factors["moment"] * c.moment),
+    )
+    found = _Bounds._changes(still, np.ones((1, 1, 2)), np.ones((1, 1)))
+    assert found.sure.item() == (grows == "nothing")
+
+
 @pytest.mark.parametrize("per_length", [0.2, -0.2])
 def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_time(per_length: float) -> None:
     """By gravity and along the arm, across it; the load ahead of the base of a straight arm is its lever. What cancels

@@ -20,6 +20,7 @@ from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..inverse.clock import Clock
+from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..stability.following import find_snap
@@ -30,13 +31,16 @@ from .cross_sections import Constants
 from .effort import ProofSearch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
-from .sections import SWAPPED, Arms, Intervals
+from .sections import Arms, Intervals
 
 SHORTEST = 1e-9
 """Share of the time below which nothing is put between two equilibria."""
 
 DIP = 1e-7
 """Depth of a least margin between equilibria that does not matter."""
+
+AT_A_MEETING = 1e-6
+"""Fraction of the way between waypoints from a meeting within which no step is needed for the length of links."""
 
 BATCH = 2000
 """Intervals at once: bounds the memory."""
@@ -264,7 +268,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
         parts = np.arange(1, count + 1) / count
-        for x in np.union1d(parts, meetings[k]) if k in meetings else parts:
+        for x in _divided(parts, meetings[k]) if k in meetings else parts:
             there = b if x == 1 else a + (b - a) * x
             last = k == len(joints) - 2 and x == 1  # whole, however times are rounded
             at = 1.0 if last else float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
@@ -279,16 +283,26 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
 
 def _meetings(points: Array) -> dict[int, Array]:
     """Fractions of the way between waypoints at which some of P points (T, P) meet: sections change there, and with
-    them how the arm moves."""
+    them how the arm moves. Points closer than ROUND_OFF are one to the solver, and those that meet at the same time,
+    but for round-off, meet at one fraction."""
     gap = points[:, :, None] - points[:, None, :]
     before, after = gap[:-1], gap[1:]
     found: dict[int, Array] = {}
-    crossed = (before > SWAPPED) & (after < -SWAPPED)
+    crossed = (before > ROUND_OFF) & (after < -ROUND_OFF)
     for k in np.flatnonzero(crossed.any((1, 2))):
-        a, b = before[k][crossed[k]], after[k][crossed[k]]
-        x = np.unique(np.round(a / (a - b), 12))
-        found[int(k)] = x[(x > 0) & (x < 1)]
+        a, passed = before[k][crossed[k]], (before - after)[k][crossed[k]]
+        order, kept = np.argsort(a / passed), list[float]()
+        for x, same in zip((a / passed)[order].tolist(), (ROUND_OFF / passed)[order].tolist(), strict=True):
+            if not kept or x - kept[-1] > same:
+                kept.append(x)
+        found[int(k)] = np.array(kept)
     return found
+
+
+def _divided(parts: Array, meetings: Array) -> Array:
+    """Fractions of the way with a step: meetings, and those parts (C,) that are not at one. The last part is 1."""
+    apart = np.abs(parts[:, None] - meetings).min(1) > AT_A_MEETING
+    return np.union1d(parts[apart | (parts == 1)], meetings)
 
 
 def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:

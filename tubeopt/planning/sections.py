@@ -189,11 +189,16 @@ class Arms:
         if not c.still:
             faster += 2 * most * drift.ease.d + torque * drift.ease.dd + drift.wound.d
         # Tubes off the centreline: theta' = g w, whose change along the arm has that of g as well.
-        gain = gain * (1 + c.offset * bend.most[:, None])
+        wound, gain = gain, gain * (1 + c.offset * bend.most[:, None])
         u, (first, second) = bend.most, drift.bend(speed, np.zeros(()))
         du = bend.change(speed) + first
         gain += speed * c.offset * du[:, None] / (1 - c.offset * u[:, None])
         ddu = bend.second(speed, speed) + bend.change(gain) + second
+        # There theta' = g w, g = 1 - d u: of both.
+        least = 1 - c.offset * u[:, None]
+        faster = (1 + c.offset * u[:, None]) * faster + c.offset * (
+            2 * du[:, None] * wound + ddu[:, None] * speed / least
+        )
         third, fourth = u**2 + du, u**3 + 3 * u * du + ddu
         error = np.minimum(SHAPE_ERROR[0] * h**3 * third, SHAPE_ERROR[1] * h**4 * fourth)
         np.maximum.at(out, owner, np.where(self.wide, np.inf, error + out[owner]))
@@ -217,7 +222,7 @@ class Arms:
         return self._errors[0]
 
     def turn_error(self, which: Index, s: Array) -> Array:
-        """(..., n) bound of the error of `rotations`, rad, of tubes on the centreline."""
+        """(..., n) bound of the error of `rotations`, rad."""
         return self.hermite_error(which, s, self._errors[1])
 
 

@@ -18,10 +18,10 @@ from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.method import TOLERANCE
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
+from ..robots.assembly import ROUND_OFF
 from ..solvers.compiled.binding import Carriages
 from ..typing import Array, Mask
 from .passage import SHORTEST, Follower, Link, Step, halves, joined
-from .sections import SWAPPED
 
 TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""
@@ -62,7 +62,7 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
     slopes: Slopes = {}
     for _ in range(FINEST):
         row = _Row(follower, links, span, slopes)
-        measured = float(row.speed.max(initial=0.0))
+        measured = float((row.speed - row.wrong).max(initial=0.0))
         if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
             return Pace(math.inf, measured)
         rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
@@ -123,6 +123,12 @@ class _Row:
         return np.asarray(np.linalg.norm(self.chord, axis=1))
 
     @cached_property
+    def wrong(self) -> Array:
+        """(B,) by how much the errors of both tips may change that size."""
+        error = np.array([step.equilibrium.tip_error for step in self.steps])
+        return np.asarray(2 * np.maximum(error[1:], error[:-1]) / self.passed)
+
+    @cached_property
     def rate(self) -> Array:
         """(B, 2n) of the joints."""
         return np.diff([step.joints for step in self.steps], axis=0) / self.passed[:, None]
@@ -142,7 +148,7 @@ class _Row:
         if not self.rate[:, n:].any():
             return np.asarray(same)
         gap = self._gaps(np.array([step.joints[n:] for step in self.steps]))
-        return np.asarray(same & ~((gap[:-2] > SWAPPED) & (gap[2:] < -SWAPPED)).any((1, 2)))
+        return np.asarray(same & ~((gap[:-2] > ROUND_OFF) & (gap[2:] < -ROUND_OFF)).any((1, 2)))
 
     def _gaps(self, translations: Array) -> Array:
         """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n)."""
@@ -177,7 +183,7 @@ class _Row:
     def _meeting(self, step: int, shift: Array) -> bool:
         """Whether moving breakpoints of tubes at rates (n,) meet others, the plate or a place of the load at a step."""
         n, ended = self.follower.robot.n_tubes, self.follower.constants.ended
-        meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= 2 * SWAPPED
+        meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
         owner = np.full(len(meet), -1)
         owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)
         moves = np.append(shift, 0.0)[owner] != 0
@@ -200,8 +206,7 @@ class _Row:
         if not self.links:
             return np.zeros(0), 0.0
         h, third, speed = self.passed, rates[1], self.speed
-        error = np.array([step.equilibrium.tip_error for step in self.steps])
-        wrong = 2 * np.maximum(error[1:], error[:-1]) / h
+        wrong = self.wrong
         plain = np.minimum(speed + rates[0] * h / 2 + wrong, [link.fastest for link in self.links])
         middle = speed + third * h**2 / 24 + wrong
         # From the middle of a link to that of the next, by what the joints go instead of time: at other rates too.
