@@ -16,12 +16,12 @@ PICTURES = ("png", "pdf", "svg", "eps", "tiff")
 @pytest.mark.parametrize(
     ("command", "formats"),
     [
-        ("fk", (*PICTURES, "parquet", "stl", "glb", "urdf", "mjcf")),
+        ("fk", (*PICTURES, "parquet", "mat", "stl", "glb", "urdf", "mjcf")),
         ("certify", PICTURES),
         ("ik", (*PICTURES, "stl", "glb", "urdf", "mjcf")),
         ("validate", PICTURES),
-        ("plan", (*PICTURES, "gif", "mp4", "parquet")),
-        ("sweep", ("parquet",)),
+        ("plan", (*PICTURES, "gif", "mp4", "parquet", "mat")),
+        ("sweep", ("parquet", "mat")),
         ("force", ()),
     ],
 )
@@ -41,10 +41,10 @@ def test_every_command_that_asks_has_a_report_of_its_name() -> None:
         (("certify", THESIS, "--format", "stl"), "--format is 'stl'; `tubeopt certify` saves png, pdf, svg, eps, tiff"),
         (
             ("plan", "plan_thesis_turn", "--format", "pdf,glb"),
-            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, eps, tiff, gif, mp4, parquet",
+            "--format is 'glb'; `tubeopt plan` saves png, pdf, svg, eps, tiff, gif, mp4, parquet, mat",
         ),
         (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
-        (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet"),
+        (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet, mat"),
         (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, "),
     ],
 )

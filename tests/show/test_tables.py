@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 import tubeopt
 from tests.examples import THESIS, TWO_TUBE
 from tubeopt.errors import InputError
-from tubeopt.show.tables import columns
+from tubeopt.runs.sweeping import Sweep
+from tubeopt.show.tables import columns, matlab_names
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,7 @@ def test_csv_reads_back(batch: tubeopt.EquilibriumBatch, tmp_path: Path) -> None
     assert head.split(",") == list(columns(batch))
     assert len(rows) == len(batch)
     assert [float(row.split(",")[0]) for row in rows] == columns(batch)["rotation_1_deg"].tolist()
-    with pytest.raises(InputError, match=r"must end in \.csv or \.parquet"):
+    with pytest.raises(InputError, match=r"must end in \.csv or \.parquet or \.mat"):
         tubeopt.save_table(batch, "table.xlsx")
 
 
@@ -54,6 +56,23 @@ def test_parquet_reads_back(batch: tubeopt.EquilibriumBatch, tmp_path: Path) -> 
     read = parquet.read_table(tubeopt.save_table(batch, tmp_path / "table.parquet"))
     for name, values in columns(batch).items():
         assert np.array_equal(read[name].to_numpy(), values)
+
+
+def test_mat_reads_back(batch: tubeopt.EquilibriumBatch, tmp_path: Path) -> None:
+    read = scipy.io.loadmat(tubeopt.save_table(batch, tmp_path / "table.mat"))
+    for name, values in columns(batch).items():
+        assert read[name].shape == (7, 1)
+        assert np.array_equal(read[name][:, 0], values)
+
+
+def test_a_sweep_for_matlab_has_texts_in_cells_and_names_that_matlab_allows(tmp_path: Path) -> None:
+    stored = {"rotations_deg[0]": np.array([1.0, np.nan]), "status": np.array(["done", "failed"])}
+    np.savez(tmp_path / "table.npz", **stored)  # type: ignore[arg-type]
+    sweep = Sweep(2, 2, (), tmp_path / "table.csv", tmp_path / "table.npz", tmp_path / "journal.jsonl")
+    read = scipy.io.loadmat(tubeopt.save_table(sweep, tmp_path / "table.mat"))
+    assert np.array_equal(read["rotations_deg_0"], [[1.0], [np.nan]], equal_nan=True)
+    assert [str(each[0]) for each in read["status"][:, 0]] == ["done", "failed"]
+    assert matlab_names(["a[0]", "a.0", "0 b", "_c", "n" * 70]) == ["a_0", "a_0_2", "x_0_b", "c", "n" * 63]
 
 
 def test_without_the_library_one_line_says_what_to_install(

@@ -67,7 +67,7 @@ class Output:
             "--format",
             metavar="F,..",
             help="File formats to save with --out, separated by commas: png, pdf, svg, eps or tiff for plots. "
-            "Some commands also have gif or mp4 (a film), parquet (tables), and stl, glb, urdf or mjcf (the robot).",
+            "Some commands also have gif or mp4 (a film), parquet or mat (tables), and stl, glb, urdf or mjcf (robot).",
         ),
     ] = PICTURE_FORMATS[0]
     width_mm: Annotated[

@@ -32,7 +32,7 @@ Drawing = Callable[..., Any]
 
 PICTURE_FORMATS = ("png", "pdf", "svg", "eps", "tiff")
 FILM_FORMATS = ("gif", "mp4")
-TABLE_FORMATS = ("parquet",)
+TABLE_FORMATS = ("parquet", "mat")
 SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
 
 FORMATS: ContextVar[tuple[str, ...]] = ContextVar("FORMATS", default=("png",))

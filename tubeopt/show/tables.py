@@ -1,18 +1,20 @@
-"""Answers as tables: data frames, labelled arrays, Parquet and CSV.
+"""Answers as tables: data frames, labelled arrays, Parquet, MATLAB and CSV.
 
 What has many rows is described once, variable by variable: over which dimensions it runs, and which columns with which
-units it fills in a flat table. A data frame, a Parquet file and a CSV file have these columns; an xarray data set has
-the variables themselves, in SI.
+units it fills in a flat table. A data frame and a Parquet, MATLAB or CSV file have these columns; an xarray data set
+has the variables themselves, in SI.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
 from ..equilibrium.batch import EquilibriumBatch
@@ -34,7 +36,10 @@ if TYPE_CHECKING:
 SI = {"mm": "m", "deg": "rad", "mJ": "J"}
 """Unit of a column -> that of the variable in SI, where they differ."""
 
-FORMATS = ("csv", "parquet")
+FORMATS = ("csv", "parquet", "mat")
+
+LONGEST_NAME = 63
+"""Characters of a name in MATLAB."""
 
 
 class Variable(NamedTuple):
@@ -184,7 +189,9 @@ def to_xarray(answer: Any) -> xarray.Dataset:
 
 @typed
 def save_table(answer: Any, path: str | PathLike[str]) -> Path:
-    """Write the flat table of an answer as CSV or Parquet, as the name ends, whole or not at all; return the path.
+    """Write the flat table of an answer as .csv, .parquet or .mat, whole or not at all; return the path.
+
+    A .mat file has a column vector for each column of numbers, and a cell array for each of texts.
 
     Raises:
         InputError: an answer without rows, another ending, a file that cannot be written, or pyarrow is not installed.
@@ -207,10 +214,34 @@ def save_table(answer: Any, path: str | PathLike[str]) -> Path:
         rows = zip(*(values.tolist() for values in table.values()), strict=True)
         write_text(path, to_csv(list(table), ([_cell(value) for value in row] for row in rows)))
         return path
+    if kind == "mat":
+        named = zip(matlab_names(table), table.values(), strict=True)
+        with atomic_write(path) as temporary:
+            scipy.io.savemat(temporary, {name: _matlab(values) for name, values in named}, oned_as="column")
+        return path
     arrow, parquet = (extra(name, "data", "Parquet files") for name in ("pyarrow", "pyarrow.parquet"))
     with atomic_write(path) as temporary:
         parquet.write_table(arrow.table({name: arrow.array(values) for name, values in table.items()}), temporary)
     return path
+
+
+def matlab_names(columns: Iterable[str]) -> list[str]:
+    """Names of columns as MATLAB allows them: "robot.tubes[0].length_mm" is robot_tubes_0_length_mm."""
+    found: list[str] = []
+    for column in columns:
+        plain = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
+        plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:LONGEST_NAME]
+        name, count = plain, 1
+        while name in found:
+            count += 1
+            name = f"{plain[: LONGEST_NAME - len(str(count)) - 1]}_{count}"
+        found.append(name)
+    return found
+
+
+def _matlab(values: Array) -> Array:
+    """Numbers and truths as they are, anything else as texts."""
+    return values if values.dtype.kind in "biuf" else np.array([str(value) for value in values], dtype=object)
 
 
 def _cell(value: Any) -> str:
