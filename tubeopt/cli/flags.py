@@ -124,7 +124,13 @@ def asks(
     flag_of = {key: _first(flag) for key, flag in keys.called.items() if key not in placed}
     keyed = [_argument(key, *placed[key], required=keys.fields[key].is_required()) for key in placed]
     keyed += [
-        _option(key, keys.fields[key], keys.called[key], (defaults or {}).get(key, _usual(keys.fields[key])))
+        _option(
+            key,
+            keys.fields[key],
+            keys.called[key],
+            (defaults or {}).get(key, _usual(keys.fields[key])),
+            needed=keys.fields[key].is_required(),
+        )
         for key in flag_of
     ]
     usual = {part.name: part.default for part in keyed}
@@ -283,15 +289,17 @@ def _argument(key: str, metavar: str, words: str, *, required: bool) -> inspect.
     return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
-def _option(key: str, field: FieldInfo, flag: str, default: str | bool | None, *, shown: str = "") -> inspect.Parameter:
-    """A flag; one without a default says nothing where it is not typed, but its help may show one."""
+def _option(
+    key: str, field: FieldInfo, flag: str, default: str | bool | None, *, shown: str = "", needed: bool = False
+) -> inspect.Parameter:
+    """A flag; one without a default says nothing where it is not typed. Its help may show one, or that it is needed."""
     kind: Any = bool if _plain(field.annotation) is bool else str
     if kind is bool and default is not False:
         flag = f"{flag}/--no-{flag.removeprefix('--')}"
     option = typer.Option(
         *flag.split(","),
         metavar=None if kind is bool else _metavar(key, field),
-        help=_sentence(field),
+        help=_sentence(field) + " Required." * needed,
         show_default=shown or default is not None,
         autocompletion=_completion(key, field),
     )

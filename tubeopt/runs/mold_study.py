@@ -102,7 +102,7 @@ class MandrelStudy(Study):
     tube: TubeNumber = 1
     mold: MoldPath | None = Field(
         None,
-        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
+        description="mold file: grooves, plates, clamps, machine and heat; by default all its keys have their defaults",
         examples=["MOLD.yaml"],
     )
 

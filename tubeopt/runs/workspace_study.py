@@ -30,7 +30,9 @@ class WorkspaceStudy(Timed):
         0, description="random seed of random and Sobol samples", examples=["K"]
     )
     voxel_mm: Annotated[Positive | None, Typical(1e-5, 0.1)] = Field(
-        None, description="edge length of the voxels; by default about 50 samples per voxel"
+        None,
+        description="edge length of the voxels; by default 1, 2 or 5 times a power of ten, for about "
+        "50 samples per voxel of the bounding box",
     )
     min_margin: Annotated[Number, Field(le=1)] = Field(
         Decimal(0), description="smallest stability margin of a counted configuration", examples=["MU"]
