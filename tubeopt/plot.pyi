@@ -3,7 +3,15 @@
 from .show.colours import tube_colour
 from .show.plots.arms import plot_arms
 from .show.plots.branch import plot_branch
-from .show.plots.design import plot_before_after, plot_front, plot_pair_shares, plot_poses, plot_stock, plot_tolerance
+from .show.plots.design import (
+    plot_before_after,
+    plot_front,
+    plot_pair_places,
+    plot_pair_shares,
+    plot_poses,
+    plot_stock,
+    plot_tolerance,
+)
 from .show.plots.eccentric import plot_permutations, plot_reach
 from .show.plots.effects import plot_effects
 from .show.plots.fabrication_sheet import plot_fabrication_sheet
@@ -54,6 +62,7 @@ __all__ = [
     "plot_materials",
     "plot_milled",
     "plot_mold",
+    "plot_pair_places",
     "plot_pair_shares",
     "plot_path",
     "plot_payload",

@@ -13,12 +13,15 @@ import scipy
 
 import tubeopt
 from tests.command_line import ROOT, Run, answer, refused
+from tests.conftest import draw_quickly
 from tests.design.tasks import two_tubes
 from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOptions, ReachShare, search_pair
 from tubeopt.bodies.frames import base_frame
 from tubeopt.design import Free, Strain
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.planning import PairShare
+from tubeopt.show.plots.design import plot_pair_places
 from tubeopt.typing import Array
 
 CRL = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
@@ -157,6 +160,27 @@ def test_a_pair_is_designed_saved_and_drawn(run: Run, tmp_path: Path) -> None:
     factor = told["arms"][0]["dimensions"][0]
     assert first.tubes[0].curvature == pytest.approx(factor["after"] / factor["before"] * 28, rel=1e-9)
     assert (tmp_path / "pairs.png").stat().st_size > 0
+    assert (tmp_path / "places.png").stat().st_size > 0
+
+
+def test_the_map_of_places_has_what_the_other_arm_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_quickly(monkeypatch)
+    places = np.array([[0.0, 0.0, 0.05], [0.01, 0.0, 0.06], [0.0, 0.02, 0.07]])
+
+    def reach(miss: list[float]) -> ReachShare:
+        return ReachShare(places, np.array(miss), 1e-3, *np.zeros((3, 3, 3)))
+
+    apart = np.array([[0.0, 0.003, 0.001], [0.004, 0.0, 0.005], [np.nan, np.nan, np.nan]])
+    share = PairShare((reach([0.0, 0.0, 1.0]), reach([0.0, 0.0, 0.0])), apart, 0.002)
+    figure = plot_pair_places((share, share), places=places, names=("a", "b"))
+    white, first, _, second = figure.axes[0].collections  # of the first arm, then of the second
+    assert white.get_offsets().tolist() == [[0.0, 70.0]]
+    assert first.get_offsets().tolist() == [[0.0, 50.0], [10.0, 60.0]]
+    assert first.get_array().tolist() == [0.5, 1.0]
+    assert second.get_array().tolist() == [0.5, 0.5, 0.5]
+    assert figure.axes[2].collections[1].get_offsets().tolist() == [[0.0, 0.0], [10.0, 0.0]]
+    with pytest.raises(InputError, match="places has shape"):
+        plot_pair_places((share, share), places=places[:2])
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,8 @@ class PairStudy(Timed, SearchPart, Tried):
             (first, second),
             searched,
             progress=progress,
-            **self.in_si("seconds", "starts", "seed", "turns"),
+            time_limit=self.si("seconds"),
+            **self.in_si("starts", "seed", "turns"),
         )
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)

@@ -137,9 +137,13 @@ class PairReport(Report[PairAnswer]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """What both hold before and after, and the shapes of each."""
+        """What both hold before and after, where in the region, and the shapes of each."""
         a = self.answer
-        found: dict[str, Drawing] = {"pairs": drawing("design.plot_pair_shares", (a.before, a.after), names=a.names)}
+        shares, places = (a.before, a.after), a.plates[0].placed(a.after.reached[0].targets)
+        found: dict[str, Drawing] = {
+            "pairs": drawing("design.plot_pair_shares", shares, names=a.names),
+            "places": drawing("design.plot_pair_places", shares, names=a.names, places=places),
+        }
         for arm in _arms(a):
             found[f"arm_{arm.number}_shapes"] = before_after(arm.solution, arm.name)
         return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ...bodies.obstacles import Capsule, Sphere
 from ...design import Avoid, DesignSolution, DesignTask, ParetoFront, Reach, StockChoice, ToleranceAnalysis
 from ...design.requirements import of_kind
 from ...equilibrium.result import Equilibrium
+from ...errors import InputError
 from ...files.units import TO_MM
 from ...planning import PairShare
 from ...stability import StabilityMap
@@ -18,7 +20,10 @@ from ...typing import Array
 from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
 from .maps import draw_map
-from .style import FAINT, INK, Axes, Figure, colour_bar, disk, entitle, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, colour_bar, disk, entitle, headed, narrow, new_figure, picture
+
+if TYPE_CHECKING:
+    from matplotlib.collections import Collection
 
 CORRIDOR = "#DCE3EA"
 BODY = "#C9CDD2"
@@ -84,12 +89,12 @@ def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
     """All that is within radii (k,) of a projected polyline (k, 2)."""
     from matplotlib.patches import Polygon
 
-    for (a, b), (wide, narrow) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
+    for (a, b), (wide, slim) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
         way = b - a
         size = float(np.linalg.norm(way))
         if size > 1e-9:
             across = np.array([-way[1], way[0]]) / size
-            corners = [a + wide * across, b + narrow * across, b - narrow * across, a - wide * across]
+            corners = [a + wide * across, b + slim * across, b - slim * across, a - wide * across]
             axes.add_patch(Polygon(corners, fc=colour, ec="none", zorder=0))
     for centre, radius in zip(line, radii.tolist(), strict=True):
         disk(axes, centre, radius, fc=colour, ec="none", zorder=0)
@@ -225,3 +230,58 @@ def plot_pair_shares(
     figure.colorbar(panels[0].images[0], ax=panels, label="arms apart (mm)", extend="both")
     headed(figure, title or f"{names[0]} and {names[1]} with their tips at two places at the same time")
     return figure
+
+
+@picture
+def plot_pair_places(
+    shares: tuple[PairShare, PairShare], *, places: Array, names: tuple[str, str] = ("one", "other"), title: str = ""
+) -> Figure:
+    """Map of the places of two arms, before and after: how much of the region the one holds while the other is there.
+
+    The left half of a point is the first arm with its tip there, the right half the second. Its colour is the share of
+    the other places that the other tip then holds without contact. White: the arm does not reach the place.
+
+    Args:
+        shares: of the robots as given, and of the designs.
+        places: (N, 3) positions in a frame of both, m.
+        names: of the arms.   title: heading; by default which half is which arm.
+
+    Raises:
+        InputError: the number of places is not that of the shares.
+    """
+    if any(np.shape(places) != (len(one.apart), 3) for one in shares):
+        raise InputError(f"places has shape {np.shape(places)}; it must be ({len(shares[0].apart)}, 3)")
+    figure = new_figure(7.0, 7.6)
+    panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    middle, half = (places.max(0) + places.min(0)) / 2 * TO_MM, 0.6 * float(np.ptp(places, axis=0).max()) * TO_MM
+    for column, one, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
+        column[0].set_title(f"{when}: {100 * one.share:.0f} % held")
+        column[1].set_xlabel("x (mm)")
+        for axes, axis in zip(column, (2, 1), strict=True):  # seen along y, and along z
+            drawn = [_draw_halves(axes, places[:, [0, axis]] * TO_MM, one, arm) for arm in (0, 1)]
+            axes.set_aspect("equal")
+            axes.set(xlim=middle[0] + np.array([-half, half]), ylim=middle[axis] + np.array([-half, half]))
+    panels[0, 0].set_ylabel("z (mm)")
+    panels[1, 0].set_ylabel("y (mm)")
+    where: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40}
+    colour_bar(figure, drawn[0], "share of the other places that the other arm holds", ax=panels, **where)
+    return headed(figure, title or f"tip of {names[0]}: left half,  tip of {names[1]}: right half")
+
+
+def _draw_halves(axes: Axes, points: Array, share: PairShare, arm: int) -> Collection:
+    """The left (arm 0) or right half of each point (N, 2), mm, by what the other arm holds with this one there."""
+    from matplotlib.markers import MarkerStyle
+
+    reached = share.reached[arm].reached
+    held = share.held.sum(1 - arm) / (len(points) - 1)
+    half: Any = MarkerStyle("o", fillstyle=("left", "right")[arm])
+    look: dict[str, Any] = {
+        "s": 20 if narrow() else 60,
+        "marker": half,
+        "edgecolors": INK,
+        "linewidths": 0.5,
+        "zorder": 3,
+    }
+    x, y = points.T
+    axes.scatter(x[~reached], y[~reached], c="white", **look)
+    return axes.scatter(x[reached], y[reached], c=held[reached], cmap="cividis", vmin=0, vmax=1, **look)
