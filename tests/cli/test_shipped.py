@@ -9,10 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.command_line import Run, answer, refused
 from tubeopt.files.shipped import shipped
+from tubeopt.show.plots.drawn_data import drawn_data
+from tubeopt.show.plots.style import new_figure
 
 
 @pytest.fixture(autouse=True)
@@ -98,3 +102,47 @@ def test_the_shell_completes_names_files_and_words(tmp_path: Path) -> None:
     assert completed("tubeopt", "fk", "thesis_ctr", "--method", "i") == ["ipopt"]
     assert completed("tubeopt", "heat", "plan", "thesis_s") == ["thesis_steel"]
     assert completed("tubeopt", "run", "plan_two") == ["plan_two_arms"]
+
+
+def test_a_figure_has_picture_caption_data_and_command(run: Run, tmp_path: Path) -> None:
+    told = answer(run("figure", "thesis_snap", "--journal", "springer", "--out", "paper", "--json"))
+    assert told["snap"]["fraction"] == pytest.approx(0.595062, abs=1e-6)
+    assert [Path(path).name for path in told["files"]] == [
+        *("snap.json", "before_centreline.csv", "after_centreline.csv", "command.txt"),
+        *("snap.tiff", "captions.txt"),
+    ]
+    with Image.open(tmp_path / "paper" / "snap.tiff") as image:
+        assert image.width == pytest.approx(84 / 25.4 * 600, abs=1)
+    caption = (tmp_path / "paper" / "captions.txt").read_text()
+    assert caption.startswith("snap.tiff: thesis CTR: snap at rotations (214.222°, 0°, 0°)")
+    command = (tmp_path / "paper" / "command.txt").read_text().splitlines()[0]
+    assert command == "tubeopt figure thesis_snap --journal springer --width-mm 84 --out paper"
+    before, after = (
+        np.loadtxt(tmp_path / "paper" / f"{when}_centreline.csv", delimiter=",", skiprows=1)
+        for when in ("before", "after")
+    )
+    assert np.linalg.norm(after[-1, 1:] - before[-1, 1:]) == pytest.approx(told["snap"]["tip_jump_mm"], rel=1e-9)
+
+
+def test_a_figure_needs_a_directory_a_known_journal_and_plots(run: Run, tmp_path: Path) -> None:
+    assert "--out is missing" in refused(run("figure", "thesis_snap"))[0]
+    assert "--journal is 'nature'" in refused(run("figure", "thesis_snap", "--journal", "nature", "--out", "a"))[0]
+    study = tmp_path / "study.yaml"
+    study.write_text("kind: measure\nrobot: crl_ctr\ncount: 3\nfit: [curvature_1]\n")
+    assert "it has no plots" in refused(run("figure", str(study), "--out", "a"))[0]
+
+
+def test_data_of_a_picture_are_those_of_its_panels() -> None:
+    figure = new_figure(4.0, 3.0)
+    axes, bars = figure.subplots(1, 2)
+    axes.plot([1.0, 2.0], [3.0, 4.0], label="a, b")
+    axes.axhline(0.0)
+    axes.pcolormesh([0.0, 2.0], [0.0, 4.0], [[5.0]])
+    axes.set(xlabel="x (mm)", ylabel="y")
+    bars.barh([1], [7.0])
+    assert list(drawn_data(figure)) == [
+        ("y over x (mm)", "a; b", 1.0, 3.0, ""),
+        ("y over x (mm)", "a; b", 2.0, 4.0, ""),
+        ("y over x (mm)", "", 1.0, 2.0, 5.0),
+        ("over", "", 3.5, 1.0, 7.0),
+    ]

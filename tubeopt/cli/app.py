@@ -94,7 +94,7 @@ PANELS = {
     "Build": "mold heat fabricate",
     "Measure": "validate measure",
     "Real time": "export serve",
-    "Files": "init list robot run sweep doctor",
+    "Files": "init list robot run figure sweep doctor",
 }
 """Headings of the help -> the commands below them."""
 

@@ -148,6 +148,7 @@ COMMANDS: dict[str, Asked | str] = {
         example="tubeopt design-pair configs/studies/design_pair.yaml --out results",
         from_file=True,
     ),
+    "figure": "studies.figure",
     "sweep": "studies.sweep",
     "workspace": Asked(
         "workspace",

@@ -227,6 +227,11 @@ def _command_of(kind: str) -> str:
     return typed.get(kind, kind.replace("_", " "))
 
 
+def has_pictures(kind: str) -> bool:
+    """Whether the answer to studies of a kind has plots."""
+    return all(row.pictures for row in COMMANDS.values() if isinstance(row, Asked) and row.kind == kind)
+
+
 def _with_what_was_found(error: SolveError, out: Path | None) -> SolveError:
     """The error, with the best that was found saved: in a directory of its own, not to be taken for the answer."""
     if out is None or error.solution is None:

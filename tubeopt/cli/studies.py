@@ -1,21 +1,26 @@
-"""`tubeopt run` and `sweep`: any study of a file, at once or at many values of its keys, saved point by point."""
+"""`tubeopt run`, `figure` and `sweep`: any study of a file, at once, for a paper, or at many values of its keys."""
 
 from __future__ import annotations
 
+import shlex
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ..errors import InputError, choice
 from ..runs.study_file import load_study
 from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import SWEEP_LIMIT, Sweep
 from ..runs.sweeping import sweep as run_sweep
+from ..show.figures import JOURNALS, Figures
+from ..show.page import FONTS
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from .completion import files
-from .flags import answer, command
+from .completion import files, words
+from .flags import answer, ask, command, has_pictures
 from .interruption import keeping
 from .output import Output, can_be_saved, check_formats, present
 
@@ -35,6 +40,50 @@ def run(
 ) -> None:
     """Run a study file of any kind. Exit codes are those of the command of that kind."""
     answer(load_study(study), output)
+
+
+@command("tubeopt figure thesis_snap --journal ieee --out results", without=("plot", "formats", "no_title"))
+def figure(
+    study: Annotated[
+        str,
+        typer.Argument(
+            metavar="STUDY.yaml",
+            help="Study file of any kind with plots, or the name of a built-in study.",
+            show_default=False,
+            autocompletion=files("study"),
+        ),
+    ],
+    output: Output,
+    journal: Annotated[
+        str,
+        typer.Option(
+            "--journal",
+            metavar=f"[{'|'.join(JOURNALS)}]",
+            help="Publisher: sets column width, file format and font. --width-mm overrides the width.",
+            autocompletion=words(tuple(JOURNALS)),
+        ),
+    ] = "ieee",
+) -> None:
+    """Make the plots of a study for a paper: plots without headings, captions, data and the command.
+
+    Saves what `tubeopt run` saves. Each plot has the format of the journal and 600 dpi. The file captions.txt has the
+    headings. NAME_data.csv has the values in the plot NAME. The file command.txt has the command and the versions. Exit
+    codes are those of the command of the study.
+    """
+    style = JOURNALS[choice("--journal", journal, tuple(JOURNALS))]
+    if output.out is None:
+        raise InputError("--out is missing: the directory for plots, captions and data")
+    question = load_study(study)
+    if not has_pictures(question.kind):
+        raise InputError(f"{study}: kind is {question.kind}; it has no plots")
+    width = output.width_mm or str(style.width_mm)
+    typed = ["tubeopt", "figure", study, "--journal", journal, "--width-mm", width, "--out", str(output.out)]
+    paper = replace(output, width_mm=width, formats=style.format, no_title=True)
+    token = FONTS.set(style.fonts)
+    try:
+        present(report(Figures(report(ask(question, paper)), shlex.join(typed))), paper)
+    finally:
+        FONTS.reset(token)
 
 
 @command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results", without=("plot", "width_mm"))
