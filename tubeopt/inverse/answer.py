@@ -62,7 +62,7 @@ class InverseSolution(Displayed):
     target_direction: Array | None
     """(3,) unit vector, or None: what was asked for."""
     equilibrium: Equilibrium
-    """Stable; `forward_kinematics(robot, rotations, translations, guess=equilibrium)` agrees."""
+    """Stable; `forward_kinematics(robot, rotations, translations, start=equilibrium)` agrees."""
     position_error: float
     """Distance of the tip from the target, m."""
     direction_error: float

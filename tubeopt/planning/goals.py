@@ -343,7 +343,7 @@ def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> l
 def _asked(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
     """What inverse kinematics is asked beside the position."""
     asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
-    return {"load": task.chart.load, "direction": goal.direction, "seed": start, **asks}
+    return {"load": task.chart.load, "direction": goal.direction, "start": start, **asks}
 
 
 def kept(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
