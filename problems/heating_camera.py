@@ -23,7 +23,7 @@ from tubeopt.shaping.heating.logged import HeatingLog
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.show.colours import tube_colour
-from tubeopt.show.plots.style import new_figure, save_figure
+from tubeopt.show.plots.style import finish, new_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACES = np.linspace(-0.045, 0.045, 10)
@@ -60,7 +60,7 @@ def main(out: Path) -> list[Path]:
     axes.set_ylabel("as the hold ends (°C)")
     axes.legend(loc="lower left")
     picture = out / "heating_camera.png"
-    save_figure(figure, picture)
+    finish(figure, picture)
     return [picture]
 
 

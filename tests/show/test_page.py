@@ -147,7 +147,6 @@ def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypat
 COMMANDS = (
     "validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv --fit curvature",
     "heat calibrate configs/experiments/heating_log.csv --rig configs/rigs/thesis_calcium_silicate.yaml",
-    "heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno",
     "mold calibrate configs/molds/example_trials.csv",
     "mold mandrel configs/robots/example_pieces.yaml --tube 1",
 )

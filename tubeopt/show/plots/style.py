@@ -264,7 +264,7 @@ def colour_bar(figure: Figure, drawn: Any, label: str, **where: Any) -> Colorbar
     return bar
 
 
-ATTEMPTS = tuple((letters, stacked) for letters in (1.0, 0.8, 0.65, 0.5) for stacked in (True, False))
+ATTEMPTS = tuple((letters, stacked) for letters in (1.0, 0.8, 0.65, 0.5, 0.4) for stacked in (True, False))
 """How a picture is tried to fit a page: the size of its letters, and whether its columns stand below each other."""
 
 
