@@ -414,7 +414,7 @@ def test_a_motion_that_was_not_sent_is_taken_back(thesis: CRobot, pieces: CRobot
         wanted = command(first.tip_position + np.array([1e-3, -1e-3, 1e-3]))
         moved = library.servo(wanted)[0]
         back = library.undo()
-        with pytest.raises(SolveError, match="back to"):
+        with pytest.raises(SolveError, match="to return to"):
             library.undo()
         assert np.abs(moved.rotations - first.rotations).max() > 1e-5
         assert back.rotations == pytest.approx(first.rotations, abs=0)

@@ -52,7 +52,7 @@ def test_plan_and_its_short_form_say_the_same(run: Run) -> None:
     assert [groove["cold_length_mm"] for groove in out["grooves"]] == [30, 30]
     assert out["material"] == "glass_mica"
     shown = run("mold", THESIS, *flags)
-    assert "cut the tube to (mm)" in shown.out
+    assert "length of the tube blank (mm)" in shown.out
     assert "remark: the spring-back is not calibrated" in shown.out
 
 

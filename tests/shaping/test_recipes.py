@@ -92,8 +92,8 @@ def test_temperatures_that_nitinol_does_not_bear_are_refused(caplog: pytest.LogC
     [
         (lambda: Rig(ambient=25.0), "ambient of the rig is 25; it must be at least 233.15"),
         (lambda: Rig(ambient=300.0 + 273.15), "ambient of the rig is 573.15; it must be at most 333.15"),
-        (lambda: Circuit(current_limit=1e4), "current_limit of the circuit is 10000; it must be at most 2000"),
-        (lambda: Circuit(peak_limit=1e4), "peak_limit of the circuit is 10000; it must be at most 5000"),
+        (lambda: Circuit(current_limit=1e4), "current_limit of the circuit is 10000 A; it must be at most 2000 A"),
+        (lambda: Circuit(peak_limit=1e4), "peak_limit of the circuit is 10000 A; it must be at most 5000 A"),
         (lambda: Circuit(cable_resistance=20.0), "cable_resistance of the circuit is 20 ohm; it must be at most 10"),
         (lambda: Battery(open_circuit=((0.1, 200.0), (1.0, 230.0))), "up to 230 V; it must .* up to 120 V"),
         (lambda: Battery(open_circuit=((10.0, 11.0), (100.0, 12.7))), "from a charge of 10 to 100 .* from 0 to 1"),
