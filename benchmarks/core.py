@@ -12,6 +12,7 @@ Both find their compiled kernels in TUBEOPT_CACHE.
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import sys
 from collections.abc import Callable, Iterable
@@ -90,9 +91,11 @@ def eccentric() -> Iterable[Call]:
 def warm(translate: bool) -> Iterable[Call]:
     """Steps of a path, each from the one before."""
     one, last = robot(), []
+    # Checkouts before 0.1.0 call it `guess`.
+    begin = "start" if "start" in inspect.signature(forward_kinematics).parameters else "guess"
 
     def step(a: Array, d: Array) -> Equilibrium:
-        last[:] = [forward_kinematics(one, a, d, start=last[0] if last else None)]
+        last[:] = [forward_kinematics(one, a, d, **{begin: last[0] if last else None})]
         return last[0]
 
     return [partial(step, a, d) for a, d in path_joints(one, 300, translate=translate)]
