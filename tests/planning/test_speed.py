@@ -364,6 +364,7 @@ def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None
     [
         (TWO_TUBE, [1.0, 0.3, -0.02, -0.02], [0.5, 0.2, 0.03, 0.03], None),
         (TWO_TUBE, [1.0, 0.3, -0.02, -0.02], [0.5, 0.2, -0.03, 0.02], None),
+        (TWO_TUBE, [1.0, 0.3, -0.02, -0.02 + 4e-13], [0.5, 0.2, 0.02, -0.03], None),
         (THESIS, [0.0, 1.0, 2.0, 0.0, 0.0, 0.0], [0.1, 0.2, 0.3, -0.01, -0.02, -0.03], None),
         (PIECES, [0.5, -0.4, 1.2, -0.03, -0.04, -0.02], [0.5, 0.3, 0.1, 0.01, -0.02, 0.03], None),
         (PIECES, [0.5, -0.4, 1.2, -0.0135412, -0.03, -0.0135412], [0.1, 0.2, 0.3, 0.02, 0.01, -0.03], None),
@@ -375,6 +376,7 @@ def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None
     ids=[
         "together",
         "apart",
+        "round-off",
         "plate",
         "no meeting",
         "pieces",
