@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.examples import nested
-from tubeopt import forward_kinematics
+from tubeopt import ConcentricRobot, Piece, Tube, forward_kinematics
 from tubeopt.block.quantities import Quantity
 from tubeopt.bodies.obstacles import HalfSpace
 from tubeopt.design import rechecks
@@ -72,3 +72,19 @@ def test_a_stroke_force_is_that_at_which_the_arm_buckles(monkeypatch: pytest.Mon
     for found, force in ((SimpleNamespace(factor=0.3), 0.3), (None, rechecks.STRONGEST)):
         monkeypatch.setattr(rechecks, "find_stroke_force", lambda *_, found=found, **__: found)
         assert rechecks.numbers_of(ROBOT, [arm])(Quantity("stroke_force", 0)).tolist() == [force]
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_the_strain_counts_the_arm_on_both_sides_of_a_breakpoint(rising: bool) -> None:
+    """The precurvature of the outer tube rises to 20/m where it ends, or begins with 20/m and falls.
+
+    The straight inner tube is bent most on one side of that breakpoint. In one plane it has k2 20 / (k1 + k2) there.
+    """
+    law = (lambda s: 20.0 * s / 0.04) if rising else (lambda s: 20.0 * (1 - s / 0.04))
+    outer = Tube.of_pieces(1.3e-3, 1.1e-3, [Piece(0.02, 0.0), Piece(0.04, law)], straight_length=0.01)
+    inner = Tube(1.0e-3, 0.8e-3, 0.01, 0.08, 0.0)
+    robot = ConcentricRobot((inner, outer))
+    one, (k1, k2) = Strain((0.01,), straightened=False), (tube.bending_stiffness for tube in robot.tubes)
+    arm = forward_kinematics(robot, [0.0, 0.0])
+    exact = inner.outer_diameter / 2 * 20.0 * k2 / (k1 + k2)
+    assert rechecks.largest_strain(one, robot, (arm,))[0] == pytest.approx(exact, rel=1e-6)
