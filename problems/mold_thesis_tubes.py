@@ -12,9 +12,8 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.shaping import plan_pegs, rank_mold_materials
-from tubeopt.show.plots.mold import plot_materials, plot_milled, plot_mold, plot_setup_sheet
-from tubeopt.show.plots.pegs import plot_pegs
+from tubeopt.shaping import rank_mold_materials
+from tubeopt.show.plots.mold import plot_materials, plot_mold, plot_setup_sheet
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = ROOT / "configs" / "robots"
@@ -35,16 +34,11 @@ def main(out: Path) -> list[Path]:
             )
         pictures.append(out / f"mold_{name}.png")
         plot_mold(mold, pictures[-1])
-    board = plan_pegs(eccentric)
-    pictures.append(out / "mold_pegs.png")
-    plot_pegs(board, pictures[-1])
-    print(f"{len(board.pegs)} pegs hold the eccentric tube within {board.deviation * 1e6:.0f} um of its curve")
     ratings = rank_mold_materials(eccentric)
     for rating in ratings:
         print(f"{rating.material.name}: {', '.join(rating.reasons)}")
-    pictures += [out / "mold_materials.png", out / "mold_milled.png", out / "mold_setup_sheet.png"]
-    plot_materials(ratings, pictures[-3])
-    plot_milled(molds["thesis_etr"], pictures[-2])
+    pictures += [out / "mold_materials.png", out / "mold_setup_sheet.png"]
+    plot_materials(ratings, pictures[-2])
     plot_setup_sheet(molds["thesis_etr"], pictures[-1], title="eccentric tube of the thesis")
     return pictures
 

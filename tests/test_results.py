@@ -48,11 +48,10 @@ from tubeopt.equilibrium.result import Status
 from tubeopt.errors import InputError
 from tubeopt.inverse.answer import InverseStatus
 from tubeopt.planning.proof import ProofStatus
-from tubeopt.shaping import Mandrel, PegBoard, plan_mandrel, plan_pegs
+from tubeopt.shaping import Mandrel, plan_mandrel
 from tubeopt.shaping.heating.plan import HeatingStatus
 from tubeopt.shaping.mold.mandrel import MandrelStatus
 from tubeopt.shaping.mold.mold import MoldStatus
-from tubeopt.shaping.mold.pegs import PegStatus
 from tubeopt.solvers.problem_solution import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.following import PathStatus
@@ -77,7 +76,6 @@ ANSWERS = (
     Mandrel,
     Mold,
     Path,
-    PegBoard,
     ProblemSolution,
     Proof,
     Snap,
@@ -100,7 +98,6 @@ STATUSES = (
     MapStatus,
     MoldStatus,
     PathStatus,
-    PegStatus,
     ProblemStatus,
     ProofStatus,
     SnapStatus,
@@ -177,18 +174,15 @@ def test_answers_about_stability() -> None:
 
 def test_answers_for_many_joint_values_and_of_molds() -> None:
     many = forward_kinematics_batch(TWO_TUBE, [[0.0, 0.0], [0.0, 1.0]])
-    mold, board = plan_mold(THESIS.tubes[0]), plan_pegs(THESIS.tubes[2])
+    mold = plan_mold(THESIS.tubes[0])
     mandrel = plan_mandrel(Tube.of_pieces(1.2e-3, 1.05e-3, [Piece.helix(0.16, 14e-3, 24e-3)]))
-    answers: tuple[Result, ...] = (many, mold, board, mandrel)
+    answers: tuple[Result, ...] = (many, mold, mandrel)
     assert all(isinstance(each, Result) for each in answers)
     assert str(many.status) == "a stable equilibrium was found at all joint values"
     assert (many.statistics.samples, many.statistics.failures) == (2, 0)
     assert mold.value == mold.grooves
     assert str(mandrel.status) == "the mandrel is turned, and passes all checks"
     assert mandrel.value.arc_length.shape == mandrel.value.points.shape[:1]
-    held = "the deviation of the tube from its curve is within the limit"
-    assert (str(board.status) == held) == (board.deviation <= board.spec.pegs.most_deviation)
-    assert board.statistics.pegs == len(board.value) > 2
     assert mold.statistics.grooves == 1
 
 

@@ -22,9 +22,8 @@ from .show.plots.inverse import plot_inverse, plot_targets
 from .show.plots.loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .show.plots.mandrel import plot_mandrel, plot_mandrel_sheet
 from .show.plots.maps import plot_energy_maps, plot_stability_map
-from .show.plots.mold import plot_materials, plot_milled, plot_mold, plot_setup_sheet, plot_springback
+from .show.plots.mold import plot_materials, plot_mold, plot_setup_sheet, plot_springback
 from .show.plots.path import plot_path
-from .show.plots.pegs import plot_pegs
 from .show.plots.section import plot_section
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes
 from .show.plots.snap import plot_snap
@@ -60,13 +59,11 @@ __all__ = [
     "plot_mandrel",
     "plot_mandrel_sheet",
     "plot_materials",
-    "plot_milled",
     "plot_mold",
     "plot_pair_places",
     "plot_pair_shares",
     "plot_path",
     "plot_payload",
-    "plot_pegs",
     "plot_permutations",
     "plot_poses",
     "plot_reach",

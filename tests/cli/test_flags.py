@@ -130,7 +130,7 @@ def test_every_key_of_a_study_is_a_flag_of_its_command(run: Run) -> None:
         "forward_kinematics": "fk", "inverse_kinematics": "ik", "equilibria": "equilibria", "snap": "snap",
         "follow": "follow", "certify": "certify", "stability_map": "stability-map", "validation": "validate",
         "heating": "heat plan", "mold_plan": "mold plan", "measure": "measure", "workspace": "workspace",
-        "verify": "verify", "heating_calibration": "heat calibrate", "mandrel": "mold mandrel", "pegs": "mold pegs",
+        "verify": "verify", "heating_calibration": "heat calibrate", "mandrel": "mold mandrel",
         "mold_materials": "mold materials", "mold_calibration": "mold calibrate", "fabrication": "fabricate",
     }  # fmt: skip
     placed = {"follow": ("robot", "path"), "validation": ("robot", "measurements"), "heating": ("rig",),

@@ -20,7 +20,6 @@ from tubeopt.shaping.tube_fabrication import lid_profile
 RIG = str(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
 ROBOT = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 LOG = str(ROOT / "configs" / "experiments" / "heating_log.csv")
-TRIALS = str(ROOT / "configs" / "experiments" / "heating_trials.csv")
 SHORT = ("--hold-s", "5", "--samples", "8")
 
 
@@ -201,26 +200,11 @@ def test_a_log_calibrates_the_rig(run: Run, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"calibration.json", "rig.yaml", "calibration.png"}
 
 
-def test_trials_calibrate_the_rig(run: Run, tmp_path: Path) -> None:
-    outcome = run("heat", "calibrate", TRIALS, "--rig", RIG, "--trials", "--out", str(tmp_path))
-    assert outcome.code == 0
-    assert "loss factor" in outcome.out
-    assert 0.6 < load_rig(tmp_path / "rig.yaml").loss_factor < 1.6
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (("run",), "--port and --simulate are missing; one of them must be given"),
         (("run", "--port", "p", "--simulate", RIG), "--port and --simulate are given; it must be one of them"),
-        (
-            ("calibrate", TRIALS, "--rig", RIG),
-            "--trials is missing; the file has the column spring_back_percent of trials",
-        ),
-        (
-            ("calibrate", LOG, "--rig", RIG, "--trials"),
-            "--trials is given; the file has the column temperature_degC of a log",
-        ),
         (("plan", RIG, "--tube", "4"), "--tube is 4; without a robot it must be 1, the rig file's own"),
     ],
 )

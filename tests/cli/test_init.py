@@ -106,7 +106,6 @@ def test_a_study_of_every_kind_can_be_read(run: Run, kind: str) -> None:
         ("load_limit", [0]),
         ("mold_plan", [0]),
         ("mold_calibration", [0]),
-        ("pegs", [0]),
         ("plan", [0]),
     ],
 )

@@ -17,7 +17,7 @@ from tubeopt.robots.path_file import load_waypoints
 from tubeopt.runs.anatomy_file import load_landmarks
 from tubeopt.runs.measurement_file import load_measurements
 from tubeopt.runs.mold_file import load_trials
-from tubeopt.runs.rig_file import load_heating_log, load_heating_trials
+from tubeopt.runs.rig_file import load_heating_log
 from tubeopt.runs.target_file import load_targets
 
 PLAIN = "x_mm,y_mm,z_mm\n10.5,-20.25,150\n0,1e1,140.125\n"
@@ -130,9 +130,6 @@ def test_heating_logs_are_read_by_the_same_rules(tmp_path: Path) -> None:
 
 def test_trials_are_read_by_the_same_rules(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
-    path.write_text("duty cycle\tTime (min)\tspringback [%]\n40\t0,5\t12\n50\t1\t1\n", encoding="utf-16")
-    trials = load_heating_trials(path)
-    assert [(each.duty, each.duration, each.result) for each in trials] == [(40, 30, "under"), (50, 60, "set")]
     path.write_text("Mold radius [cm];obtained radius (mm);Note\n1,5;16,25;first\n", encoding="utf-8")
     found = load_trials(path)
     np.testing.assert_allclose([found.mold_radius, found.obtained_radius], [[0.015], [0.01625]], rtol=1e-15)

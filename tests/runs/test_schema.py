@@ -64,7 +64,6 @@ def test_every_file_passes_its_schema(path: Path) -> None:
         "tubes": "tubes",
         "joints": "joints",
         "obstacles": "obstacles",
-        "colours": "oxide_colours",
     }.get(path.parent.name, "robot")
     assert list(validator(name).iter_errors(yaml.safe_load(path.read_text(encoding="utf-8")))) == []
 

@@ -1,4 +1,4 @@
-"""Calibration: from logs made by a known rig with noise, and from trials."""
+"""Calibration: from logs made by a known rig with noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 from tubeopt import InputError, Rig
 from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate, predict
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.heating.trials import Trial, TrialSolver, calibrate_from_trials
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -91,37 +90,9 @@ def test_prediction_at_a_place() -> None:
         (lambda: calibrate(TUBE, thesis_rig(), log(), ["los"]), "parameter is 'los'; it must be one of loss"),
         (lambda: calibrate(TUBE, thesis_rig(), log(), []), "one of loss"),
         (lambda: calibrate(TUBE, thesis_rig(), log(), confidence=1.0), "confidence is 1; it must be between 0 and 1"),
-        (lambda: Trial(0, 60, "good"), "duty of a trial is 0; it must be greater than 0"),
-        (lambda: Trial(300, 60, "good"), "duty of a trial is 300; it must be at most 255"),
-        (lambda: Trial(10, 60, "godo"), "result of a trial is 'godo'; it must be one of under, good, over, set"),
-        (lambda: Trial(10, 60, "good", 80), "ramp of a trial is 80 s; it must not be longer than the trial"),
-        (lambda: calibrate_from_trials(TUBE, thesis_rig(), []), "there are no trials"),
-        (lambda: calibrate_from_trials(TUBE, thesis_rig(), [Trial(9, 60, "set")], confidence=0), "confidence is 0"),
     ],
 )
 def test_nonsense_is_refused(make: object, message: str) -> None:
     with pytest.raises(InputError) as caught:
         make()  # type: ignore[operator]
     assert message in str(caught.value)
-
-
-def test_trials_narrow_the_loss_down() -> None:
-    rig = thesis_rig()
-    wide = calibrate_from_trials(TUBE, rig, [Trial(9, 60, "set", 20)])
-    narrow = calibrate_from_trials(
-        TUBE, rig, [Trial(9, 60, "under", 20), Trial(10, 60, "good", 20), Trial(12, 60, "over")]
-    )
-    assert narrow.high - narrow.low < 0.6 * (wide.high - wide.low)
-    assert narrow.low < narrow.factor < narrow.high
-    assert narrow.rig.loss_factor == pytest.approx(narrow.factor)
-    (under, good, over), spread = narrow.temperatures, TrialSolver().spread
-    assert under < 500 + 2 * spread
-    assert 500 - spread < good < 550 + spread
-    assert over > 550 - 2 * spread
-    assert narrow.density.sum() == pytest.approx(1.0)
-    assert narrow.surprise > 0.1
-
-
-def test_contradicting_trials_surprise() -> None:
-    found = calibrate_from_trials(TUBE, thesis_rig(), [Trial(9, 60, "over"), Trial(12, 60, "under")])
-    assert found.surprise < 0.02

@@ -1,4 +1,4 @@
-"""Files of heating: rigs there and back, logs, trials, the header in a C compiler, pictures."""
+"""Files of heating: rigs there and back, logs, the header in a C compiler, pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from PIL import Image
 from tubeopt import HeatingSpec, InputError, Material, Tube, load_rig, save_rig
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.robots.materials import NITINOL
-from tubeopt.runs.rig_file import load_heating_log, load_heating_trials, rig_from_dict
+from tubeopt.runs.rig_file import load_heating_log, rig_from_dict
 from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
 from tubeopt.shaping.heating.files import arduino_header, slot_milliseconds
 from tubeopt.shaping.heating.outcome import remarks
@@ -137,23 +137,6 @@ def test_logs_are_read(tmp_path: Path) -> None:
     file.write_text("time_s,duty\n0,3\n1,2\n2,2\n")
     with pytest.raises(InputError, match=r"log.csv: the log has neither temperature"):
         load_heating_log(file)
-
-
-def test_trials_are_read(tmp_path: Path) -> None:
-    file = tmp_path / "trials.csv"
-    file.write_text("duty,time_s,ramp_s,spring_back_percent,result\n8,60,20,30,\n10,60,,2,\n12,60,,,over\n")
-    trials = load_heating_trials(file)
-    assert [trial.result for trial in trials] == ["under", "set", "over"]
-    assert [trial.ramp for trial in trials] == [20, 0, 0]
-    file.write_text("duty,time_s,result\n8,60,godo\n300,60,good\n")
-    with pytest.raises(InputError) as caught:
-        load_heating_trials(file)
-    first, second = str(caught.value).splitlines()
-    assert "column result is 'godo'; it must be under, good, over or set; did you mean 'good'?" in first
-    assert "row 2 (line 3): duty of a trial is 300; it must be at most 255" in second
-    file.write_text("duty,time_s\n8,60\n")
-    with pytest.raises(InputError, match="column result, spring_back_percent or colour is missing"):
-        load_heating_trials(file)
 
 
 def test_pictures(tmp_path: Path) -> None:

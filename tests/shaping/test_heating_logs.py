@@ -1,4 +1,4 @@
-"""Logs that lie, several thermometers, cameras, colours of the oxide, ageing: what calibration makes of them."""
+"""Logs that lie, several thermometers, cameras, ageing: what calibration makes of them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from tubeopt import InputError
-from tubeopt.runs.rig_file import load_camera, load_colours, load_heating_log, load_heating_trials
+from tubeopt.runs.rig_file import load_camera, load_heating_log
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
 from tubeopt.shaping.heating.logged import HeatingLog, believable, step_of, unexplained
@@ -18,10 +17,9 @@ from tubeopt.shaping.heating.plan import ageing, ageing_words
 from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.shaping.heating.trials import NITINOL_COLOURS, Colour, ColourTable, Trial, calibrate_from_trials
 from tubeopt.typing import Array
 
-from .heating_reference import CONFIGS, TUBE, thesis_plan, thesis_rig
+from .heating_reference import TUBE, thesis_plan, thesis_rig
 
 TIME = np.arange(0.0, 60.0, 4.0)
 DUTY = np.interp(TIME, [0, 24, 28, 60], [3, 16, 11, 9]).round()
@@ -149,41 +147,6 @@ def test_files_of_cameras_and_of_several_thermometers(tmp_path: Path) -> None:
     read = load_heating_log(log)
     assert read.positions.tolist() == [0.02, 0.0]
     assert read.channels["temperature 2 at 0 mm"][1] == pytest.approx(300.15)
-
-
-def test_colours_speak_for_temperatures() -> None:
-    table = ColourTable("a test", (Colour("straw", 673.15, 723.15, 60.0), Colour("blue", 823.15, 873.15)), 10.0)
-    at = np.array([350.0, 425.0, 500.0])
-    below, above = (norm.cdf((at - edge) / 10.0) for edge in (400.0, 450.0))
-    assert table.chance("straw", at, 60.0) == pytest.approx(below - above)
-    with pytest.raises(InputError, match="colours has straw after 60 s; a trial took 200 s"):
-        table.chance("straw", at, 200.0)
-    with pytest.raises(InputError, match="colour of a trial is 'green'; it must be one of straw"):
-        table.chance("green", at, 60.0)
-    with pytest.raises(InputError, match="must have a source"):
-        ColourTable("", table.colours)
-    with pytest.raises(InputError, match="its least temperature must be below its greatest"):
-        Colour("straw", 500.0, 400.0)
-    assert "wgnietai" in NITINOL_COLOURS.source
-
-
-def test_a_colour_narrows_the_loss_like_the_temperature_it_stands_for(tmp_path: Path) -> None:
-    """A sharp colour around what the rig of 1.2 times the loss gets to."""
-    rig = FACTORS["loss"](thesis_rig(), 1.2)
-    duty, slots = 9, 120
-    ramp = np.minimum((np.arange(slots) + 0.5) / slots * 60 / 20, 1.0)
-    end = simulate(thermal_model(TUBE, rig, FINE), 0.5, duty / 255 * ramp).tube[-1, 0, -1]
-    sharp = ColourTable("a test", (Colour("so", float(end) - 4.0, float(end) + 4.0),), 4.0)
-    found = calibrate_from_trials(TUBE, thesis_rig(), [Trial(duty, 60.0, "", 20.0, "so")], colours=sharp)
-    assert found.low < 1.2 < found.high
-    assert found.high - found.low < 0.15
-    told = load_colours(CONFIGS / "colours" / "example.yaml")
-    assert [colour.name for colour in told.colours] == ["straw", "purple and yellow", "blue"]
-    assert told.colours[0].low == pytest.approx(703.15)
-    path = tmp_path / "trials.csv"
-    path.write_text("duty,time_s,colour,result\n9,60,blue,\n9,60,,good\n9,60,straw,under\n")
-    trials = [(trial.result, trial.colour) for trial in load_heating_trials(path)]
-    assert trials == [("", "blue"), ("good", None), ("under", "straw")]
 
 
 def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:

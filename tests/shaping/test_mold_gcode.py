@@ -13,7 +13,7 @@ from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.files import write_stl
 from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
-from tubeopt.shaping.mold.gcode_reader import hazards, milled, read_gcode
+from tubeopt.shaping.mold.gcode_reader import hazards, read_gcode
 from tubeopt.shaping.mold.spec import MillingSpec, PlateSpec, VentSpec, WorkshopSpec
 
 from .gcode_machine import Block, mill
@@ -109,19 +109,6 @@ def test_a_program_takes_no_longer_than_a_week() -> None:
     # The groove is some 70 mm long, with leads and overrun, and takes 200 passes of 0.01 mm at 0.02 mm/s: 8 days.
     with pytest.raises(InputError, match=r"the program base_\d.nc takes [\d.]+ days; it must take at most 7 days"):
         programs(plan_mold(SMALL, spec), "base")
-
-
-def test_the_relief_is_that_of_the_machine() -> None:
-    mold = small()
-    stages, made = stages_of(mold, "base"), texts(mold, "base")
-    relief = milled(mold.size, [(text, stage.diameter) for text, stage in zip(made, stages, strict=True)])
-    block = Block((90.0, 50.0), 12.7, pixel=0.2)
-    for stage, text in zip(stages, made, strict=True):
-        for way in mill(text).cuts:
-            block.cut(way, 1e3 * stage.diameter)
-    rows, columns = ((axis > 0) & (axis < side) for axis, side in ((relief.y, 0.05), (relief.x, 0.09)))
-    depth = 1e3 * relief.depth[np.ix_(rows, columns)]
-    assert np.mean(np.abs(depth + block.top) > 0.01) < 0.01
 
 
 def test_hazards_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

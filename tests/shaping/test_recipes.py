@@ -12,7 +12,7 @@ import pytest
 from tests.command_line import ROOT, Run, refused
 from tubeopt import HeatingSpec, InputError, Tube, load_robot, plan_heating, plan_mold
 from tubeopt.robots.materials import THERMAL_DATA, Material
-from tubeopt.shaping import plan_pegs, rank_mold_materials
+from tubeopt.shaping import rank_mold_materials
 from tubeopt.shaping.heating.logged import HeatingLog
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed, Rig
 from tubeopt.shaping.materials import STEEL
@@ -56,7 +56,6 @@ def test_another_metal_is_refused_with_what_it_needs_instead(material: Material)
 
 def test_a_mold_of_another_metal_says_that_there_is_no_recipe() -> None:
     assert any("is not nitinol" in words for words in plan_mold(of(STAINLESS)).remarks)
-    assert any("is not nitinol" in words for words in plan_pegs(of(STAINLESS)).remarks)
     assert not any("is not nitinol" in words for words in plan_mold(TUBE).remarks)
 
 

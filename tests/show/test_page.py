@@ -19,7 +19,7 @@ from PIL import Image
 import tubeopt
 from tests.test_problems import LAW_RIGS, PROBLEMS, problem
 from tubeopt.cli.app import main
-from tubeopt.shaping import plan_mandrel, plan_pegs, rank_mold_materials
+from tubeopt.shaping import plan_mandrel, rank_mold_materials
 from tubeopt.shaping.heating.settings import DEFAULT_HEATING
 from tubeopt.show.page import TITLED, WIDTH
 from tubeopt.show.plots import style
@@ -60,7 +60,7 @@ def helix() -> Any:
 def drawings() -> dict[str, Callable[[], Any]]:
     """A kind of picture -> what draws a small one."""
     from tubeopt.show import plots
-    from tubeopt.show.plots import mandrel, pegs, workspace
+    from tubeopt.show.plots import mandrel, workspace
     from tubeopt.show.plots import mold as molds
 
     robot = pose().robot
@@ -79,10 +79,8 @@ def drawings() -> dict[str, Callable[[], Any]]:
         "energy": lambda: plots.plot_energy_maps([tubeopt.energy_map(pair(), [2.0, 0.0], samples=7)] * 2),
         "workspace": lambda: workspace.plot_workspace(tubeopt.workspace(robot, samples=60, seed=1)),
         "mold": lambda: molds.plot_mold(mold()),
-        "milled": lambda: molds.plot_milled(mold()),
         "setup sheet": lambda: molds.plot_setup_sheet(mold()),
         "materials": lambda: molds.plot_materials(rank_mold_materials(robot.tubes[0])),
-        "pegs": lambda: pegs.plot_pegs(plan_pegs(robot.tubes[0])),
         "mandrel": lambda: mandrel.plot_mandrel(plan_mandrel(helix())),
     }
 
@@ -100,7 +98,7 @@ def page(width_mm: float, *, titled: bool = True) -> Iterator[None]:
 
 KINDS = (
     *("shape", "shapes", "torsion", "torsions", "equilibria", "path", "snap", "hysteresis", "branch", "map", "energy"),
-    *("workspace", "mold", "milled", "materials", "pegs", "mandrel", "setup sheet"),
+    *("workspace", "mold", "materials", "mandrel", "setup sheet"),
 )
 
 

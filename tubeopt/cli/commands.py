@@ -42,10 +42,7 @@ PATH = (
     "Waypoints, one per row: columns rotation_1_deg, rotation_2_deg, ... and, if tubes translate, translation_1_mm, ..."
 )
 
-LOG = (
-    "Log: columns time_s, duty and any of temperature_degC, voltage_V, current_A. With --trials: columns duty, time_s, "
-    "ramp_s and result or spring_back_percent."
-)
+LOG = "Log: columns time_s, duty and any of temperature_degC, voltage_V, current_A."
 
 TRAJECTORY = "Trajectory: columns time_s, rotation_1_deg, ... and, if tubes translate, translation_1_mm, ..."
 
@@ -192,7 +189,7 @@ COMMANDS: dict[str, Asked | str] = {
     "heat run": "heat.run",
     "heat calibrate": Asked(
         "heating_calibration",
-        "Estimate heat loss and contacts of a rig from a heating log, or from trials without a thermometer.",
+        "Estimate heat loss and contacts of a rig from a heating log.",
         arguments={"log": ("LOG.csv", LOG)},
         example="tubeopt heat calibrate configs/experiments/heating_log.csv "
         "--rig configs/rigs/thesis_calcium_silicate.yaml --out results",
@@ -233,11 +230,6 @@ COMMANDS: dict[str, Asked | str] = {
         "mandrel",
         "Design a mandrel for a helix or another space curve: STL, rotation and feed table, G-code for a 4th axis.",
         example="tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results",
-    ),
-    "mold pegs": Asked(
-        "pegs",
-        "Place the pegs of an adjustable mold on a reusable board: table, DXF, SVG, G-code of the board.",
-        example="tubeopt mold pegs configs/robots/thesis_etr.yaml --out results",
     ),
     "mold calibrate": Asked(
         "mold_calibration",

@@ -1,4 +1,4 @@
-"""Studies of a workshop: what a rig, and the spring-back of tubes, really are, from logs and trials."""
+"""Studies of a workshop: what a rig and the spring-back of tubes are, from logs and trials."""
 
 from __future__ import annotations
 
@@ -10,44 +10,31 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from ..files.checked import NotNegative, Number, Positive, in_file
-from ..files.csv_file import read_csv
 from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
 from ..shaping.heating.logged import HeatingLog
-from ..shaping.heating.trials import NITINOL_COLOURS, ColourTable, Trial, TrialFit, calibrate_from_trials
 from ..shaping.mold.springback import Calibration, calibrate_springback
 from ..typing import Array, Progress
 from .base import Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
-from .rig_file import (
-    LOG_COLUMNS,
-    OUTCOMES,
-    TRIAL_COLUMNS,
-    load_camera,
-    load_colours,
-    load_heating_log,
-    load_heating_trials,
-)
+from .rig_file import load_camera, load_heating_log
 
 CameraView = tuple[Array, Array, Array]
 """Times, places and temperatures that a camera saw."""
 
 
 class HeatingCalibrationStudy(TubeOnRig):
-    """Heat loss and contacts of a rig, from a heating log or from trials without a thermometer."""
+    """Heat loss and contacts of a rig, from a heating log."""
 
     doing = "calibrating the rig"
 
     kind: Literal["heating_calibration"]
     log: Annotated[Path, in_file(Path, "a CSV file")] = Field(
-        description="path of a CSV file. Log: columns time_s, duty and any of "
-        "temperature_degC, voltage_V, current_A. Trials: columns duty, time_s, "
-        "ramp_s and result or spring_back_percent"
+        description="path of a CSV file with the columns time_s, duty and any of temperature_degC, voltage_V, current_A"
     )
-    trials: bool = Field(False, description="read the file as results of trials, not as a log")
     fit: list[str] = Field(
         ["loss", "gap", "contact_resistance", "resistivity"],
-        description=f"parameters to estimate, from {', '.join((*FACTORS, BIAS))}; trials determine only the loss",
+        description=f"parameters to estimate, from {', '.join((*FACTORS, BIAS))}",
         examples=["NAME,.."],
     )
     camera: Annotated[CameraView, in_file(load_camera, "a CSV file")] | None = Field(
@@ -56,12 +43,6 @@ class HeatingCalibrationStudy(TubeOnRig):
         "temperatures in degC at points of the tube. The name of a column is "
         "its distance from the middle of the curved part, mm",
         examples=["FILE.csv"],
-    )
-    colours: Annotated[ColourTable, in_file(load_colours, "a file of colours")] | None = Field(
-        None,
-        description="YAML file with oxide colours by temperature, for trials that report a "
-        "colour; by default wide ranges",
-        examples=["FILE.yaml"],
     )
     noise_K: Positive | None = Field(None, description="stated noise of the thermometers, compared with the residuals")
     noise_V: Positive | None = Field(None, description="stated noise of the voltage")
@@ -72,15 +53,7 @@ class HeatingCalibrationStudy(TubeOnRig):
     lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
 
     @functools.cached_property
-    def _read(self) -> HeatingLog | tuple[Trial, ...]:
-        columns = read_csv(self.log, (*LOG_COLUMNS, *TRIAL_COLUMNS)).columns
-        outcomes, readings = ([name for name in known if name in columns] for known in (OUTCOMES, LOG_COLUMNS[2:]))
-        if outcomes and not self.trials:
-            raise ValueError(f"trials is missing; the file has the column {outcomes[0]} of trials")
-        if readings and self.trials:
-            raise ValueError(f"trials is given; the file has the column {readings[0]} of a log")
-        if self.trials:
-            return load_heating_trials(self.log)
+    def _read(self) -> HeatingLog:
         log = load_heating_log(self.log, **self.in_si("position_mm", "lag_s"))
         return log if self.camera is None else log.with_camera(*self.camera)
 
@@ -89,14 +62,11 @@ class HeatingCalibrationStudy(TubeOnRig):
         _ = self._read
         return self
 
-    def run(self, progress: Progress | None = None) -> RigFit | TrialFit:
+    def run(self, progress: Progress | None = None) -> RigFit:
         """The calibrated rig; raises InputError for a factor that is not known."""
-        read = self._read
-        if isinstance(read, HeatingLog):
-            stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
-            noise = {name: float(value) for name, value in stated.items() if value is not None}
-            return calibrate(self.heated(), self.rig, read, self.fit, noise=noise)
-        return calibrate_from_trials(self.heated(), self.rig, read, colours=self.colours or NITINOL_COLOURS)
+        stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
+        noise = {name: float(value) for name, value in stated.items() if value is not None}
+        return calibrate(self.heated(), self.rig, self._read, self.fit, noise=noise)
 
 
 class MoldCalibrationStudy(Study):

@@ -16,7 +16,6 @@ from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import Mandrel, plan_mandrel
-from ..shaping.mold.pegs import PegBoard, plan_pegs
 from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
@@ -109,26 +108,6 @@ class MandrelStudy(Study):
     def run(self, progress: Progress | None = None) -> Mandrel:
         """The mandrel; raises InputError where none can be made."""
         return plan_mandrel(self.robot.tubes[self.tube - 1], self.mold, number=self.tube)
-
-
-class PegStudy(Study):
-    """Peg board for one tube: an adjustable mold."""
-
-    doing = "setting the pegs"
-
-    kind: Literal["pegs"]
-    robot: RobotPath
-    tube: TubeNumber = 1
-    mold: MoldPath | None = Field(
-        None, description="mold file with the settings of pegs and board", examples=["MOLD.yaml"]
-    )
-    springback: SpringbackPath | None = SPRINGBACK
-
-    def run(self, progress: Progress | None = None) -> PegBoard:
-        """The pegs; raises InputError where there can be none."""
-        spec = self.mold or MoldSpec()
-        spec = spec if self.springback is None else replace(spec, springback=self.springback)
-        return plan_pegs(self.robot.tubes[self.tube - 1], spec, number=self.tube)
 
 
 class MaterialsStudy(Timed):

@@ -1,4 +1,4 @@
-"""Rigs as YAML, logs and trials of heatings as CSV."""
+"""Rigs as YAML, logs of heatings as CSV."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pydantic import Field
 
 from ..arguments import typed
 from ..constants import ZERO_CELSIUS
-from ..errors import InputError, nearest
+from ..errors import InputError
 from ..files.checked import Positive, check_kind
-from ..files.csv_file import CsvTable, read_csv, refuse
+from ..files.csv_file import read_csv, refuse
 from ..files.fields import Part, asking, entry_of, to_data
 from ..files.shipped import found
 from ..files.units import MM, decimal, parse_number, to_si
@@ -22,11 +22,7 @@ from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.rig import Battery, Rig
-from ..shaping.heating.trials import RESULTS, ColourTable, Trial
 from ..typing import Array
-
-SPRING_BACK_TOLERANCE = 5.0
-"""Spring-back, percent, up to which a trial counts as set."""
 
 
 @asking(Battery)
@@ -95,7 +91,7 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
     return {"kind": "rig", "name": rig.name} | to_data(rig)
 
 
-# --- logs and trials --------------------------------------------------------------------------------------------------
+# --- logs -------------------------------------------------------------------------------------------------------------
 
 EMPTY = ("",)
 """Cells of readings that were not taken."""
@@ -103,11 +99,6 @@ EMPTY = ("",)
 LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
 PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
 """Columns of several thermometers, each with its place."""
-
-OUTCOMES = ("spring_back_percent", "result", "colour")
-"""Columns that tell what came out of a trial; one of them is needed."""
-
-TRIAL_COLUMNS = ("duty", "time_s", "ramp_s", "note", *OUTCOMES)
 
 
 def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: float = 0.0) -> HeatingLog:
@@ -164,56 +155,3 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=EMPTY)
     table.check()
     return time[:, 0], np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
-
-
-ColourEntry = entry_of(ColourTable, extra={"kind": (Literal["oxide_colours"], ...)})
-"""Temperatures at which colours of the oxide come."""
-
-COLOUR_KINDS: dict[str, type[Part]] = {"oxide_colours": ColourEntry}
-"""What the key `kind` of a file of colours may say."""
-
-
-def load_colours(path: str | PathLike[str]) -> ColourTable:
-    """The table of colours in a YAML file; raises InputError for what makes none: one line for every problem."""
-    table: ColourTable = check_kind(COLOUR_KINDS, load_yaml(path), path).build()
-    return table
-
-
-def load_heating_trials(path: str | PathLike[str]) -> tuple[Trial, ...]:
-    """Trials in CSV: `duty`, `time_s`, optionally `ramp_s` and `note`, and `result`, `spring_back_percent` or `colour`.
-
-    `result` is under, good, over or set; a spring-back above 5 % means under, below it set.
-
-    Raises:
-        InputError: no such file, columns unknown or missing, or cells that make no trial: one line for every problem.
-    """
-    table = read_csv(path, TRIAL_COLUMNS)
-    table.expect(TRIAL_COLUMNS[:2], TRIAL_COLUMNS[2:])
-    if not set(OUTCOMES) & set(table.columns):
-        refuse(path, ["column result, spring_back_percent or colour is missing"])
-    trials = []
-    for k in range(len(table.rows)):
-        result = _result(table, k)
-        duty, time = float(table.number(k, "duty")), float(table.number(k, "time_s"))
-        ramp = float(table.number(k, "ramp_s")) if table.cell(k, "ramp_s") else 0.0
-        try:
-            trials.append(Trial(duty, time, result, ramp, table.cell(k, "colour") or None))
-        except InputError as error:
-            table.problems.append(f"row {k + 1} (line {table.line[k]}): {error}")
-    table.check()
-    return tuple(trials)
-
-
-def _result(table: CsvTable, row: int) -> str:
-    text = table.cell(row, "result")
-    if text:
-        if text not in (*RESULTS, "set"):
-            table.complain(row, "result", f"is {text!r}; it must be under, good, over or set{nearest(text, RESULTS)}")
-            return "set"
-        return text
-    if table.cell(row, "colour") and not table.cell(row, "spring_back_percent"):
-        return ""
-    if "spring_back_percent" not in table.columns:
-        table.complain(row, "result", "is empty; it must be under, good, over or set")
-        return "set"
-    return "under" if float(table.number(row, "spring_back_percent")) > SPRING_BACK_TOLERANCE else "set"

@@ -21,7 +21,7 @@ from ..files.files import write_text
 from ..robots.file import ROBOT_KINDS
 from .mold_file import MOLD_KINDS
 from .obstacle_file import ObstacleFile
-from .rig_file import COLOUR_KINDS, RIG_KINDS
+from .rig_file import RIG_KINDS
 from .stock_file import STOCK_KINDS
 from .study_file import STUDY_KINDS
 from .sweep_file import SweepEntry
@@ -57,7 +57,6 @@ def schemas() -> dict[str, str]:
     """File name -> JSON Schema, as text."""
     return {
         "joints.schema.json": _schema({"joints": JointsFile}, "tubeopt joint values"),
-        "oxide_colours.schema.json": _schema(COLOUR_KINDS, "tubeopt colours of the oxide"),
         "obstacles.schema.json": _schema({"obstacles": ObstacleFile}, "tubeopt obstacles"),
         "mold.schema.json": _schema(MOLD_KINDS, "tubeopt mold"),
         "rig.schema.json": _schema(RIG_KINDS, "tubeopt rig"),

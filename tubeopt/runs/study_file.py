@@ -40,7 +40,6 @@ STUDY_KINDS = Kinds(
         "heating_calibration": "calibration_studies.HeatingCalibrationStudy",
         "mold_plan": "mold_study.MoldStudy",
         "mandrel": "mold_study.MandrelStudy",
-        "pegs": "mold_study.PegStudy",
         "mold_materials": "mold_study.MaterialsStudy",
         "mold_calibration": "calibration_studies.MoldCalibrationStudy",
         "fabrication": "fabrication_study.FabricationStudy",

@@ -219,7 +219,7 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
 """Kind of a study of a robot -> keys with which it can be run, where it needs any."""
 
 ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "example_equal_ends"} | dict.fromkeys(
-    ("mold_plan", "mold_materials", "pegs", "fabrication"), "thesis_etr"
+    ("mold_plan", "mold_materials", "fabrication"), "thesis_etr"
 )
 """Kind -> the robot of such a study where none is given; of others it is that of the thesis."""
 

@@ -6,16 +6,13 @@ from .mold.checks import Check
 from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
 from .mold.holes import Hole
-from .mold.lattice import Peg
 from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
 from .mold.mandrel_files import write_mandrel
 from .mold.mold import Clamp, Groove, Mold, plan_mold
-from .mold.peg_files import write_pegs
-from .mold.pegs import PegBoard, plan_pegs
 from .mold.ranking import MaterialRating, rank_mold_materials
 from .mold.robot import predict_tube, predict_tubes
 from .mold.settings import MoldSolver
-from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PegSpec, PlateSpec, VentSpec
+from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback
 
 __all__ = [
@@ -42,9 +39,6 @@ __all__ = [
     "MoldMaterial",
     "MoldSolver",
     "MoldSpec",
-    "Peg",
-    "PegBoard",
-    "PegSpec",
     "PlateSpec",
     "RigSolver",
     "Springback",
@@ -56,7 +50,6 @@ __all__ = [
     "mold_material",
     "plan_mandrel",
     "plan_mold",
-    "plan_pegs",
     "predict_tube",
     "predict_tubes",
     "predict_wound_tube",
@@ -64,5 +57,4 @@ __all__ = [
     "thermal_growth",
     "write_mandrel",
     "write_mold",
-    "write_pegs",
 ]

@@ -21,15 +21,11 @@ from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.remedies import Cure
 from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
-from ..shaping.heating.trials import TrialFit
 from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
-
-UNLIKELY = 0.02
-"""Probability of the trials below which they, or the rig file, are doubted."""
 
 
 def _verdict(plan: HeatingPlan) -> str:
@@ -349,36 +345,4 @@ class RigFitReport(Report[RigFit]):
     def save(self, directory: Path) -> list[Path]:
         """Write calibration.json and the calibrated rig.yaml."""
         save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to a log.")
-        return [self.save_record(directory), directory / "rig.yaml"]
-
-
-TRIAL_FIT: tuple[Quantity[TrialFit], ...] = (
-    Quantity("loss_factor", "factor on the heat loss", lambda f: f.factor,
-             words=lambda f: f"{f.factor:.3f}, {100 * f.confidence:g} % interval {f.low:.3f} to {f.high:.3f}",
-             label="loss factor"),
-    Quantity("low", "lower end of its interval"),
-    Quantity("high", "upper end of its interval"),
-    Quantity("confidence", "confidence of the interval"),
-    Quantity("end_temperatures_degC", "end temperature of every trial by the calibrated rig", lambda f: f.temperatures,
-             words="{end_temperatures_degC:.0f} degC by the calibrated rig", label="trials ended at"),
-    Quantity("least_probability", "probability of the least likely trial", lambda f: f.surprise),
-)  # fmt: skip
-
-
-class TrialFitReport(Report[TrialFit]):
-    command = "heat calibrate --trials"
-    quantities = TRIAL_FIT
-    file = "calibration.json"
-
-    def title(self) -> str:
-        return self.answer.rig.name or "rig"
-
-    def below(self) -> list[RenderableType]:
-        """Whether there is reason for doubt."""
-        doubts = ["the trials contradict one another or the rig file"] if self.answer.surprise < UNLIKELY else []
-        return [*remarks(doubts, what="remark")]
-
-    def save(self, directory: Path) -> list[Path]:
-        """Write calibration.json and the calibrated rig.yaml."""
-        save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to trials.")
         return [self.save_record(directory), directory / "rig.yaml"]

@@ -139,8 +139,7 @@ class MoldReport(Report[RobotMold]):
         return [*paths, directory / "setup.pdf"]
 
     def pictures(self) -> dict[str, Drawing]:
-        names = ("mold", "milled")
-        return {name: drawing(f"mold.plot_{name}", self.answer.mold, title=self.answer.name) for name in names}
+        return {"mold": drawing("mold.plot_mold", self.answer.mold, title=self.answer.name)}
 
 
 def _springback(back: Springback) -> dict[str, Any]:

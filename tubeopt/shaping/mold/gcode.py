@@ -24,10 +24,8 @@ from .gcode_reader import (
     PER_MINUTE,
     TOLERANCE,
     Motion,
-    Relief,
     cutter_ways,
     hazards,
-    milled,
     read_gcode,
     toolpath_deviation,
 )
@@ -107,11 +105,6 @@ def programs_of(mold: Mold) -> list[Program]:
 def clear_room(mold: Mold) -> float:
     """How far (m) from the plates' edges clamps of their stock must stay."""
     return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
-
-
-def as_milled(mold: Mold, part: str) -> Relief:
-    """A plate as its programs leave it."""
-    return milled(mold.size, [("\n".join(stage.lines), stage.diameter) for stage in stages_of(mold, part)])
 
 
 def programs(mold: Mold, part: str) -> list[Program]:

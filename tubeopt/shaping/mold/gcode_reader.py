@@ -10,13 +10,10 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...typing import Array
 from .checks import overrun
-from .groove import Arc, Centreline, Point, farthest, spaced
+from .groove import Arc, Centreline, Point, farthest
 from .mold import Groove, Mold
 
 PER_MINUTE = 60.0
@@ -156,43 +153,3 @@ def toolpath_deviation(mold: Mold, text: str) -> float:
         worst = max(worst, *(farthest(way.pieces, deep) for way in cutter_ways(groove)))
     meant = [piece for groove in mold.grooves for way in cutter_ways(groove) for piece in way.pieces]
     return max(worst, farthest({cut.piece for cut in cuts}, meant))
-
-
-@dataclass(frozen=True, eq=False)
-class Relief:
-    """The plate after milling, seen from above.   x, y: (W,), (H,) of the pixels, m.   depth: (H, W) m cut away."""
-
-    x: Array
-    y: Array
-    depth: Array
-
-
-def milled(size: Point, cuts: list[tuple[str, float]]) -> Relief:
-    """What flat cutters leave of the stock: programs with the diameters (m) of their tools, one after the other."""
-    pixel, margin = 0.2e-3, 8e-3
-    x, y = (np.arange(-margin, side + margin, pixel) + pixel / 2 for side in size)
-    depth = np.zeros((len(y), len(x)))
-    for text, diameter in cuts:
-        lowest: dict[Arc, float] = {}  # of the passes along one piece the deepest leaves what is seen
-        for motion in read_gcode(text):
-            lowest[motion.piece] = min(motion.start, motion.end, lowest.get(motion.piece, 0.0))
-        for piece, z in lowest.items():
-            if z < 0:
-                _cut(depth, (x, y), piece, -z, diameter / 2)
-    return Relief(x, y, depth)
-
-
-def _cut(depth: Array, axes: tuple[Array, Array], piece: Arc, deep: float, radius: float) -> None:
-    """Take away what a cutter of this radius reaches in moves along one piece, `deep` (m) below the face."""
-    way = piece.point(spaced(piece.length, 0.5e-3))
-    low, high = way.min(0) - radius, way.max(0) + radius
-    window = tuple(
-        slice(*np.searchsorted(axis, [a, b])) for axis, a, b in zip(axes[::-1], low[::-1], high[::-1], strict=True)
-    )
-    gx, gy = np.meshgrid(axes[0][window[1]], axes[1][window[0]])
-    points = np.column_stack([gx.ravel(), gy.ravel()])
-    if not len(points):
-        return
-    level = np.where(piece.distance(points) <= radius, deep, 0.0)
-    view = depth[window]
-    np.maximum(view, level.reshape(gx.shape), out=view)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -176,49 +175,6 @@ class WorkshopSpec:
 
 
 @dataclass(frozen=True)
-class PegSpec:
-    """Adjustable mold: a board with a grid of holes, and pegs with eccentric pins.
-
-    Raises:
-        InputError: a number is out of its range, or the pegs' disks do not fit beside one another.
-    """
-
-    pitch: Annotated[
-        float, unit("mm"), LENGTH, SMALL, "distance of the holes, on a square lattice rotated by 45 deg"
-    ] = 8e-3
-    shank: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of holes and pegs"] = 3e-3
-    eccentricity: Annotated[float, unit("mm"), LENGTH, SMALL, "distance of the pin from the peg axis"] = 3e-3
-    pin: Annotated[float, unit("mm"), LENGTH, SMALL, "diameter of the pin that touches the tube"] = 2e-3
-    angle_step: Annotated[
-        float, unit("deg"), Range(above=0.0, most=math.pi / 2), "angular step of the pegs, by a scale or notches"
-    ] = math.pi / 180
-    height: Annotated[float, unit("mm"), LENGTH, SMALL, "height of the tube above the board"] = 6e-3
-    conductivity: Annotated[
-        float, unit("W_per_m_K"), POSITIVE, "thermal conductivity of the pins; default machinable glass-mica"
-    ] = 1.46
-    most_deviation: Annotated[
-        float, unit("mm"), LENGTH, "largest deviation of the tube from its curve, also between pegs"
-    ] = 0.05e-3
-    board: Annotated[
-        tuple[float, float] | None, unit("mm"), LENGTH, "width and height of the board; default as the tube needs"
-    ] = None
-
-    def __post_init__(self) -> None:
-        check_fields(self, "the pegs")
-        if 2 * self.eccentricity + self.pin > self.pitch + 1e-9:
-            raise InputError(
-                f"pitch of the pegs is {self.pitch * 1e3:g} mm; it must be at least twice "
-                "the eccentricity plus the pin's diameter, "
-                f"{(2 * self.eccentricity + self.pin) * 1e3:g} mm, to avoid collisions of "
-                "neighbours"
-            )
-
-    def reach(self, outer_diameter: float) -> float:
-        """From the axis of a tube of this diameter (m) to that of a pin which touches it, m."""
-        return 0.5 * (outer_diameter + self.pin)
-
-
-@dataclass(frozen=True)
 class ClampSpec:
     """The clamps that hold the tube and feed the current, outside the plate.
 
@@ -308,7 +264,6 @@ class MoldSpec(Displayed):
     )
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "vents of the top plate over the bend"] = field(default_factory=VentSpec)
-    pegs: Annotated[PegSpec, "pegs of an adjustable mold, instead of grooves"] = field(default_factory=PegSpec)
     heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
     solver: MoldSolver = DEFAULT_MOLD
     """Settings of the search and of the drawings."""

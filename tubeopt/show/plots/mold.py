@@ -11,8 +11,8 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
-from ...shaping.mold.drawing import PARTS, draw_plate
-from ...shaping.mold.gcode import as_milled, clear_room
+from ...shaping.mold.drawing import draw_plate
+from ...shaping.mold.gcode import clear_room
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.mold import Groove, Mold
 from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
@@ -41,28 +41,6 @@ def plot_mold(mold: Mold, *, title: str = "") -> Figure:
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     radii = ",  ".join(f"tube {groove.number}: {_least(groove.held, '.2f', ' mm')}" for groove in mold.grooves)
     entitle(axes, f"{_named(mold, title)}\nradius of the groove  {radii}")
-    return figure
-
-
-@picture
-def plot_milled(mold: Mold, *, title: str = "") -> Figure:
-    """Both plates as their programs leave them in the stock: how deep it is cut."""
-    wide, tall = mold.size
-    figure = new_figure(7.5, max(4.0, 15 * tall / wide + 1.6))
-    for k, part in enumerate(PARTS):
-        axes = figure.add_subplot(2, 1, k + 1)
-        relief = as_milled(mold, part)
-        ends = [TO_MM * end for axis in (relief.x, relief.y) for end in (axis[0], axis[-1])]
-        plate = mold.spec.plate
-        most = TO_MM * (plate.thickness if part == "base" else plate.lid_thickness)
-        image = axes.imshow(
-            np.minimum(TO_MM * relief.depth, most), origin="lower", extent=(ends[0], ends[1], ends[2], ends[3]),
-            cmap="cividis_r", vmin=0, vmax=most,
-        )  # fmt: skip
-        figure.colorbar(image, ax=axes, label="depth (mm)", shrink=0.8)
-        axes.set_title(f"{_named(mold, title)}: {part}" if k == 0 else part, loc="left")
-        axes.set_ylabel("y (mm)")
-    axes.set_xlabel("x (mm)")
     return figure
 
 
