@@ -188,6 +188,13 @@ def test_a_closed_loop_turns_work_into_heat() -> None:
     assert total == pytest.approx(heat, rel=1e-8)
 
 
+def test_a_dense_path_with_friction_has_its_waypoints_only() -> None:
+    path = follow(THESIS, np.radians([[0, 0, 0], [30, 0, 0], [10, 0, 0]]), friction=Friction(0.05))
+    (part,) = path.dense
+    assert part.at.tolist() == [1, 2, 3]
+    assert all(a is b for a, b in zip(part.equilibria, path.equilibria, strict=True))
+
+
 def test_waypoints_at_once_are_as_one_after_the_other() -> None:
     """The states and the heat of a motion that the compiled kernel follows whole, and of its increments, one by one."""
     friction, share = Friction((4e-3, 6e-3)), np.linspace(0, 1, 13)[:, None]

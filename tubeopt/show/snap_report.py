@@ -221,7 +221,7 @@ class PathReport(Report[stability.Path]):
         return [*([grid(columns, cells, title="snaps")] if cells else []), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
-        """Write path.csv and snaps.json."""
+        """Write path.csv, the dense path with two rows at every snap, and snaps.json."""
         turns, shifts = joint_columns(self.answer.equilibria[0].robot.n_tubes)
         columns = ["waypoint", *turns, *shifts, "tip_x_mm", "tip_y_mm", "tip_z_mm", "margin"]
         path, snaps = directory / "path.csv", directory / "snaps.json"
@@ -230,9 +230,11 @@ class PathReport(Report[stability.Path]):
         return [path, snaps]
 
     def _cells(self) -> Iterator[Sequence[object]]:
-        for k, e in enumerate(self.answer.equilibria, start=1):
-            tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
-            yield [k, *joint_cells(*to_readings(e.robot, e.rotations, e.translations)), *tip, round(e.margin, 12)]
+        for part in self.answer.dense:
+            for at, e in zip(part.at, part.equilibria, strict=True):
+                tip = [round(float(x), 9) + 0.0 for x in e.tip_position * TO_MM]
+                joints = joint_cells(*to_readings(e.robot, e.rotations, e.translations))
+                yield [f"{at:.9g}", *joints, *tip, round(e.margin, 12)]
 
     def tables(self) -> dict[str, Any]:
         return {"path": self.answer}

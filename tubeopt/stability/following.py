@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar, overload
+from typing import NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +32,12 @@ from .friction_path import rubbing_legs
 from .motion import Event, Snap, family_between, leg, motion
 
 T = TypeVar("T")
+
+BETWEEN = 4
+"""Steps of a dense path from one waypoint to the next."""
+
+TO_A_SNAP = 16
+"""Steps of a dense path from a waypoint to the snap after it, where the margin falls like a root."""
 
 
 class PathStatus(StatusEnum):
@@ -77,6 +84,15 @@ class HeldEquilibria(Sequence[Equilibrium]):
         return self._made[k]
 
 
+class Stretch(NamedTuple):
+    """Part of a path from one snap to the next."""
+
+    at: Array
+    """(P,) values at its points, such as the number of the waypoint."""
+    equilibria: Sequence[Equilibrium]
+    """(P,) equilibria there; at a snap the one that is lost, or the one after it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Path(Displayed):
     """Motion of a robot along a path: one stable equilibrium per waypoint, and the snaps between them."""
@@ -85,6 +101,15 @@ class Path(Displayed):
     """(T,) at the waypoints."""
     snaps: tuple[Snap, ...]
     """Snaps along the path, in order."""
+
+    @cached_property
+    def dense(self) -> tuple[Stretch, ...]:
+        """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints. With
+        friction it has no points between the waypoints, since their states depend on the history."""
+        parts = stretches(self, np.arange(1.0, len(self.equilibria) + 1))
+        if self.equilibria[0].friction is not None:
+            return parts
+        return tuple(_refined(part, ends_in_snap=part is not parts[-1]) for part in parts)
 
     @property
     def value(self) -> Array:
@@ -101,6 +126,51 @@ class Path(Displayed):
         """Numbers of equilibria and snaps, and solver iterations."""
         spent = sum(each.statistics.iterations for each in self.equilibria)
         return PathStatistics(len(self.equilibria), len(self.snaps), spent)
+
+
+def place_of(snap: Snap, values: Array) -> float:
+    """Value at a snap of a quantity with values (T,) at the waypoints, interpolated."""
+    return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
+
+
+def stretches(path: Path, values: Array) -> tuple[Stretch, ...]:
+    """Parts of a path between its snaps, over values (T,) at the waypoints."""
+    out: list[Stretch] = []
+    where, what, done = [float(values[0])], [path.equilibria[0]], 1
+    for snap in path.snaps:
+        until = snap.index + 1
+        here = place_of(snap, values)
+        at = np.array([*where, *values[done:until].tolist(), here])
+        out.append(Stretch(at, [*what, *path.equilibria[done:until], snap.before]))
+        where, what, done = [here], [snap.after], max(done, until)
+    out.append(Stretch(np.array([*where, *values[done:].tolist()]), [*what, *path.equilibria[done:]]))
+    return tuple(out)
+
+
+def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
+    """A stretch with equilibria between its points, on straight joint paths, each started from the one before.
+
+    Points that the solver does not reach, next to a fold, are left out.
+    """
+    at, equilibria = [float(part.at[0])], [part.equilibria[0]]
+    for (first, start), (last, end) in pairwise(zip(part.at.tolist(), part.equilibria, strict=True)):
+        to_fold = ends_in_snap and end is part.equilibria[-1]
+        steps = TO_A_SNAP if to_fold else BETWEEN
+        share = np.arange(1, steps) / steps
+        share = 1 - (1 - share) ** 2 if to_fold else share  # the margin falls fastest next to the snap
+        guess = start
+        for x in share.tolist():
+            turns = start.rotations + x * (end.rotations - start.rotations)
+            shifts = start.translations + x * (end.translations - start.translations)
+            try:
+                guess = forward_kinematics(start.robot, turns, shifts, start=guess, load=start.load)
+            except SolveError:
+                break
+            at.append(first + x * (last - first))
+            equilibria.append(guess)
+        at.append(last)
+        equilibria.append(end)
+    return Stretch(np.array(at), equilibria)
 
 
 @typed

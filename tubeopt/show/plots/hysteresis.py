@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path
+from ...stability.following import place_of, stretches
 from ...typing import Array
 from ..formatting import released
-from .path import Value, draw_broken, place_of, stretches
+from .path import Value, draw_broken
 from .stage import note
 from .style import Axes, Figure, angle_ticks, entitle, new_figure, picture
 

@@ -9,28 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
-from ...errors import SolveError
 from ...files.units import TO_MM
-from ...stability import Path, Snap
+from ...stability import Path
+from ...stability.following import Stretch
 from ...typing import Array
 from .style import FAINT, INK, Axes, Figure, headed, legend_beside, name_above, new_figure, number, picture
 
 COORDINATES = (("x", "#D55E00"), ("y", "#009E73"), ("z", "#0072B2"))
 """Coordinates of the tip and their colours; from the palette of Okabe and Ito (2008)."""
 
-BETWEEN = 4
-"""Points per stretch between waypoints."""
-
-NEAR_A_SNAP = 16
-"""The same where the stretch ends in a snap."""
-
 MOST_NAMES = 12
 """Snaps that are named in the picture; more would cover each other."""
-
-Stretch = tuple[Array, list[Equilibrium]]
-"""Places in a path from one snap to the next, and the equilibria there."""
 
 Value = Callable[[Equilibrium], float]
 """What is drawn of an equilibrium."""
@@ -40,10 +30,10 @@ Value = Callable[[Equilibrium], float]
 def plot_path(path: Path) -> Figure:
     """Picture of a motion: tip position over the waypoints, and the margin below it.
 
-    Between waypoints equilibria are solved too, closer where a snap is near, towards which the margin falls like a
-    root. At a snap the curves break: an open mark where the robot was, a full one where it lands.
+    The curves have the points of `path.dense`, those between waypoints included. At a snap they break: an open mark
+    before it, a full mark after it.
     """
-    parts = _refined(stretches(path, _numbers(path)))
+    parts = path.dense
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for k, (name, colour) in enumerate(COORDINATES):
@@ -70,26 +60,6 @@ def _coordinate(axis: int, equilibrium: Equilibrium) -> float:
     return float(equilibrium.tip_position[axis]) * TO_MM
 
 
-def place_of(snap: Snap, values: Array) -> float:
-    """Where a snap happens, in what has these values (T,) at the waypoints."""
-    return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
-
-
-def stretches(path: Path, values: Array) -> list[Stretch]:
-    """A path cut at its snaps: values and equilibria of each stretch, up to and from the very snap."""
-    out: list[Stretch] = []
-    where, what, done = [float(values[0])], [path.equilibria[0]], 1
-    for snap in path.snaps:
-        until = snap.index + 1
-        here = place_of(snap, values)
-        where += [*values[done:until].tolist(), here]
-        what += [*path.equilibria[done:until], snap.before]
-        out.append((np.array(where), what))
-        where, what, done = [here], [snap.after], max(done, until)
-    out.append((np.array([*where, *values[done:].tolist()]), [*what, *path.equilibria[done:]]))
-    return out
-
-
 def draw_broken(
     axes: Axes, parts: Sequence[Stretch], quantity: Value, colour: str, *, width: float = 1.4, label: str = ""
 ) -> list[Array]:
@@ -105,51 +75,10 @@ def draw_broken(
     return drawn
 
 
-def _refined(parts: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with points between their waypoints."""
-    out: list[Stretch] = []
-    for k, (where, what) in enumerate(parts):
-        points = [(where[0], what[0])]
-        for (at, here), (place, there) in pairwise(zip(where, what, strict=True)):
-            to_fold = there is what[-1] and k + 1 < len(parts)
-            points += [*_between(here, there, at, place, to_fold=to_fold), (place, there)]
-        places, shapes = zip(*points, strict=True)
-        out.append((np.array(places), list(shapes)))
-    return out
-
-
-def _numbers(path: Path) -> Array:
-    """(T,) of the waypoints, from 1."""
-    return np.arange(1.0, len(path.equilibria) + 1)
-
-
-def _between(
-    start: Equilibrium, end: Equilibrium, first: float, last: float, *, to_fold: bool
-) -> list[tuple[float, Equilibrium]]:
-    """Equilibria on the straight way between two, each from the one before.
-
-    What is lost, or comes near no fold from the other side, is left out: the curve is then drawn straight.
-    """
-    count = NEAR_A_SNAP if to_fold else BETWEEN
-    share = np.arange(1, count) / count
-    share = 1 - (1 - share) ** 2 if to_fold else share  # like a root, the margin falls fastest where it ends
-    found: list[tuple[float, Equilibrium]] = []
-    guess = start
-    for x in share:
-        turns = start.rotations + x * (end.rotations - start.rotations)
-        shifts = start.translations + x * (end.translations - start.translations)
-        try:
-            guess = forward_kinematics(start.robot, turns, shifts, start=guess, load=start.load)
-        except SolveError:
-            break
-        found.append((first + x * (last - first), guess))
-    return found
-
-
 def _mark_snaps(above: Axes, below: Axes, path: Path) -> None:
     """A thin line at every snap, numbered on top."""
     for k, snap in enumerate(path.snaps, start=1):
-        at = place_of(snap, _numbers(path))
+        at = snap.index + 1 + snap.fraction
         for axes in (above, below):
             axes.axvline(at, color=FAINT, lw=0.7, ls=(0, (4, 3)), zorder=0)
         if len(path.snaps) <= MOST_NAMES:

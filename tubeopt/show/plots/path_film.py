@@ -12,10 +12,11 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...stability import Path, Snap
+from ...stability.following import place_of, stretches
 from ...typing import Array
 from ..arm_surfaces import Centreline, visible
 from ..colours import tube_colour
-from .path import COORDINATES, draw_broken, place_of, stretches
+from .path import COORDINATES, draw_broken
 from .stage import View, draw_arrow, draw_box, widest_view
 from .style import FAINT, INK, Axes, number, styled
 from .trajectory import Sweep, film_ending, margin_scale, save_film, stage_for

@@ -17,8 +17,8 @@ from ...robots.path_file import Waypoints as Way
 from ...robots.path_file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
+from ...stability.following import place_of
 from ...typing import Array
-from ..plots.path import place_of
 from .session import Session, check, moved_to, record, strides
 
 TURN_SPEED = np.radians(45.0)
