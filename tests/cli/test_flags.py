@@ -17,8 +17,8 @@ from tubeopt.cli.flags import asks
 from tubeopt.cli.output import Output
 from tubeopt.errors import InputError
 from tubeopt.files.checked import Number, Positive, Whole
-from tubeopt.runs.base import RobotPath, Study
-from tubeopt.runs.study_file import STUDY_KINDS
+from tubeopt.runs.robot_keys import RobotPath
+from tubeopt.runs.study_file import STUDY_KINDS, Study
 from tubeopt.typing import Progress
 
 TRIALS = str(ROOT / "configs" / "molds" / "example_trials.csv")

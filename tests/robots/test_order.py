@@ -13,7 +13,7 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.order import ends_inside, tip_tube
 from tubeopt.robots.robot import Robot
-from tubeopt.runs.base import joints_of
+from tubeopt.runs.robot_keys import joints_of
 from tubeopt.show.plots.style import caption
 from tubeopt.show.viewer import open_session
 

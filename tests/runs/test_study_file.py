@@ -11,7 +11,6 @@ import pytest
 from tubeopt.equilibrium.method import METHODS
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.errors import InputError
-from tubeopt.runs.forward_study import ForwardKinematicsStudy
 from tubeopt.runs.study_file import STUDY_KINDS, load_study
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -35,7 +34,7 @@ def test_without_joint_values_the_robot_is_at_home(tmp_path: Path) -> None:
 
 
 def test_the_methods_are_those_of_forward_kinematics() -> None:
-    assert get_args(ForwardKinematicsStudy.model_fields["method"].annotation) == METHODS
+    assert get_args(STUDY_KINDS["forward_kinematics"].model_fields["method"].annotation) == METHODS
 
 
 def problems(path: Path, text: str) -> list[str]:

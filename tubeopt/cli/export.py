@@ -8,7 +8,7 @@ from pydantic import Field
 
 from ..control.c_library import c_library, save_c_library
 from ..files.checked import Entry
-from ..runs.base import RobotPath
+from ..runs.robot_keys import RobotPath
 from ..show.reports import report
 from .flags import asks
 from .output import OF_PICTURES, Output, can_be_saved, present

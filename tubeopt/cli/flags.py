@@ -33,8 +33,7 @@ from ..files.shipped import found, resolved
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
-from ..runs.base import Study
-from ..runs.study_file import STUDY_KINDS
+from ..runs.study_file import STUDY_KINDS, Study
 from ..show.progress import working
 from ..show.reports import report
 from . import completion

@@ -19,8 +19,8 @@ from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
 from ..files.checked import NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
-from ..runs.base import Posed, said_of
 from ..runs.obstacle_file import Bodies
+from ..runs.robot_keys import Posed, said_of
 from ..show.served_report import Served
 from .flags import asks
 from .interruption import left_alone

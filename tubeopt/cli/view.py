@@ -11,14 +11,13 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..files.checked import Whole, in_file
-from ..runs.base import RobotPath, Study, joints_of
-from ..runs.forward_study import ForwardKinematicsStudy
 from ..runs.inverse_study import InverseStudy
-from ..runs.load_file import Pushed
+from ..runs.load_file import Loaded
 from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
-from ..runs.stability_studies import EquilibriaStudy, FollowStudy, SnapStudy
-from ..runs.study_file import load_study
+from ..runs.robot_keys import Posed, RobotPath, joints_of
+from ..runs.stability_studies import SnapStudy
+from ..runs.study_file import Study, load_study
 from ..show.served_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
@@ -30,7 +29,7 @@ from .messages import LOGGER
 from .output import OF_PICTURES, Output, can_be_saved, has_display, told
 
 
-class ViewEntry(Pushed):
+class ViewEntry(Loaded):
     """A robot to be shown, with what it begins with."""
 
     robot: RobotPath
@@ -71,7 +70,7 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     With --out, files saved in the browser are also written to DIR.
     """
     asked = study
-    given: dict[str, Any] = {"load": asked.pushing(), "waypoints": asked.trajectory}
+    given: dict[str, Any] = {"load": asked.external_load, "waypoints": asked.trajectory}
     shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
     if asked.study is not None:
         shown = _with_study(shown, robot, *asked.study)
@@ -107,10 +106,11 @@ def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
 
 def _begins(study: Study, path: str) -> dict[str, Any]:
     """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
-    if isinstance(study, ForwardKinematicsStudy | EquilibriaStudy):
+    if isinstance(study, Posed) and study.kind in ("forward_kinematics", "equilibria"):
         return _joints(study.joints)
-    if isinstance(study, FollowStudy):
-        return {"waypoints": without_times(study.robot, study.path)}
+    if study.kind == "follow":
+        followed: Any = study
+        return {"waypoints": without_times(followed.robot, followed.path)}
     if isinstance(study, SnapStudy):
         return _joints(joints_of(study.robot, study.si("from_deg"), study.si("from_mm")))
     if isinstance(study, InverseStudy | PlanStudy):

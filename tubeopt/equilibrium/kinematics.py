@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from ..arguments import renamed, typed
 from ..block.transcription.arm import profile
 from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
+from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
@@ -35,7 +36,7 @@ from .continuation import (
 )
 from .loaded import Loaded
 from .member import Member, Place, Point
-from .method import TOLERANCE, Asked, Method, method_of
+from .method import METHODS, TOLERANCE, Asked, Method, method_of
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation, check_load
 from .result import Equilibrium, Status
 from .unloaded import PlainPoint, Unloaded
@@ -55,13 +56,13 @@ def forward_kinematics(  # noqa: PLR0913
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
     *,
-    method: str | Newton | Ipopt = "newton",
+    method: Annotated[str | Newton | Ipopt, OneOf(METHODS)] = "newton",
     start: Any = None,
     load: Load | None = None,
-    tolerance: float = TOLERANCE,
+    tolerance: Annotated[float, unit("rad"), POSITIVE] = TOLERANCE,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,
-    time_limit: float = KINEMATICS_LIMIT,
+    time_limit: Annotated[float, unit("s"), POSITIVE] = KINEMATICS_LIMIT,
 ) -> Equilibrium:
     """Equilibrium of a robot at given joint values.
 
@@ -74,15 +75,16 @@ def forward_kinematics(  # noqa: PLR0913
         start: an Equilibrium or InverseSolution, or a pair (rotations, translations) for its `forward_kinematics`.
         load: external load. Without a start, the unloaded equilibrium is followed while the load grows. With one, the
             branch of the start is followed to these joint values and this load.
-        method: "newton" (condensed collocation equations), "ipopt" (the same equations as constraints of a nonlinear
-            program), "energy" (minimum elastic energy by IPOPT; concentric tubes only), or solver settings:
-            `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load "ipopt" and "energy" are the same: minimum
-            potential energy from the result of "newton", with the orientation of the arm as constraints.
-        tolerance: required accuracy of theta(s), rad, and of the tip, relative to the length of the arm. For tubes made
-            of pieces it applies to pieces of 10 mm. The mesh is refined until the error estimate is below it.
-        verify: also re-integrate adaptively and report the difference in `.verification`.
+        method: solver: newton, ipopt or energy. "newton" solves condensed collocation equations, "ipopt" the same
+            equations as constraints of a nonlinear program, and "energy" minimises the elastic energy by IPOPT
+            (concentric tubes only). Solver settings are `tubeopt.Newton(...)` or `tubeopt.Ipopt(...)`. Under load
+            "ipopt" and "energy" are the same: minimum potential energy from the result of "newton", with the
+            orientation of the arm as constraints.
+        tolerance: largest allowed error of tube angles, rad. That of the tip is relative to the length of the arm. For
+            tubes made of pieces it applies to pieces of 10 mm. The mesh is refined until its error is below it.
+        verify: compare the result with an independent adaptive integration. The difference is in `.verification`.
         discretisation: collocation family and degree.
-        time_limit: maximum run time, s. Moments that wind an arm into a coil need many steps.
+        time_limit: time limit of the solve, s. Moments that wind an arm into a coil need many steps.
 
     Raises:
         InputError: no robot, an unknown method, or wrong joint values: their number, a value that is not finite, a

@@ -44,6 +44,9 @@ def _whole(value: object) -> int:
 Whole = Annotated[int, BeforeValidator(_whole)]
 """A whole number."""
 
+Count = Annotated[Whole, Field(ge=1)]
+"""A whole number, at least 1."""
+
 
 def as_many(count: int, value: object, what: str = "") -> object:
     """A list, where it has as many numbers as it must; raises ValueError with words that continue its name."""
@@ -76,6 +79,15 @@ class Entry(BaseModel):
     def in_si(self, *keys: str) -> dict[str, Any]:
         """The same of several, by the names of the keys without their units."""
         return {parted(key)[0]: self.si(key) for key in keys}
+
+
+def require_one(study: Entry, one: str, other: str) -> None:
+    """Raise ValueError unless a study has one of two keys."""
+    given = {getattr(study, key) is not None for key in (one, other)}
+    if given == {False}:
+        raise ValueError(f"{one} and {other} are missing; one of them must be given")
+    if given == {True}:
+        raise ValueError(f"{one} and {other} are given; it must be one of them")
 
 
 def _in_si(value: Any, unit: str) -> Any:

@@ -1,4 +1,4 @@
-"""What the fields of a dataclass say about themselves in its annotations, and the check of an object by that.
+"""Marks on the fields of a dataclass, or on the parameters of a function, and the check of an object by them.
 
     @dataclass(frozen=True)
     class Clamps:
@@ -8,13 +8,26 @@
             check_fields(self, "the clamps")
 
 The library holds `mass` in kg, and a file has the key `mass_g`: `files.fields` makes reader, writer and schema of it.
-Fields that are not `Annotated` are no keys.
+Fields that are not `Annotated` are no keys. A parameter of a function has its description in the section Args of the
+docstring, so that the page of the API, the help of the command and the page about files repeat one text:
+
+    def stability_map(robot: Robot, *, samples: Annotated[int, Range(least=2)] = 24) -> StabilityMap:
+        \"\"\"Margin over two rotations.
+
+        Args:
+            samples: samples per axis. More of them cost as many solves.
+        \"\"\"
+
+The description is the first sentence, without the unit at its end.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
+import re
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -52,12 +65,14 @@ class Range:
     """What a number, or each of several, must be (SI)."""
 
     above: float | None = None
-    """A bound that it exceeds."""
+    """Exclusive lower bound."""
     least: float | None = None
     most: float | None = None
+    below: float | None = None
+    """Exclusive upper bound."""
 
 
-POSITIVE, NOT_NEGATIVE = Range(above=0.0), Range(least=0.0)
+POSITIVE, NOT_NEGATIVE, MARGIN = Range(above=0.0), Range(least=0.0), Range(least=0.0, below=1.0)
 
 
 @dataclass(frozen=True)
@@ -125,18 +140,15 @@ class Written:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """A field that says something about itself."""
+    """A field or parameter with marks."""
 
-    field: dataclasses.Field[Any]
+    name: str
+    default: Any
+    """MISSING where there is none."""
     kind: Any
-    """Of its value, besides None where it is optional; a tuple of both kinds where that is a number or several."""
+    """Type of its value, without None; a tuple of both types where that is a number or several."""
     optional: bool
     marks: tuple[Any, ...]
-
-    @property
-    def name(self) -> str:
-        """Its name in the dataclass."""
-        return self.field.name
 
     @property
     def sign(self) -> str:
@@ -150,20 +162,44 @@ class FieldSpec:
 
 
 @functools.lru_cache(maxsize=256)
-def marked(what: Any) -> tuple[FieldSpec, ...]:
-    """The fields of a dataclass that say something about themselves, in order."""
+def marked(what: Any, names: tuple[str, ...] = ()) -> tuple[FieldSpec, ...]:
+    """The fields of a dataclass that have marks, or the parameters of a function with these names."""
+    if not dataclasses.is_dataclass(what):
+        return tuple(_parameter(what, name) for name in names)
     hints = typing.get_type_hints(what, include_extras=True)
     known = [(field, hints[field.name]) for field in dataclasses.fields(what)]
-    return tuple(_read(field, hint) for field, hint in known if get_origin(hint) is Annotated)
+    return tuple(_read(field.name, _default(field), hint) for field, hint in known if get_origin(hint) is Annotated)
 
 
-def _read(field: dataclasses.Field[Any], hint: Any) -> FieldSpec:
-    kind = hint.__origin__
+def _default(field: dataclasses.Field[Any]) -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _parameter(function: Callable[..., Any], name: str) -> FieldSpec:
+    plain = inspect.unwrap(function)
+    part = inspect.signature(plain).parameters[name]
+    # Only this annotation: other parameters may have types that are imported for type checkers alone.
+    hint = eval(part.annotation, vars(sys.modules[plain.__module__]))
+    spec = _read(name, MISSING if part.default is part.empty else part.default, hint)
+    about = argument_docs(plain)[name]
+    return dataclasses.replace(spec, marks=(*spec.marks, about.removesuffix(f",{spec.sign}") if spec.sign else about))
+
+
+def argument_docs(function: Callable[..., Any]) -> dict[str, str]:
+    """First sentence, without its full stop, of what a docstring says about each argument in its section Args."""
+    found = re.search(r"^Args:\n(.*?)(?=^\S|\Z)", inspect.getdoc(function) or "", re.MULTILINE | re.DOTALL)
+    entries = re.findall(r"^ {4}(\w[\w, ]*): (.*?)(?=^ {4}\S|\Z)", found[1] if found else "", re.MULTILINE | re.DOTALL)
+    sentences = {names: re.split(r"\.(?: |$)", " ".join(text.split()))[0] for names, text in entries}
+    return {name: sentence for names, sentence in sentences.items() for name in names.split(", ")}
+
+
+def _read(name: str, default: Any, hint: Any) -> FieldSpec:
+    kind, marks = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
     optional = get_origin(kind) in (Union, types.UnionType)
     if optional:
         parts = tuple(part for part in get_args(kind) if part is not types.NoneType)
         kind, optional = (parts[0], True) if len(parts) == 1 else (parts, len(parts) < len(get_args(kind)))
-    return FieldSpec(field, kind, optional, tuple(hint.__metadata__))
+    return FieldSpec(name, default, kind, optional, tuple(marks))
 
 
 class Checked:
@@ -212,6 +248,8 @@ def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
         raise InputError(f"{label} is {number:g}{sign}; it must be at least {allowed.least:g}{sign}")
     if allowed.most is not None and number > allowed.most:
         raise InputError(f"{label} is {number:g}{sign}; it must be at most {allowed.most:g}{sign}")
+    if allowed.below is not None and number >= allowed.below:
+        raise InputError(f"{label} is {number:g}{sign}; it must be below {allowed.below:g}{sign}")
     return number
 
 

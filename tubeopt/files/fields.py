@@ -78,16 +78,19 @@ def entry_of(
         base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
         extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
     """
-    keys: dict[str, Any] = {
-        field.key: (field.annotation, _default(field))
-        for field in described(what)
-        if field.key not in {*(extra or {}), *base.model_fields} and (not names or field.name in names)
-    }
+    own = {*(extra or {}), *base.model_fields}
+    keys = {key: field for key, field in keys_of(what, names).items() if key not in own}
     told = what if base is Part else base
     doc = (told.__doc__ or "").partition("\n\n")[0]
     model = create_model(told.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
     model.of = what  # type: ignore[attr-defined]
     return model
+
+
+def keys_of(what: Any, names: Collection[str] = ()) -> dict[str, Any]:
+    """The keys of a dataclass, or of the parameters of a function with these names, as `create_model` takes them."""
+    chosen = [field for field in described(what, tuple(names)) if not names or field.name in names]
+    return {field.key: (field.annotation, _default(field)) for field in chosen}
 
 
 if TYPE_CHECKING:
@@ -110,8 +113,8 @@ else:
 
 
 def asking(what: Any, *names: str) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, those of a dataclass, or of its fields with these names: `values` makes its
-    fields of them, and `build` of a part the dataclass."""
+    """Give an entry, besides its own keys, those of a dataclass, or of its fields or a function's parameters with these
+    names: `values` makes the fields or arguments of them, and `build` of a part the dataclass."""
     return lambda base: entry_of(what, base=base, names=names)
 
 
@@ -120,11 +123,11 @@ def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
     return lambda base: create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
 
 
-def values(what: Any, entry: Any) -> dict[str, Any]:
-    """The fields of a dataclass in SI, from the keys of an entry; those without a key, or with an empty one, are left
-    out."""
+def values(what: Any, entry: Any, *names: str) -> dict[str, Any]:
+    """The fields of a dataclass, or the arguments of a function with these names, in SI, from the keys of an entry;
+    those without a key, or with an empty one, are left out."""
     read = {}
-    for field in described(what):
+    for field in described(what, names):
         given = getattr(entry, field.key, None)
         if given is not None:
             read[field.name] = field.read(given)
@@ -165,25 +168,23 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=256)
-def described(what: Any) -> tuple[Described, ...]:
-    """The fields of a dataclass that are keys, in order."""
-    return tuple(_described(field) for field in marked(what))
+def described(what: Any, names: tuple[str, ...] = ()) -> tuple[Described, ...]:
+    """The fields of a dataclass that are keys, in order, or the parameters of a function with these names."""
+    return tuple(_described(field) for field in marked(what, names))
 
 
 def _described(said: FieldSpec) -> Described:
-    kind, field = said.kind, said.field
+    kind, absent = said.kind, said.first(Absent)
     named = said.first(Key) or Key("")
     annotation, read, write = _kind(kind, said.marks, named.unit)
-    default: Any = field.default if field.default_factory is MISSING else field.default_factory()
-    absent = said.first(Absent)
-    default = default if absent is None else absent.value
+    default: Any = said.default if absent is None else absent.value
     several = get_origin(kind) is tuple and dataclasses.is_dataclass(get_args(kind)[0])
     if said.optional or several or default is None:
         annotation = annotation | None
     if default is not MISSING and default is not None and not several:
         default = write(default)
-    name = named.name or (f"{field.name}_{named.unit}" if named.unit else field.name)
-    return Described(field.name, name, said.first(str) or "", annotation, None if several else default, read, write)
+    name = named.name or (f"{said.name}_{named.unit}" if named.unit else said.name)
+    return Described(said.name, name, said.first(str) or "", annotation, None if several else default, read, write)
 
 
 def _default(field: Described) -> Any:
@@ -213,7 +214,7 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
             return mark.entry, lambda entry: entry.build(), mark.write
         if isinstance(mark, Named):
             return _by_name(kind, mark.known)
-        if isinstance(mark, OneOf) and kind is str:
+        if isinstance(mark, OneOf) and (kind is str or isinstance(kind, tuple)):  # text, or besides text an object
             return Literal[mark.words], lambda word: word, lambda word: word
     if isinstance(kind, tuple):
         return _one_or_several(kind, marks, suffix)
@@ -232,7 +233,7 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way
 def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
     """What pydantic calls the bounds of a number, SI."""
     allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
-    bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most}
+    bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most, "lt": allowed.below}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 

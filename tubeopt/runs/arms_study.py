@@ -16,9 +16,10 @@ from ..files.fields import asking, values
 from ..planning import ArmsPlan, PlacedRobot, PlanOptions, plan_arms
 from ..typing import Progress
 from .anatomy_file import BasePart
-from .base import Started, Study
 from .obstacle_file import Bodies, Place, Surrounded
 from .plan_study import Aimed, RatesEntry, check_rates
+from .robot_keys import Started
+from .study_file import Study
 
 
 class PlacedPart(Started):

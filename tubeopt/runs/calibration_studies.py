@@ -14,13 +14,20 @@ from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
 from ..shaping.heating.logged import HeatingLog
 from ..shaping.mold.springback import Calibration, calibrate_springback
 from ..typing import Array, Progress
-from .base import Study
 from .heating_study import TubeOnRig
 from .mold_file import Trials, load_trials
 from .rig_file import load_camera, load_heating_log
+from .study_file import Arguments, Options, question
 
 CameraView = tuple[Array, Array, Array]
 """Times, places and temperatures that a camera saw."""
+
+
+TrialsPath = Annotated[
+    Trials,
+    in_file(load_trials, "a CSV file"),
+    Field(description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"),
+]
 
 
 class HeatingCalibrationStudy(TubeOnRig):
@@ -69,19 +76,9 @@ class HeatingCalibrationStudy(TubeOnRig):
         return calibrate(self.heated(), self.rig, self._read, self.fit, noise=noise)
 
 
-class MoldCalibrationStudy(Study):
+@question("running the study", timed=False)
+def calibrate_mold(
+    trials: TrialsPath, options: Annotated[Options, Arguments(calibrate_springback, "model")]
+) -> Calibration:
     """Spring-back of tubes, from trials."""
-
-    kind: Literal["mold_calibration"]
-    trials: Annotated[Trials, in_file(load_trials, "a CSV file")] = Field(
-        description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"
-    )
-    model: Literal["auto", "constant", "linear"] = Field(
-        "auto",
-        description="model of the lost curvature fraction: constant, linear "
-        "(increases with curvature) or auto (selected from the trials)",
-    )
-
-    def run(self, progress: Progress | None = None) -> Calibration:
-        """The spring-back; raises InputError where the trials do not tell it."""
-        return calibrate_springback(self.trials.mold_radius, self.trials.obtained_radius, model=self.model)
+    return calibrate_springback(trials.mold_radius, trials.obtained_radius, **options)

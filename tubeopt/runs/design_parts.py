@@ -32,15 +32,15 @@ from ..design import (
 from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Number, Positive, Whole
+from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole
 from ..files.fields import EntryOf, Part, asking, described, extended
 from ..files.units import unit_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import Range
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
-from .base import Count, RobotPath
 from .obstacle_file import Bodies
+from .robot_keys import RobotPath
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""

@@ -24,15 +24,15 @@ from ..design.exchange import certified_at
 from ..design.pareto import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
-from ..files.checked import Entry, NotNegative, Number, in_file
+from ..files.checked import Count, Entry, NotNegative, Number, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf
 from ..stability import ASSUMING
 from ..typing import Progress
-from .base import Count, Timed
 from .design_parts import Designed, TolerancesEntry, Tried
 from .region_part import RegionAnswer, RegionEntry
 from .stock_file import load_stock
+from .study_file import Timed
 
 StockPath = Annotated[
     tuple[StockTube, ...],

@@ -15,9 +15,10 @@ from ..shaping.mold.robot import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Progress
-from .base import RobotPath, Timed
 from .heating_study import SAMPLES, SENSOR, Charge, Heating, RigPath, SensorName, Success, enough, heating_of, sensor_of
 from .mold_study import MoldPath
+from .robot_keys import RobotPath
+from .study_file import Timed
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +61,7 @@ class FabricationStudy(Timed):
     kind: Literal["fabrication"]
     robot: RobotPath
     rig: RigPath = Field(examples=["RIG.yaml"])
-    mold: MoldPath | None = Field(
-        None,
-        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
-        examples=["MOLD.yaml"],
-    )
+    mold: MoldPath = None
     hold_s: Positive | None = Field(
         None, ge=1, le=1800, description="hold time, 1 to 1800 s; by default that of the mold file, or 60"
     )

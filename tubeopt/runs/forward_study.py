@@ -3,43 +3,26 @@
 from __future__ import annotations
 
 import logging
-from decimal import Decimal
-from typing import Literal
+from typing import Annotated
 
-from pydantic import Field
-
-from ..equilibrium.kinematics import KINEMATICS_LIMIT, forward_kinematics
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..files.checked import Positive
-from ..typing import Progress
-from .base import Posed
-from .load_file import LoadedStudy
+from .load_file import ExternalLoad
+from .robot_keys import Joints, RobotPath
+from .study_file import Arguments, Options, question
 
 LOGGER = logging.getLogger(__name__)
 
 
-class ForwardKinematicsStudy(Posed, LoadedStudy):
+@question("solving the shape", timed=False)
+def solve_shape(
+    robot: RobotPath,
+    joints: Joints,
+    load: ExternalLoad,
+    options: Annotated[Options, Arguments(forward_kinematics, "method", "tolerance", "verify", "time_limit")],
+) -> Equilibrium:
     """The equilibrium of a robot at given joint values. A calibrated robot takes readings."""
-
-    doing = "solving the shape"
-
-    kind: Literal["forward_kinematics"]
-    method: Literal["newton", "ipopt", "energy"] = Field("newton", description="solver: newton, ipopt or energy")
-    tolerance_rad: Positive = Field(Decimal("1e-8"), description="largest allowed error of tube angles")
-    verify: bool = Field(False, description="compare the result with an independent adaptive integration")
-    time_limit_s: Positive = Field(Decimal(int(KINEMATICS_LIMIT)), description="time limit of the solve")
-
-    def run(self, progress: Progress | None = None) -> Equilibrium:
-        """The equilibrium; raises SolveError where none is found."""
-        found = forward_kinematics(
-            self.robot,
-            *self.joints,
-            load=self.pushing(),
-            method=self.method,
-            tolerance=self.si("tolerance_rad"),
-            verify=self.verify,
-            time_limit=self.si("time_limit_s"),
-        )
-        if not found.arc_length[-1]:
-            LOGGER.warning("no tube is in front of the base plate at these translations; the tip lies in the plate")
-        return found
+    found = forward_kinematics(robot, *joints, load=load, **options)
+    if not found.arc_length[-1]:
+        LOGGER.warning("no tube is in front of the base plate at these translations; the tip lies in the plate")
+    return found

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..errors import InputError, SolveError
-from ..files.checked import Positive, in_file
+from ..files.checked import Positive, in_file, require_one
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.controller import HeatingLaw
@@ -27,8 +27,8 @@ from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
 from ..typing import Progress
-from .base import Study, require_one
 from .rig_file import LOG_COLUMNS, load_rig
+from .study_file import Study
 
 LOG_FILE = "log.csv"
 """Name of the log in the directory of a run."""

@@ -24,8 +24,9 @@ from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
 from ..typing import Progress
-from .base import RobotPath, Timed, TubeNumber
 from .rig_file import load_rig
+from .robot_keys import RobotPath, TubeNumber
+from .study_file import Timed
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive, Triple, in_file
+from ..files.checked import NotNegative, Positive, Triple, in_file, require_one
 from ..files.fields import asking, values
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
@@ -19,9 +19,10 @@ from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
-from .base import OnePerTube, RobotPath, joints_of, require_one
-from .load_file import LoadedStudy
+from .load_file import Loaded
 from .obstacle_file import Surrounded, TipPlace
+from .robot_keys import OnePerTube, RobotPath, joints_of
+from .study_file import Study
 from .target_file import POSITION, Targets, load_joints, load_targets
 
 Joints = Annotated[
@@ -75,7 +76,7 @@ class TargetTable(Displayed):
 
 
 @asking(InverseOptions)
-class InverseStudy(Surrounded, LoadedStudy):
+class InverseStudy(Surrounded, Loaded, Study):
     """Joint values that bring the tip to a target in a stable equilibrium, for one target or a table."""
 
     doing = "solving targets"
@@ -137,7 +138,7 @@ class InverseStudy(Surrounded, LoadedStudy):
             raise ValueError("direction_weight is given without a direction")
         if self.si("objective") == "nearest" and self.start is None and self._reference() is None:
             raise ValueError("objective is nearest; it needs a start or a reference")
-        if self.pushing() is not None and (self.all or self.follow or self.closest):
+        if self.external_load is not None and (self.all or self.follow or self.closest):
             raise ValueError("all, follow and closest are for a robot without load")
         return self
 
@@ -160,7 +161,7 @@ class InverseStudy(Surrounded, LoadedStudy):
         return self._common() | {
             "reference": self._reference(),
             "on_failure": "closest" if self.closest else "raise",
-            "reachable": self.reachable and self.pushing() is None,
+            "reachable": self.reachable and self.external_load is None,
         }
 
     def run(self, progress: Progress | None = None) -> Postures | TargetTable:
@@ -174,7 +175,7 @@ class InverseStudy(Surrounded, LoadedStudy):
             clock = Clock(self.si("time_limit_s"))
             every = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **asked)
             return Postures(self.robot, tuple(every), clock.over)
-        found = inverse_kinematics(self.robot, position, direction=direction, load=self.pushing(), **asked)
+        found = inverse_kinematics(self.robot, position, direction=direction, load=self.external_load, **asked)
         return Postures(self.robot, (found,))
 
     def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
@@ -188,7 +189,7 @@ class InverseStudy(Surrounded, LoadedStudy):
                     rows += _led(session, k + 1, position, direction)
                 else:
                     solution = inverse_kinematics(
-                        self.robot, position, direction=direction, load=self.pushing(), **self._asked()
+                        self.robot, position, direction=direction, load=self.external_load, **self._asked()
                     )
                     rows.append(Row(k + 1, position, direction, solution, ""))
             except SolveError as error:

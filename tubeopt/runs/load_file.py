@@ -13,7 +13,7 @@ from ..files.fields import EntryOf, Part, asking, described, extended, values
 from ..files.shipped import resolved
 from ..files.yaml_file import load_yaml
 from ..robots.load import Load, Stretch
-from .base import Study
+from .study_file import Keys
 
 
 @asking(Load)
@@ -54,13 +54,15 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     return check(LoadEntry, value, "")
 
 
-PUSHES = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
+LOAD_KEYS = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
 """Keys of a load that a study may have beside it."""
 
 
-@extended({key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in PUSHES.items()})
-class Pushed(Entry):
-    """A robot on which something may push; the keys of its own replace what the load says."""
+@extended(
+    {key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in LOAD_KEYS.items()}
+)
+class Loaded(Entry):
+    """A robot that may have a load; the keys of its own replace those of the load."""
 
     load: Annotated[
         LoadEntry | None,
@@ -70,13 +72,14 @@ class Pushed(Entry):
         ),
     ] = None
 
-    def pushing(self) -> Load | None:
+    @property
+    def external_load(self) -> Load | None:
         """The load, None without one."""
-        own = {key: getattr(self, key) for key in PUSHES if getattr(self, key) is not None}
+        own = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
         if self.load is None and not own:
             return None
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
 
 
-class LoadedStudy(Pushed, Study):
-    """A study of a robot on which something may push."""
+ExternalLoad = Annotated[Load | None, Keys(Loaded, "external_load")]
+"""Parameter of a question: the external load, None without one."""

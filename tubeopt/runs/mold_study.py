@@ -21,9 +21,10 @@ from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Springback
 from ..typing import Progress
-from .base import RobotPath, Study, Timed, TubeNumber
 from .mold_file import load_mold_spec, load_springback
 from .rig_file import load_rig
+from .robot_keys import RobotPath, TubeNumber
+from .study_file import Study, Timed, question
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +38,29 @@ class Ranking(Displayed):
     """The heating that they are for."""
 
 
+MOLD = in_file(load_mold_spec, "a mold file", kind=MoldSpec)
+
 MoldPath = Annotated[
-    MoldSpec,
-    in_file(load_mold_spec, "a mold file", kind=MoldSpec),
-    Field(description="path of the mold file, relative to this file"),
+    Annotated[MoldSpec, MOLD] | None,
+    Field(
+        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
+        examples=["MOLD.yaml"],
+    ),
 ]
-"""What is asked of a mold, given as the path of its file."""
+"""Specification of a mold, given as the path of its file."""
 
+MandrelMold = Annotated[
+    Annotated[MoldSpec, MOLD] | None,
+    Field(
+        description="mold file: grooves, plates, clamps, machine and heat; by default all its keys have their defaults",
+        examples=["MOLD.yaml"],
+    ),
+]
 
-SpringbackPath = Annotated[Springback, in_file(load_springback, "a spring-back file")]
-SPRINGBACK = Field(None, description="YAML file of spring-back from `tubeopt mold calibrate`", examples=["FILE.yaml"])
+SpringbackPath = Annotated[
+    Annotated[Springback, in_file(load_springback, "a spring-back file")] | None,
+    Field(description="YAML file of spring-back from `tubeopt mold calibrate`", examples=["FILE.yaml"]),
+]
 
 
 class MoldStudy(Study):
@@ -56,11 +70,7 @@ class MoldStudy(Study):
 
     kind: Literal["mold_plan"]
     robot: RobotPath
-    mold: MoldPath | None = Field(
-        None,
-        description="mold file: grooves, plates, clamps, machine and heat; default plates of calcium silicate",
-        examples=["MOLD.yaml"],
-    )
+    mold: MoldPath = None
     tubes: list[Whole] | None = Field(
         None, description="numbers of the tubes, from 1; default every different curved tube", examples=["N,.."]
     )
@@ -69,7 +79,7 @@ class MoldStudy(Study):
         description="material of both plates: steel, mdf, glass_mica or "
         "calcium_silicate; default that of the mold file",
     )
-    springback: SpringbackPath | None = SPRINGBACK
+    springback: SpringbackPath = None
     cold_length_mm: Annotated[NotNegative | None, Typical(1e-4, 0.5)] = Field(
         None, description="length of cold tube between clamp and heated part; default estimated"
     )
@@ -91,23 +101,10 @@ class MoldStudy(Study):
         return plan_robot_mold(self.robot, self._spec(), self.tubes)
 
 
-class MandrelStudy(Study):
+@question("planning the mandrel", timed=False)
+def mandrel(robot: RobotPath, tube: TubeNumber = 1, mold: MandrelMold = None) -> Mandrel:
     """The mandrel for a tube that is a helix or another space curve."""
-
-    doing = "planning the mandrel"
-
-    kind: Literal["mandrel"]
-    robot: RobotPath
-    tube: TubeNumber = 1
-    mold: MoldPath | None = Field(
-        None,
-        description="mold file: grooves, plates, clamps, machine and heat; by default all its keys have their defaults",
-        examples=["MOLD.yaml"],
-    )
-
-    def run(self, progress: Progress | None = None) -> Mandrel:
-        """The mandrel; raises InputError where none can be made."""
-        return plan_mandrel(self.robot.tubes[self.tube - 1], self.mold, number=self.tube)
+    return plan_mandrel(robot.tubes[tube - 1], mold, number=tube)
 
 
 class MaterialsStudy(Timed):

@@ -14,7 +14,7 @@ from ..bodies.obstacles import nearest_distance
 from ..design import DesignTask, Objective, SearchedPair, search_pair
 from ..display import Displayed
 from ..errors import InputError
-from ..files.checked import Entry, NotNegative, Positive, Whole
+from ..files.checked import Count, Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
 from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
@@ -22,10 +22,10 @@ from ..stability import ASSUMING
 from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey, BasePart
 from .arms_study import PlacedPart, shared
-from .base import Count, Timed
 from .design_parts import Designed, Tried
 from .obstacle_file import Place
 from .region_part import FEW, HARDLY, MOST, SearchPart, hurried
+from .study_file import Timed
 
 PLANNED = 4
 """Pairs of places of those that are held to which motions of both arms are planned and proved."""

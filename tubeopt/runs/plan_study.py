@@ -19,9 +19,10 @@ from ..planning.leader import follow_the_leader
 from ..planning.tip_path import follow_tip_path
 from ..robots.robot import Robot
 from ..typing import Array, Progress
-from .base import OnePerTube, Started, check_within, joints_of, said_of
-from .load_file import LoadedStudy
+from .load_file import Loaded
 from .obstacle_file import Place, Surrounded, TipPlace
+from .robot_keys import OnePerTube, Started, check_within, joints_of, said_of
+from .study_file import Study
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -118,7 +119,7 @@ class Aimed(Started):
 
 
 @asking(PlanOptions)
-class PlanStudy(Aimed, Surrounded, LoadedStudy):
+class PlanStudy(Aimed, Surrounded, Loaded, Study):
     """A snap-free motion: to joint values, to a pose of the tip, along a curve, or follow-the-leader."""
 
     doing = "planning"
@@ -164,7 +165,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
             self.anatomy.place(self.tip_at)
         if self.leader and self.tip_path_mm is not None:
             raise ValueError("leader needs a goal, not a curve for the tip")
-        if self.pushing() is not None and (self.leader or self.tip_path_mm is not None):
+        if self.external_load is not None and (self.leader or self.tip_path_mm is not None):
             raise ValueError(
                 "a load is given with leader or tip_path_mm; under load, only plans to a goal are supported"
             )
@@ -172,7 +173,7 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
             self.cut.plane(self.around)
         if self.entry is not None:
             self.entry.region(self.around)
-            if self.leader or self.tip_path_mm is not None or self.pushing() is not None:
+            if self.leader or self.tip_path_mm is not None or self.external_load is not None:
                 raise ValueError(
                     "entry is given with leader, tip_path_mm or a load; it is supported for "
                     "plans to a goal without load only"
@@ -211,4 +212,4 @@ class PlanStudy(Aimed, Surrounded, LoadedStudy):
                 return plan
             # Where the plate stands in the patient, in whom it stood at the base.
             return replace(plan, entry=replace(plan.entry, base=self.anatomy.base.inverse.of(plan.entry.frame)))
-        return plan_trajectory(robot, start, goal, load=self.pushing(), **common)
+        return plan_trajectory(robot, start, goal, load=self.external_load, **common)

@@ -12,13 +12,12 @@ from pydantic import Field, model_validator
 from ..bodies.frames import Frame
 from ..design import DesignTask, SearchedDesign, search_design
 from ..display import Displayed
-from ..files.checked import Entry, NotNegative, Number, Positive, Whole
+from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole
 from ..files.field_metadata import Typical
 from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
 from ..robots.concentric import ConcentricRobot
 from ..typing import Array, Progress
 from .anatomy_file import AnatomyKey
-from .base import Count
 from .obstacle_file import Bodies
 
 OF_ONE = 120.0

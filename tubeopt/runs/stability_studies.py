@@ -1,4 +1,4 @@
-"""Studies of stability: every equilibrium, snaps on a way, motion through waypoints, the verdict, the map."""
+"""Studies of stability: equilibria, snaps on a path, motion through waypoints, certificate, map, load limit."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from ..display import Displayed
+from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, Whole, in_file
 from ..files.field_metadata import Typical
 from ..robots.concentric import friction_of
+from ..robots.load import Load
 from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
     ASSUMING,
     Finding,
+    LoadLimit,
     Path,
     Snap,
     SnapAssessment,
@@ -26,7 +29,9 @@ from ..stability import (
     WorstCertificate,
     assess_snapping,
     find_equilibria,
+    find_load_limit,
     find_snap,
+    find_stroke_force,
     follow,
     snap_free_certificate,
     stability_map,
@@ -34,8 +39,9 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array, Progress
-from .base import HOME, SHIFTED, OnePerTube, Posed, RobotPath, Timed, joints_of
-from .load_file import LoadedStudy
+from .load_file import ExternalLoad, Loaded
+from .robot_keys import HOME, SHIFTED, Joints, OnePerTube, Posed, RobotPath, Translations, joints_of
+from .study_file import Arguments, Options, Timed, question
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +56,10 @@ class Equilibria(Displayed):
     equilibria: tuple[Equilibrium, ...]
 
 
-class EquilibriaStudy(Posed, LoadedStudy, Timed):
+@question("searching equilibria")
+def equilibria(robot: RobotPath, joints: Joints, load: ExternalLoad) -> Equilibria:
     """Every equilibrium of a robot at given joint values, stable and unstable."""
-
-    doing = "searching equilibria"
-
-    kind: Literal["equilibria"]
-
-    def run(self, progress: Progress | None = None) -> Equilibria:
-        """The equilibria; raises SolveError where one is missing."""
-        return Equilibria(
-            self.robot, *self.joints, tuple(find_equilibria(self.robot, *self.joints, load=self.pushing()))
-        )
+    return Equilibria(robot, *joints, tuple(find_equilibria(robot, *joints, load=load)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,14 @@ class Way(Displayed):
     """The equilibrium at the end; None where it snaps before."""
 
 
-class SnapStudy(LoadedStudy, Timed):
+WaypointsPath = Annotated[
+    Waypoints,
+    in_file(load_waypoints, "a CSV file", of="robot"),
+    Field(description="path of the CSV file of waypoints, relative to this file"),
+]
+
+
+class SnapStudy(Loaded, Timed):
     """First snap on the straight path between two sets of joint values."""
 
     doing = "searching for the snap"
@@ -108,7 +113,7 @@ class SnapStudy(LoadedStudy, Timed):
     def run(self, progress: Progress | None = None) -> Way:
         """The snap; raises SolveError where there is no stable equilibrium to start from or to land on."""
         start, end = self._ends()
-        load = self.pushing()
+        load = self.external_load
         snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
@@ -116,28 +121,18 @@ class SnapStudy(LoadedStudy, Timed):
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
 
-class FollowStudy(LoadedStudy, Timed):
+Shaken = Annotated[bool, Field(description="ignore the friction of the robot file, as if vibration released it")]
+
+
+@question("following the path")
+def follow_path(
+    robot: RobotPath, path: WaypointsPath, load: ExternalLoad, shaken: Shaken = False, progress: Progress | None = None
+) -> Path:
     """Slow motion through waypoints of joint values, and its snaps. A calibrated robot takes readings."""
-
-    doing = "following the path"
-
-    kind: Literal["follow"]
-    robot: RobotPath
-    path: Annotated[
-        Waypoints,
-        in_file(load_waypoints, "a CSV file", of="robot"),
-        Field(description="path of the CSV file of waypoints, relative to this file"),
-    ]
-    shaken: bool = Field(False, description="ignore the friction of the robot file, as if vibration released it")
-
-    def run(self, progress: Progress | None = None) -> Path:
-        """The motion, with the friction that the robot is known to have; raises SolveError where there is no stable
-        equilibrium to start from or to land on."""
-        last = len(self.path.rotations) - 1
-        step = None if progress is None else lambda waypoint: progress(waypoint, last)
-        joints = to_model(self.robot, self.path.rotations, self.path.translations)
-        friction = None if self.shaken else friction_of(self.robot)
-        return follow(self.robot, *joints, load=self.pushing(), friction=friction, progress=step)
+    last = len(path.rotations) - 1
+    step = None if progress is None else lambda waypoint: progress(waypoint, last)
+    joints = to_model(robot, path.rotations, path.translations)
+    return follow(robot, *joints, load=load, friction=None if shaken else friction_of(robot), progress=step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,26 +240,104 @@ class RobotMap(Displayed):
     map: StabilityMap
 
 
-class StabilityMapStudy(Timed):
+TwoTubes = Annotated[
+    list[Whole],
+    AfterValidator(_two_tubes),
+    Field(description="numbers of the two rotated tubes; 1 is the innermost", examples=["I,J"]),
+]
+
+
+@question("mapping the margin", assuming=f"Results are valid {ASSUMING}.")
+def map_stability(
+    robot: RobotPath,
+    translations: Translations,
+    tubes: TwoTubes = [1, 2],  # noqa: B006  # pydantic copies it
+    *,
+    options: Annotated[Options, Arguments(stability_map, "samples", "directions", "workers")],
+    progress: Progress | None = None,
+) -> RobotMap:
     """The margin and the snap boundary over two rotations."""
+    first, second = tubes
+    found = stability_map(robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
+    return RobotMap(robot, translations, found)
 
-    doing = "mapping the margin"
-    assuming = f"Results are valid {ASSUMING}."
 
-    kind: Literal["stability_map"]
-    robot: RobotPath
-    translations_mm: OnePerTube | None = SHIFTED
-    tubes: Annotated[list[Whole], AfterValidator(_two_tubes)] = Field(
-        [1, 2], description="numbers of the two rotated tubes; 1 is the innermost", examples=["I,J"]
+# --- load limits ------------------------------------------------------------------------------------------------------
+
+PUSH = 1e-3
+"""N that a robot whose stroke force is asked pushes with, so that times are mN."""
+
+
+SEARCHED = (10.0, 100.0, 1000.0)
+"""Largest load factors that are searched one after the other; the first is the largest axial force too, N."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bearing(Displayed):
+    """How much of a load a robot bears at given joint values."""
+
+    robot: Robot
+    rotations: Array
+    """(n,) rad"""
+    translations: Array
+    """(n,) m"""
+    load: Load
+    limit: LoadLimit | None
+    """None where it bears all that was looked at."""
+    up_to: float
+    """Up to how many times the load was looked at."""
+
+
+class LoadLimitStudy(Posed, Loaded, Timed):
+    """Load factor at which a robot loses stability."""
+
+    doing = "putting the load on"
+
+    kind: Literal["load_limit"]
+    from_deg: OnePerTube | None = Field(
+        None,
+        description="rotations of an unloaded start: the robot moves from there to its "
+        "rotations, then the load grows; default no motion",
     )
-    samples: Annotated[Whole, Field(ge=2)] = Field(24, description="samples per axis, from -180 to 180 deg")
-    directions: Annotated[Whole, Field(ge=4)] = Field(120, description="number of directions for the snap boundary")
-    workers: Annotated[Whole, Field(ge=1)] = Field(1, description="number of processes")
+    axial: bool = Field(
+        False,
+        description="use an axial force of 1 mN against the tip as load (stroke force)",
+    )
+    up_to: Positive | None = Field(
+        None,
+        description="largest load factor to search, by default 10, then 100 and 1000 until the limit is found; "
+        "with axial, largest force, N, by default 10",
+    )
 
-    def run(self, progress: Progress | None = None) -> RobotMap:
-        """The map; raises SolveError where there is no stable equilibrium to start from or to land on."""
-        translations = joints_of(self.robot, None, self.si("translations_mm"))[1]
-        options = self.in_si("samples", "directions", "workers")
-        first, second = self.tubes
-        found = stability_map(self.robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
-        return RobotMap(self.robot, translations, found)
+    @model_validator(mode="after")
+    def _pushed(self) -> Self:
+        given = self.external_load
+        if given is None and not self.axial:
+            raise ValueError("no load is given; give tip_force_mN, tip_moment_mN_m, gravity_m_per_s2 or load, or axial")
+        if given is not None and given == Load(frame=given.frame):
+            raise ValueError("the load is 0; it must not be 0")
+        if given is not None and self.axial:
+            raise ValueError("axial and a load are both given; give one of them")
+        return self
+
+    def run(self, progress: Progress | None = None) -> Bearing:
+        """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
+        rotations, translations = self.joints
+        load, up_to = self.external_load, self.si("up_to")
+        start = None
+        if self.from_deg is not None:
+            way = [joints_of(self.robot, self.si("from_deg"), self.si("translations_mm"))[0], rotations]
+            start = follow(self.robot, way, [translations, translations]).equilibria[-1]
+        if load is not None:
+            found, reached = None, 0.0
+            for reached in SEARCHED if up_to is None else (up_to,):
+                found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=reached)
+                if found is not None:
+                    break
+            return Bearing(self.robot, rotations, translations, load, found, reached)
+        start = start or forward_kinematics(self.robot, rotations, translations)
+        up_to = SEARCHED[0] if up_to is None else up_to
+        found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
+        x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
+        limit = None if found is None else replace(found, factor=found.factor / PUSH)
+        return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)

@@ -31,10 +31,9 @@ from ..files.shipped import found, resolved
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
-from .base import Study
 from .mold_file import mold_spec_from_dict
 from .rig_file import rig_from_dict
-from .study_file import STUDY_KINDS
+from .study_file import STUDY_KINDS, Study
 from .sweep_points import Axis, Points, Value
 from .sweep_table import NOT_A_RESULT, flatten
 

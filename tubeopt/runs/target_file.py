@@ -14,7 +14,7 @@ from ..files.units import MM, RAD
 from ..files.yaml_file import load_yaml
 from ..robots.robot import Robot
 from ..typing import Array
-from .base import HOME, joints_of
+from .robot_keys import HOME, joints_of
 
 POSITION = ("x_mm", "y_mm", "z_mm")
 DIRECTION = ("direction_x", "direction_y", "direction_z")

@@ -18,7 +18,7 @@ from pydantic import Field, field_validator, model_validator
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, nearest
-from ..files.checked import Entry, Number, Positive, check_kind
+from ..files.checked import Count, Entry, Number, Positive, check_kind
 from ..files.commented import commented
 from ..files.shipped import found, shipped
 from ..files.units import TO_MM
@@ -27,7 +27,6 @@ from ..robots.file import ROBOT_KINDS, load_robot, robot_from_dict
 from ..robots.materials import MATERIALS
 from ..robots.robot import Robot
 from ..shaping.materials import MOLD_MATERIALS
-from .base import Count
 from .rig_file import RIG_KINDS, rig_from_dict
 from .study_file import STUDY_KINDS
 from .sweep_file import SweepEntry

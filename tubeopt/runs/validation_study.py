@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from ..errors import InputError
-from ..files.checked import NotNegative, Positive, Triple, Whole, in_file
+from ..files.checked import Positive, Triple, Whole, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import asking, values
 from ..typing import Progress
@@ -20,17 +20,21 @@ from ..validation import (
     Comparison,
     Fit,
     FitOptions,
+    ForceRecord,
     Measurements,
     Placement,
     Validation,
     choose_parameters,
     compare_effects,
+    estimate_forces,
     fit,
     validate,
     where_to_measure,
 )
-from .base import RobotPath, Timed
+from .load_file import ExternalLoad
 from .measurement_file import load_measurements
+from .robot_keys import RobotPath
+from .study_file import Arguments, Options, Timed, question
 
 MeasurementsPath = Annotated[
     Measurements,
@@ -39,6 +43,11 @@ MeasurementsPath = Annotated[
 ]
 """Measurements of the study's robot, given as the path of their file."""
 
+
+MeasuredFor = Annotated[
+    list[str],
+    Field(description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]),
+]
 
 OF_FITS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
 """Keys that nothing but a fit uses."""
@@ -147,32 +156,26 @@ class ValidationStudy(Timed):
         return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
 
 
-class MeasureStudy(Timed):
+@question("choosing configurations")
+def choose_configurations(
+    robot: RobotPath,
+    fit: MeasuredFor,
+    options: Annotated[Options, Arguments(where_to_measure, "count", "min_margin", "noise", "registration", "seed")],
+) -> Placement:
     """Best configurations to measure for estimating parameters, in a sequence without a snap."""
+    with _by_key():
+        return where_to_measure(robot, fit, **options)
 
-    doing = "choosing configurations"
 
-    kind: Literal["measure"]
-    robot: RobotPath
-    fit: list[str] = Field(
-        description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]
-    )
-    count: Annotated[Whole, Field(ge=3)] = Field(30, description="number of configurations")
-    min_margin: NotNegative = Field(Decimal("0.1"), lt=1, description="smallest allowed stability margin, below 1")
-    noise_mm: Annotated[Positive, Typical(1e-6, 0.02)] = Field(
-        Decimal("0.5"), description="standard deviation of a measured coordinate, for the expected errors"
-    )
-    registration: Literal["rigid", "base-axis", "none"] = Field(
-        "rigid", description="planned transformation from device frame to base frame: rigid, base-axis or none"
-    )
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="random seed of the candidate configurations")
-
-    def run(self, progress: Progress | None = None) -> Placement:
-        """The configurations; raises SolveError where too few have the margin."""
-        with _by_key():
-            return where_to_measure(
-                self.robot,
-                self.fit,
-                self.count,
-                **self.in_si("min_margin", "noise_mm", "registration", "seed"),
-            )
+@question("estimating forces")
+def estimate_tip_forces(
+    robot: RobotPath,
+    measurements: MeasurementsPath,
+    load: ExternalLoad,
+    options: Annotated[Options, Arguments(estimate_forces, "noise", "registration")],
+    progress: Progress | None = None,
+) -> ForceRecord:
+    """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
+    if load is not None and load.frame != "world":
+        raise InputError("the known load turns with the tip; its frame must be 'world'")
+    return estimate_forces(robot, measurements, known=load, progress=progress, **options)

@@ -18,10 +18,11 @@ from ..planning import Proof, verify_trajectory
 from ..planning.file import TimedJoints, load_trajectory
 from ..planning.motion import ANY_RATES
 from ..typing import Progress
-from .base import RobotPath, Timed
-from .load_file import LoadedStudy
+from .load_file import Loaded
 from .obstacle_file import Surrounded
 from .plan_study import PlanStudy, RatesEntry, check_rates
+from .robot_keys import RobotPath
+from .study_file import Timed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ def _plan_study(path: str | PathLike[str]) -> PlanStudy:
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
 
-class VerifyStudy(Surrounded, LoadedStudy, Timed):
+class VerifyStudy(Surrounded, Loaded, Timed):
     """Check of any trajectory for snaps, collisions and rates."""
 
     doing = "following the trajectory"
@@ -108,12 +109,12 @@ class VerifyStudy(Surrounded, LoadedStudy, Timed):
             joints.time,
             joints.rotations,
             joints.translations,
-            start=joints.start(asked.pushing()),
+            start=joints.start(asked.external_load),
             obstacles=asked.bodies,
             min_margin=asked.si("min_margin") or 0.0,
             clearance=asked.si("clearance_mm") or 0.0,
             rate_limits=rates,
             max_force=asked.si("max_tip_force_mN") or 0.0,
-            load=asked.pushing(),
+            load=asked.external_load,
         )
         return Checked(file, joints, proof, asked.bodies)

@@ -12,7 +12,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import DEG, TO_MILLI, TO_MM, in_unit
 from ..robots.load import Load
-from ..runs.load_studies import Bearing
+from ..runs.stability_studies import Bearing
 from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .formatting import counted, margin_in_words, millimetres, released, row

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
+from ..files.field_metadata import Range
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
@@ -104,9 +106,9 @@ def stability_map(
     translations: ArrayLike | None = None,
     *,
     tubes: tuple[int, int] = (0, 1),
-    samples: int = 24,
-    directions: int = 120,
-    workers: int = 1,
+    samples: Annotated[int, Range(least=2)] = 24,
+    directions: Annotated[int, Range(least=4)] = 120,
+    workers: Annotated[int, Range(least=1)] = 1,
     progress: Callable[[int, int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> StabilityMap:
@@ -116,10 +118,12 @@ def stability_map(
     computed, if `directions` is even.
 
     Args:
-        tubes: the rotated tubes, from 0.   samples: points per axis.
-        directions: number of directions of the snap boundary, evenly around home. Where it ends or jumps between two of
-            them, directions are added until that place is known to 1/100 of their distance.
-        workers: processes; 0 is one per core.   progress: called with the tasks done and their number.
+        tubes: the rotated tubes, from 0.
+        samples: samples per axis, from -180 to 180 deg.
+        directions: number of directions for the snap boundary. They are evenly around home. Where the boundary ends or
+            jumps between two of them, directions are added until that place is known to 1/100 of their distance.
+        workers: number of processes. With 0 it is one per core.
+        progress: called with the tasks done and their number.
         time_limit: maximum run time, s.
 
     Raises:

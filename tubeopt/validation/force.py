@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -30,7 +31,7 @@ from ..errors import (
     vector,
     whole,
 )
-from ..files.field_metadata import SEEN_WITHIN, usual_length
+from ..files.field_metadata import POSITIVE, SEEN_WITHIN, OneOf, unit, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -268,9 +269,9 @@ def estimate_forces(
     robot: Robot,
     measurements: Measurements,
     *,
-    noise: float = 1e-3,
+    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 1e-3,
     known: Load | None = None,
-    registration: str | None = None,
+    registration: Annotated[str | None, OneOf(("none", "saved"))] = None,
     progress: Progress | None = None,
     solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = LONG_TIME_LIMIT,
@@ -284,9 +285,10 @@ def estimate_forces(
     Args:
         measurements: joint readings, and positions; sensors behind the tip are points of the arm. Sensors at the same
             place of a row count by their mean.
-        noise, known, solver: as in `estimate_force`.
-        registration: "none": positions in the frame of the plate. "saved": in the frame of the calibrated device.
-            Required if the calibration has a registration and was fitted to other positions.
+        noise: standard deviation of a measured coordinate, m.
+        known, solver: as in `estimate_force`.
+        registration: frame of the positions: none (base frame) or saved (device frame of the calibration). It is
+            required if the calibration has a registration and was fitted to other positions.
         progress: called with rows done and rows in all.
         time_limit: maximum run time, s.
 

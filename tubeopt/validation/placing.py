@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
 from ..errors import InputError, Settings, SolveError, instance
-from ..files.field_metadata import SEEN_WITHIN, usual_length
+from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, unit, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -30,6 +31,9 @@ from .measurements import Measurements
 from .model import ArmModel
 from .parameters import Parameter, choose_parameters
 from .poses import solve_poses
+
+PLANNED_REGISTRATIONS = ("rigid", "base-axis", "none")
+"""Registrations of measurements that are planned; "saved" is of a calibration, which comes after them."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +89,12 @@ class Placement(Displayed):
 def where_to_measure(  # noqa: PLR0913
     robot: Robot,
     parameters: Sequence[str],
-    count: int,
+    count: Annotated[int, Range(least=3)] = 30,
     *,
-    min_margin: float = 0.1,
-    noise: float = 0.5e-3,
-    registration: str = "rigid",
-    seed: int = 0,
+    min_margin: Annotated[float, MARGIN] = 0.1,
+    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 0.5e-3,
+    registration: Annotated[str, OneOf(PLANNED_REGISTRATIONS)] = "rigid",
+    seed: Annotated[int, Range(least=0)] = 0,
     search: PlacementSearch = DEFAULT_PLACEMENT,
     time_limit: float = TIME_LIMIT,
 ) -> Placement:
@@ -101,8 +105,11 @@ def where_to_measure(  # noqa: PLR0913
 
     Args:
         parameters: as for `fit`; those that need time (latency, play) are found by driving one path slowly and fast.
-        count: how many configurations; at least as many as give more numbers than there are unknowns.
-        noise: of a measured coordinate, m.   seed: of the random configurations.
+        count: number of configurations. Their measured numbers must be more than the unknowns.
+        min_margin: smallest allowed stability margin, below 1.
+        noise: standard deviation of a measured coordinate, for the expected errors, m.
+        registration: planned transformation from device frame to base frame: rigid, base-axis or none.
+        seed: random seed of the candidate configurations.
         search: how hard it is searched.
         time_limit: s, on the clock.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite
+from ..files.field_metadata import POSITIVE, Range, Typical, key
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Progress
 from .loss import SnappingLoss, snapping_loss
@@ -36,19 +38,21 @@ class Findings(Displayed):
 @limited
 def examine(
     workspace: Workspace,
-    size: float | None = None,
+    size: Annotated[float | None, key("voxel_mm"), POSITIVE, Typical(1e-5, 0.1)] = None,
     *,
-    min_margin: float = 0.0,
-    loss: int = 0,
+    min_margin: Annotated[float, Range(most=1.0)] = 0.0,
+    loss: Annotated[int, Range(least=0)] = 0,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Findings:
     """Voxels, volumes and loss of a workspace.
 
     Args:
-        size: edge of the voxels, m; by default as in `voxels`.   min_margin: only configurations at least as stable
-            count.
-        loss: equilibria of all kinds from which the loss to snapping is estimated; 0 for none.
+        size: edge length of the voxels; by default 1, 2 or 5 times a power of ten, for about 50 samples per voxel of
+            the bounding box.
+        min_margin: smallest stability margin of a counted configuration.
+        loss: number of sampled equilibria, stable or not, that estimate the share of the workspace lost to snapping; 0
+            to skip.
         progress: of the loss.
         time_limit: s, on the clock.
 

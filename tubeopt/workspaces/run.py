@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO
 
 import numpy as np
 
@@ -17,12 +17,13 @@ from ..arguments import typed
 from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
+from ..files.field_metadata import OneOf, Range
 from ..files.files import atomic_write, read_bytes, write_text
 from ..files.journal import lock
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
-from .samples import JointSamples
+from .samples import METHODS, JointSamples
 from .table import Workspace, width
 
 SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
@@ -32,12 +33,12 @@ SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 @limited
 def workspace(
     robot: Robot,
-    samples: int = 10_000,
+    samples: Annotated[int, Range(least=1)] = 10_000,
     *,
-    method: str = "sobol",
-    seed: int = 0,
+    method: Annotated[str, OneOf(METHODS)] = "sobol",
+    seed: Annotated[int, Range(least=0)] = 0,
     out: str | PathLike[str] | None = None,
-    workers: int = 1,
+    workers: Annotated[int, Range(least=0)] = 1,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Workspace:
@@ -48,13 +49,13 @@ def workspace(
     alone, without a start: its equilibrium is stable, and the one of `forward_kinematics`.
 
     Args:
-        samples: number of joint values N. A grid has as many points per axis as N allows, less those out of order.
-        method: "sobol" (scrambled Sobol points: the most even), "random" or "grid".
-        seed: seed of "sobol" and "random"; the same seed gives the same joint values.
+        samples: number of sampled configurations. A grid has as many points per axis as this allows, less those out of
+            order.
+        method: sampling method: sobol, random or grid. Scrambled Sobol points are the most even.
+        seed: random seed of random and Sobol samples. The same seed gives the same joint values.
         out: directory for the results, which are appended, so that memory does not grow with N. A run that was stopped
-            there
-            continues.
-        workers: threads; 0 is one per core.
+            there continues.
+        workers: number of threads; 0 for one per core.
         progress: called with the samples done and their number.
         time_limit: maximum run time, s.
 

@@ -13,7 +13,7 @@ import scipy
 
 from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
-from ...files.field_metadata import check_fields, unit
+from ...files.field_metadata import OneOf, check_fields, unit
 from ...typing import Array
 
 MODELS = ("auto", "constant", "linear")
@@ -114,15 +114,19 @@ class Calibration(Displayed):
 
 
 def calibrate_springback(
-    mold_radius: Sequence[float] | Array, obtained_radius: Sequence[float] | Array, *, model: str = "auto"
+    mold_radius: Sequence[float] | Array,
+    obtained_radius: Sequence[float] | Array,
+    *,
+    model: Annotated[str, OneOf(MODELS)] = "auto",
 ) -> Calibration:
     """Fit the spring-back to pairs of mold radius and obtained radius (m) by least squares of the lost fraction.
 
     Args:
-        model: constant, one fraction for all; linear, a fraction that grows with the mold's curvature; auto, linear
-            where the 95 % interval of the slope leaves out 0. Intervals are those of the chosen model as if it had been
-            given. In 600 simulated sets of 6 trials they cover the fraction in 91 to 97 %, and a slope that is small
-            and happens to be kept in 52 to 94 %; with a model that is given they cover both in 93 to 96 %.
+        model: model of the lost curvature fraction: constant, linear (increases with curvature) or auto (selected from
+            the trials). "auto" is linear where the 95 % interval of the slope leaves out 0. Intervals are those of the
+            chosen model as if it had been given. In 600 simulated sets of 6 trials they cover the fraction in 91 to
+            97 %, and a slope that is small and happens to be kept in 52 to 94 %; with a model that is given they cover
+            both in 93 to 96 %.
 
     Raises:
         InputError: no trials, lists of different lengths, a radius that is not positive, or too few different mold

@@ -1,29 +1,26 @@
-"""What all kinds of study share: the robot, lists of joint values, and how a long answer tells how far it is."""
+"""Keys that say which robot a study is about, and at which joint values."""
 
 from __future__ import annotations
 
-import importlib
 import math
 import re
-from collections import UserDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from decimal import Decimal
-from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from ..equilibrium.readings import to_model
 from ..errors import InputError
-from ..files.checked import Entry, Number, Positive, Whole, in_file
+from ..files.checked import Count, Entry, Number, in_file
 from ..files.units import TO_MM
 from ..robots.file import AnyRobot, load_robot
 from ..robots.limits import reading_fault
 from ..robots.robot import Robot
-from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
-from ..typing import Array, Progress
+from ..typing import Array
+from .study_file import Keys
 
 RobotPath = Annotated[
     AnyRobot,
@@ -65,23 +62,10 @@ def _of_the_robot(tube: int, info: ValidationInfo) -> int:
     return tube
 
 
-Count = Annotated[Whole, Field(ge=1)]
-"""A whole number, at least 1."""
-
-
 TubeNumber = Annotated[
     Count, AfterValidator(_of_the_robot), Field(description="number of the tube, 1 for the innermost")
 ]
 """One of the tubes of the study's robot."""
-
-
-def require_one(study: Entry, one: str, other: str) -> None:
-    """Raise ValueError unless a study has one of two keys."""
-    given = {getattr(study, key) is not None for key in (one, other)}
-    if given == {False}:
-        raise ValueError(f"{one} and {other} are missing; one of them must be given")
-    if given == {True}:
-        raise ValueError(f"{one} and {other} are given; it must be one of them")
 
 
 def check_within(robot: Robot, name: str, rotations: Array, translations: Array) -> None:
@@ -123,14 +107,6 @@ def said_of(**keys: tuple[str, str]) -> Iterator[None]:
         raise InputError(f"{key}[{int(found[3]) - 1}] is {rest}") from None
 
 
-class Kinds(UserDict[str, Any]):
-    """Kinds of a file -> the entry that reads it, from "module.Class" of this package: imported when asked for."""
-
-    def __getitem__(self, kind: str) -> Any:
-        module, name = self.data[kind].split(".")
-        return getattr(importlib.import_module(f".{module}", __package__), name)
-
-
 class Posed(Entry):
     """A robot at joint values: readings, where it has a calibration."""
 
@@ -146,6 +122,26 @@ class Posed(Entry):
         return joints_of(self.robot, self.si("rotations_deg"), self.si("translations_mm"))
 
 
+Joints = Annotated[tuple[Array, Array], Keys(Posed, "joints")]
+"""Parameter of a question: rotations (n,) rad and translations (n,) m of the model."""
+
+
+class Shifted(Entry):
+    """A robot at translations."""
+
+    robot: RobotPath
+    translations_mm: OnePerTube | None = SHIFTED
+
+    @property
+    def translations(self) -> Array:
+        """The model's translations (n,) m."""
+        return joints_of(self.robot, None, self.si("translations_mm"))[1]
+
+
+Translations = Annotated[Array, Keys(Shifted, "translations")]
+"""Parameter of a question: translations (n,) m of the model."""
+
+
 class Started(Entry):
     """A robot, and from where it begins."""
 
@@ -159,57 +155,6 @@ class Started(Entry):
     def start(self) -> tuple[Array, Array]:
         """Joint values with which it begins."""
         return joints_of(self.robot, self.si("start_deg"), self.si("start_mm"))
-
-
-class Study(Entry):
-    """What all kinds of study have in common."""
-
-    doing: ClassVar[str] = "running the study"
-    """What is told while its answer is computed."""
-
-    keeps: ClassVar[str] = ""
-    """What `run_in` has saved into {out} where it is interrupted."""
-
-    either: ClassVar[tuple[frozenset[str], ...]] = ()
-    """Sets of keys of which a study has one: a flag in one of them stands for the keys of the others too."""
-
-    assuming: ClassVar[str] = ""
-    """A sentence on what its answer is said under."""
-
-    kind: str
-
-    def run(self, progress: Progress | None = None) -> Any:
-        """The answer to the question that the study asks; a kind of study has this or `run_in` of its own."""
-        return self.run_in(None, progress)
-
-    def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer of a command."""
-        return self.run_in(out, progress)
-
-    def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer, as `run` gives it; what can be kept of it on the way is kept in `out`, to go on from there."""
-        if progress is not None and getattr(self, "workers", 1) == 1:  # a bar is a thread: processes come first
-            progress(0, 0)
-        return self.run(progress)
-
-
-class Timed(Study):
-    """A study whose answer takes long: its time limit."""
-
-    time_limit_s: Positive = Field(Decimal(int(LONG_TIME_LIMIT)), description="time limit of the command")
-
-    def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer, as `run_in` gives it, within the time limit.
-
-        Raises:
-            TimeLimitError: it is reached before there is an answer.
-        """
-        limit = self.si("time_limit_s")
-        try:
-            with within(limit):
-                return self.run_in(out, progress)
-        except LateError as late:
-            raise late_error(self.kind, limit, late.best) from None
 
 
 def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[float] | None) -> tuple[Array, Array]:
