@@ -153,7 +153,7 @@ class Question:
             readers[name] = attrgetter(name) if mark is None else mark.of
         title = "".join(map(str.title, kind.split("_"))) + "Study"
         document = (self.function.__doc__ or "").partition("\n\n")[0]
-        base = (*bases, Answered, Timed if self.timed else Study)
+        base: tuple[type[Entry], ...] = (*bases, Answered, Timed if self.timed else Study)
         model: Any = create_model(title, __base__=base, __doc__=document, **keys)
         model.doing, model.assuming, model.keeps = self.doing, self.assuming, self.keeps
         model.function, model.readers = staticmethod(self.function), readers
