@@ -188,7 +188,7 @@ def test_answers_for_many_joint_values_and_of_molds() -> None:
 
 def test_solvers_are_chosen_by_name_or_by_their_settings() -> None:
     wanted = forward_kinematics(TWO_TUBE, [0.3, 2.0])
-    for solver in (Newton(last_step=1e-8), Ipopt(tolerance=1e-11, iterations=50), "ipopt"):
+    for solver in (Newton(iterations=30), Ipopt(tolerance=1e-11, iterations=50), "ipopt"):
         found = forward_kinematics(TWO_TUBE, [0.3, 2.0], method=solver)
         np.testing.assert_allclose(found.tip_position, wanted.tip_position, atol=1e-9)
         assert found.statistics.method == ("newton" if isinstance(solver, Newton) else "ipopt")

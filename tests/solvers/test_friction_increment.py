@@ -14,7 +14,7 @@ from tubeopt import ConcentricRobot, Friction
 from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
-from tubeopt.solvers.settings import CONTINUATION
+from tubeopt.solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from tubeopt.stability.friction_path import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import poses as posing
@@ -47,8 +47,8 @@ def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:
     assert given[10] == given[9] + 1
     assert 100 < len(steps) < 400
     change = np.abs(np.diff(steps, axis=0))
-    assert change[:, :3].max() <= CONTINUATION.largest_turn * (1 + 1e-12)
-    assert change[:, 3:].max() <= CONTINUATION.largest_shift * max(tube.length for tube in THESIS.tubes) * (1 + 1e-12)
+    assert change[:, :3].max() <= LARGEST_TURN * (1 + 1e-12)
+    assert change[:, 3:].max() <= LARGEST_SHIFT * max(tube.length for tube in THESIS.tubes) * (1 + 1e-12)
     places = np.hstack([steps[:, 3:], steps[:, 3:] + lengths, np.zeros((len(steps), 1))])
     gap = places[:, :, None] - places[:, None]
     gap[np.abs(gap) < 1e-11] = 0.0

@@ -28,7 +28,7 @@ from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array
 from .c_loads import SPARE, loaded_cases, loads_source
 from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
@@ -39,11 +39,11 @@ CASES = 24
 
 FOLLOWING = defined(
     {
-        "LARGEST_RATIO": CONTINUATION.largest_ratio,
-        "LARGEST_TWIST": CONTINUATION.largest_twist,
-        "SOFT_TWIST": CONTINUATION.soft_twist,
-        "LARGEST_TURN": CONTINUATION.largest_turn,
-        "LARGEST_SHIFT": CONTINUATION.largest_shift,
+        "LARGEST_RATIO": LARGEST_RATIO,
+        "LARGEST_TWIST": LARGEST_TWIST,
+        "SOFT_TWIST": SOFT_TWIST,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
     }
 )
 """By which steps along a branch are judged, as C."""

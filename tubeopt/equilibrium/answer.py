@@ -16,7 +16,7 @@ from ..block.transcription.reduced import ReducedProblem
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LARGEST_SHIFT
 from ..typing import Array
 from .loaded import Loaded
 from .member import Member, Place, Point
@@ -184,7 +184,7 @@ def at_points(start: Equilibrium, problem: LoadedProblem) -> tuple[Array, Array 
     without a load the curvature is None."""
     s, curvature = problem.torsion.arc_length, None
     if start.load is not None:
-        near = CONTINUATION.largest_shift * start.arc_length[-1]
+        near = LARGEST_SHIFT * start.arc_length[-1]
         if len(s) == len(start.point) and np.abs(s - start.point).max() <= near:
             s, curvature = start.point, start.point_curvature
         else:

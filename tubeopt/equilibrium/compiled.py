@@ -18,14 +18,19 @@ from ..block.transcription.loaded import LoadedProblem
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import Start, solve_compiled
 from ..solvers.compiled.loaded import solve_loaded_compiled
-from ..solvers.settings import CONTINUATION, Newton
+from ..solvers.settings import LARGEST_RATIO, LARGEST_TWIST
 from ..typing import Array
 from .answer import answered, at_points, built, largest_error
 from .continuation import Family, Milestone, largest_twist, shortest_arm, small_motion
 from .loaded import Loaded
 from .method import Asked
-from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, loaded_rules
+from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, LOADED_REFINEMENTS, loaded_rules
 from .result import Equilibrium, Statistics
+
+# Close to a fold the general solver bends its steps to the branch, where the kernel only halves them: seven halvings
+# cost the kernel less than one step of the general solver, more would be spent on a branch that ends.
+SHORTEST_COMPILED = 1 / 128
+"""Fraction of the longest step along a path below which the general solver takes over from the compiled kernel."""
 
 
 def unloaded(
@@ -35,7 +40,7 @@ def unloaded(
     guess; on the usual mesh or, where that is too coarse, on one twice as fine."""
     if _tied(robot):
         _check_translations(robot, tuple(translations.tolist()))
-    start, most = None, CONTINUATION.largest_twist
+    start, most = None, LARGEST_TWIST
     if guess is not None:
         turn, arm, points = rotations - guess.rotations, guess.arm, guess.points
         length = max(float(arm.arc_length[-1]), shortest_arm(robot))
@@ -47,7 +52,7 @@ def unloaded(
         solved = solve_compiled(robot, rotations, translations, start, refinement)
         if solved is None or solved.largest_change > most:
             return None
-        if start is not None and solved.contraction > CONTINUATION.largest_ratio:
+        if start is not None and solved.contraction > LARGEST_RATIO:
             return None
         found = solved.found
         length = float(found.arm.arc_length[-1])
@@ -93,9 +98,9 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
     if not close:
         return None
     given = at_points(start, problem)
-    margin, settings = start.margin, asked.method.newton
+    margin = start.margin
     coarse: Found | None = None
-    for refinement in range(settings.loaded_refinements + 1):
+    for refinement in range(LOADED_REFINEMENTS + 1):
         rules = loaded_rules(robot, shift, load, refinement)
         if coarse is not None:
             known = [coarse.points.point_rotation - problem.wound, coarse.points.point_curvature]
@@ -104,16 +109,16 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
         problem, coarse = rules.problem, solve_loaded_compiled(rules, (rotations, turn), given, margin)
         if coarse is None:
             return None
-        if not _too_coarse(coarse, problem, asked.tolerance, settings):
+        if not _too_coarse(coarse, problem, asked):
             d = replace(LOADED_DISCRETISATION, refinement=refinement)
             return answered(Loaded(robot, problem, rotations, shift, d), coarse, word, asked.began)
     return None
 
 
-def _too_coarse(found: Found, problem: LoadedProblem, tolerance: float, settings: Newton) -> bool:
+def _too_coarse(found: Found, problem: LoadedProblem, asked: Asked) -> bool:
     theta, tip, margin = found.errors
     error = float(largest_error(theta, tip, problem.torsion.assembly.total_length))
-    return margin > settings.margin_tolerance or error > tolerance
+    return margin > asked.method.newton.margin_tolerance or error > asked.tolerance
 
 
 def nearby(family: Family, guess: Equilibrium, t: float, asked: Asked) -> Equilibrium | None:
@@ -146,5 +151,5 @@ def along(family: Family, start: Milestone, asked: Asked | None = None) -> Itera
             yield here
             continue
         step /= 2
-        if step < longest * CONTINUATION.shortest_compiled:
+        if step < longest * SHORTEST_COMPILED:
             return

@@ -12,7 +12,7 @@ import numpy as np
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import Load, between
 from ..robots.robot import Robot
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array, Index
 from .loaded import Loaded
 from .member import Member, Place, Point
@@ -26,13 +26,30 @@ SHORT_ARM = 0.1
 """Length of an arm over that of the longest tube: in shorter arms tubes hardly couple."""
 
 
+# The state moves by the square root of what is left of a path before a fold, so that a fold is found to 1e-4 rad here.
+SHORTEST_STEP = 1e-8
+"""Fraction of a path or a load below which a failing step means that the branch has ended."""
+
+SHARPEST_STEP = 1e-11
+"""The same where no fold and no bifurcation is found there: the branch may only bend sharply."""
+
+# The margin (or its square) falls linearly only close to the end: a step of the whole distance often fails, and a
+# failed step costs as much as a good one. With 0.8 five steps leave 0.03 % of the distance.
+TOWARDS_END = 0.8
+"""Fraction of the distance to where the margin seems to vanish that one step covers."""
+
+# At a bifurcation the load (or the motion) does not push along the softest direction at all; differences leave 1e-6.
+SYMMETRIC = 1e-5
+"""Cosine between the push and the softest direction below which a branch ends in a bifurcation, not in a fold."""
+
+
 def largest_twist(margin: float) -> float:
     """Largest change (rad) of the twist at a point in one step from an equilibrium of this margin.
 
     The twist changes by up to 1/margin times as much as the joints do. Near a fold a step that is not short against the
     hysteresis ends on the branch beyond it, where Newton is at ease, and the snap would pass unseen.
     """
-    return min(max(2 * abs(margin) * CONTINUATION.largest_twist, CONTINUATION.soft_twist), CONTINUATION.largest_twist)
+    return min(max(2 * abs(margin) * LARGEST_TWIST, SOFT_TWIST), LARGEST_TWIST)
 
 
 @lru_cache(maxsize=64)
@@ -45,7 +62,7 @@ def shortest_arm(robot: Robot) -> float:
 def small_motion(turn: Array, shift: Array, length: float) -> bool:
     """Whether a motion is so small that one step of Newton from an arm of this length (m) stays on its branch."""
     turned, moved = (max(map(abs, by.tolist())) for by in (turn, shift))
-    return bool(turned <= CONTINUATION.largest_turn and moved <= CONTINUATION.largest_shift * length)
+    return bool(turned <= LARGEST_TURN and moved <= LARGEST_SHIFT * length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +83,7 @@ class JointPath:
     def largest_step(self) -> float:
         """Largest fraction of the path in one step."""
         turn, shift = self._changes()
-        return 1.0 / max(turn / CONTINUATION.largest_turn, shift / CONTINUATION.largest_shift, 1.0)
+        return 1.0 / max(turn / LARGEST_TURN, shift / LARGEST_SHIFT, 1.0)
 
     def span(self) -> float:
         """How far the joints go: largest turn, rad, or shift over the longest tube."""
@@ -124,8 +141,8 @@ def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
     order = np.sign(points[:, :, None] - points[:, None])
     meet = (order[1:] * order[:-1] < 0).any((1, 2))
     turn, shift = (np.abs(np.diff(part, axis=0)).max(1) for part in (joints[:, :n], joints[:, n:]))
-    longest = CONTINUATION.largest_shift * max(tube.length for tube in robot.tubes)
-    several = meet | (turn > CONTINUATION.largest_turn) | (shift > longest)
+    longest = LARGEST_SHIFT * max(tube.length for tube in robot.tubes)
+    several = meet | (turn > LARGEST_TURN) | (shift > longest)
     rows = [joints[:1]]
     for k, split in enumerate(several.tolist()):
         rows.append(np.array(JointPath(robot, joints[k], joints[k + 1]).rows()) if split else joints[k + 1 : k + 2])
@@ -213,7 +230,7 @@ def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | N
     elif before is not None and near.t > before.t:
         x = x + (x - there.carried(before)) * ((t - near.t) / (near.t - before.t))
     result = there.solve(x, iterations=8)
-    if not result.converged or result.contraction > CONTINUATION.largest_ratio:
+    if not result.converged or result.contraction > LARGEST_RATIO:
         return None
     if there.moved(near, result.state) > largest_twist(near.margin):
         return None
@@ -226,7 +243,7 @@ def follow(
     goal: float = 1.0,
     *,
     stable: bool = True,
-    shortest: float = CONTINUATION.shortest_step,
+    shortest: float = SHORTEST_STEP,
 ) -> Iterator[P]:
     """Points of the branch after `start`, up to t = `goal`, or to just before it ends (if `stable`, turns unstable),
     where steps of part `shortest` fail."""
@@ -247,7 +264,7 @@ def follow(
         step = min(2 * step, longest)
         if ends:
             power = max(power, 1)
-            step = min(step, max(CONTINUATION.towards_end * _left(here, before, power), step / 20, least))
+            step = min(step, max(TOWARDS_END * _left(here, before, power), step / 20, least))
 
 
 def _left(here: Place, before: Place, power: int) -> float:
@@ -266,7 +283,7 @@ def reach(
     goal: float = 1.0,
     *,
     stable: bool = True,
-    shortest: float = CONTINUATION.shortest_step,
+    shortest: float = SHORTEST_STEP,
 ) -> P:
     """The last point of `follow`; `start` where the branch ends at once."""
     return [start, *follow(family, start, goal, stable=stable, shortest=shortest)][-1]
@@ -282,4 +299,4 @@ def bifurcates(family: Family, last: Place) -> bool:
     one, other = (there.at(last.state.x).gradient for there in near[:2])
     pull = other - one
     soft = last.unresisted
-    return bool(abs(soft @ pull) <= CONTINUATION.symmetric * np.linalg.norm(soft) * np.linalg.norm(pull))
+    return bool(abs(soft @ pull) <= SYMMETRIC * np.linalg.norm(soft) * np.linalg.norm(pull))

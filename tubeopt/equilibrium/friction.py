@@ -40,7 +40,7 @@ from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
 from ..solvers.friction_increment import HONEST, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
-from ..solvers.settings import CONTINUATION, NEWTON
+from ..solvers.settings import NEWTON, ONWARD
 from ..typing import Array, Index
 from .answer import answered, at_points, sample_rotation
 from .continuation import steps_along
@@ -159,7 +159,6 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
         lambda state, change: evaluate_contact(contact, alpha, state.x + change),
         lambda _, change: contact.turn_of(change),
         lambda state: contact.turn_of(state.gradient),
-        NEWTON,
         NEWTON.iterations,
     )
     if not relaxed.converged:
@@ -203,7 +202,7 @@ def _ahead(held: Held, turned: Array) -> Array | float:
         return 0.0
     last, change = held.tangent
     along, size = float(turned @ last), float(last @ last)
-    straight = along > CONTINUATION.onward * np.sqrt(size * float(turned @ turned)) > 0
+    straight = along > ONWARD * np.sqrt(size * float(turned @ turned)) > 0
     return change * (along / size) if straight else 0.0
 
 

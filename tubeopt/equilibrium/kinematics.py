@@ -19,12 +19,14 @@ from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION, Ipopt, Newton
+from ..solvers.settings import Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array
 from .answer import FOLDED, answered, error_of, to_equilibrium, unsolved
 from .compiled import along, nearby, unloaded
 from .continuation import (
+    SHARPEST_STEP,
+    SHORTEST_STEP,
     Family,
     JointPath,
     Milestone,
@@ -37,7 +39,14 @@ from .continuation import (
 from .loaded import Loaded
 from .member import Member, Place, Point
 from .method import METHODS, TOLERANCE, Asked, Method, method_of
-from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation, check_load
+from .problem import (
+    DEFAULT_DISCRETISATION,
+    LOADED_DISCRETISATION,
+    LOADED_REFINEMENTS,
+    REFINEMENTS,
+    Discretisation,
+    check_load,
+)
 from .result import Equilibrium, Status
 from .unloaded import PlainPoint, Unloaded
 from .verification import verify_equilibrium
@@ -156,7 +165,7 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
         SolveError: none is fine enough; the error bears the equilibrium on the last one.
     """
     by, first, before = asked.method, point.member.discretisation.refinement, np.inf
-    finest = max(by.newton.refinements if point.member.load is None else by.newton.loaded_refinements, first)
+    finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
     for level in range(first, finest + 1):
         shape = point.member.found(point)
         found = answered(point.member, shape, start, asked.began, by.name)
@@ -169,7 +178,7 @@ def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
             raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", found)
         there, before = point.member.on(refinement=level + 1), error
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = point.onto(there, failure, by.newton)
+        point = point.onto(there, failure, by.newton.iterations)
         point = _by_method(point, by)
     raise AssertionError("the finest mesh neither reached the tolerance nor raised an error")
 
@@ -252,7 +261,7 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
             here = [here, *along(family, here, asked)][-1]
         if here.t == 1.0:
             return here.pose
-    near, shortest = _start(family, here), CONTINUATION.shortest_step if grows else CONTINUATION.sharpest_step
+    near, shortest = _start(family, here), SHORTEST_STEP if grows else SHARPEST_STEP
     if grows:
         near = Point.near(near.member, near.state.x, FOLDED)
     # Without a load the branch of the start is followed whether it stays stable or not.

@@ -24,7 +24,7 @@ from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.second_variation import least, softest_of, stiffnesses
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import HARDLY_SOFTENED, LEAST_STIFFNESS
 from ..typing import Array
 from .member import Member, Place, Point, pieces_of
 from .problem import EXTRA_POINTS, LOADED_DISCRETISATION, Discretisation, loaded_problem, loading_of
@@ -116,7 +116,7 @@ class Loaded(Member[LoadedState]):
             iterations=point.iterations,
             index=0 if point.margin > 0 else self.index(state),
             work=state.work,
-            compliance=None if abs(point.margin) < CONTINUATION.least_stiffness else compliance(problem, state),
+            compliance=None if abs(point.margin) < LEAST_STIFFNESS else compliance(problem, state),
             base_wrench=base_wrench(problem, state),
         )
 
@@ -126,7 +126,7 @@ class Loaded(Member[LoadedState]):
         there = self.on(degree=self.discretisation.degree + EXTRA_POINTS)
         problem, state = there.problem, there.at(there.carried(point))
         # At a fold the step along the softest direction has no bound: its stiffness counts as at least this.
-        least = CONTINUATION.least_stiffness
+        least = LEAST_STIFFNESS
         shift = least if abs(point.margin) < least else 0.0
         step = np.linalg.solve(state.hessian + shift * np.eye(problem.size), -state.gradient)
         split = problem.torsion.size
@@ -134,7 +134,7 @@ class Loaded(Member[LoadedState]):
         moved = tip_position(problem, state) + tip_slopes(problem, state)[:3] @ step
         moved -= tip_position(self.problem, point.state)
         # Only of arms that loads hardly soften is the margin less sure than the shape.
-        close = point.margin > CONTINUATION.hardly_softened and self.descends
+        close = point.margin > HARDLY_SOFTENED and self.descends
         margin = abs(there.margin(state) - point.margin) if close else 0.0
         # Between the points theta is up to 1.6 times as far off as at them (measured).
         return 2 * float(theta), float(np.linalg.norm(moved)), margin

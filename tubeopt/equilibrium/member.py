@@ -24,7 +24,7 @@ from ..robots.assembly import Assembly
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, full_steps
-from ..solvers.settings import NEWTON, Newton
+from ..solvers.settings import NEWTON
 from ..typing import Array, Index
 from .problem import Discretisation
 
@@ -72,16 +72,16 @@ class Point(Generic[M, S]):
         return Point(t, member, state, member.margin(state))
 
     @staticmethod
-    def near(member: M, x: Array, failure: str, settings: Newton = NEWTON) -> Point[M, S]:
+    def near(member: M, x: Array, failure: str, iterations: int = NEWTON.iterations) -> Point[M, S]:
         """What Newton's method finds from unknowns x; raises SolveError, with words of its failure, where it fails."""
-        result = member.solve(x, settings=settings)
+        result = member.solve(x, iterations)
         if not result.converged:
             raise SolveError(failure)
         return Point.of(member, result)
 
-    def onto(self, there: M, failure: str, settings: Newton = NEWTON) -> Point[M, Any]:
+    def onto(self, there: M, failure: str, iterations: int = NEWTON.iterations) -> Point[M, Any]:
         """The equilibrium of another problem close to this one; raises SolveError as `near`."""
-        return Point.near(there, there.carried(self), failure, settings)
+        return Point.near(there, there.carried(self), failure, iterations)
 
 
 Place = Point[Any, Any]
@@ -193,15 +193,14 @@ class Member(ABC, Generic[S]):
         """Whether the gradient is that of an energy, which falls along the flow."""
         return True
 
-    def solve(self, x: Array, iterations: int | None = None, settings: Newton = NEWTON) -> NewtonResult[S]:
-        """By Newton's method from x (U,), in by default as many steps as in `settings`."""
+    def solve(self, x: Array, iterations: int = NEWTON.iterations) -> NewtonResult[S]:
+        """By Newton's method from x (U,), in at most so many steps."""
         return full_steps(
             self.at(x),
             lambda state, step: self.at(state.x + step),
             self.turn,
             self.residual,
-            settings,
-            settings.iterations if iterations is None else iterations,
+            iterations,
         )
 
 

@@ -60,9 +60,8 @@ def method_of(given: str | Newton | Ipopt, load: Load | None, discretisation: Di
 
 def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
     """Raise InputError for what there is not under a load."""
-    own = {name: getattr(NEWTON, name) for name in ("loaded_refinements", "margin_tolerance")}
-    if by.newton is not NEWTON and replace(by.newton, **own) != NEWTON:
-        raise InputError(f"method has settings other than {' and '.join(own)}; only these apply under load")
+    if replace(by.newton, margin_tolerance=NEWTON.margin_tolerance) != NEWTON:
+        raise InputError("method has settings other than margin_tolerance; only this one applies under load")
     if by.name != "newton" and not load.has_energy:
         raise InputError(
             f"method is {by.name!r}; under a moment or a follower force, which have no energy, it must be 'newton'"

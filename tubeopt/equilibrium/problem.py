@@ -43,6 +43,15 @@ class Discretisation(Displayed):
 
 DEFAULT_DISCRETISATION = Discretisation()
 
+# Collocation of degree 6 gains 2^12 with each halving: six take any error that halving can lower to round-off. A larger
+# error comes from unknowns that are not well determined (close to a fold), which finer pieces do not improve.
+REFINEMENTS = 6
+"""Largest number of times that the pieces of the mesh are halved."""
+
+# Under load the pieces are shorter from the start, and every point has two more unknowns.
+LOADED_REFINEMENTS = 4
+"""The same under load."""
+
 LOADED_DISCRETISATION = Discretisation(degree=7)
 """One point more per piece than without load: then the margin, too, is right to about 1e-8."""
 

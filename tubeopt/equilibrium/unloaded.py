@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -26,10 +27,15 @@ from ..block.transcription.second_variation import margin, softest, unstable_dir
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, descend, leave_saddle, torsional_turn
-from ..solvers.settings import CONTINUATION, NEWTON, Newton
+from ..solvers.settings import NEWTON, Newton
 from ..typing import Array
 from .member import Member, Place, Point, pieces_of
 from .problem import DEFAULT_DISCRETISATION, Discretisation, reduced_problem
+
+# The tubes turn together from home, and each step ends in a minimum. Opposed tubes may leave the branch through a fold
+# in any step; a step of at most a sixteenth of a turn keeps them in the basin of the nearest minimum.
+HOME_TURN = math.pi / 8
+"""Largest turn (rad) of a tube per step of the path from home, for a cold start that ended in no stable equilibrium."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +79,14 @@ class Unloaded(Member[Evaluation]):
         if self.problem.assembly.eccentric:
             there = self._on_centreline()
             start = there.descend(there.unknowns(self.at(x).theta), settings)
-            return self.solve(self.unknowns(start.state.theta), settings=settings)
+            return self.solve(self.unknowns(start.state.theta), settings.iterations)
         return descend(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual, settings)
 
     def from_home(self) -> NewtonResult[Evaluation]:
         """By turning all tubes together from home, with a descent in energy at each step, off any saddle."""
         there = self._on_centreline()
         z = np.zeros(there.problem.size)
-        steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / CONTINUATION.home_turn)))
+        steps = max(1, int(np.ceil(np.abs(self.rotations).max(initial=0.0) / HOME_TURN)))
         for k in range(1, steps + 1):
             here = replace(there, rotations=self.rotations * k / steps)
             result = here.descend(z)

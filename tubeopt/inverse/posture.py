@@ -19,7 +19,7 @@ from ..equilibrium.linearised import Linearised
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..equilibrium.unloaded import PlainPoint
 from ..errors import InputError, SolveError
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array, Delegate
 from .arm_surface import ArmSurface, Contacts
 from .configurations import Configuration, configuration
@@ -165,9 +165,9 @@ class Posture:
         """The stable equilibrium at q that a slow straight motion from here leads to; None where the robot snaps, or is
         so close to it that steps of ordinary length do not tell."""
         here, moved = self.equilibrium, np.abs(q - self.q)
-        longest = CONTINUATION.largest_shift * max(float(here.arc_length[-1]), shortest_arm(self.space.robot))
+        longest = LARGEST_SHIFT * max(float(here.arc_length[-1]), shortest_arm(self.space.robot))
         turn, shift = moved[: self.space.robot.n_tubes].max(), moved[self.space.robot.n_tubes :].max(initial=0.0)
-        steps = max(1, ceil(max(turn / CONTINUATION.largest_turn, shift / longest) - 1e-9))
+        steps = max(1, ceil(max(turn / LARGEST_TURN, shift / longest) - 1e-9))
         try:
             for k in range(1, steps + 1):
                 rotations, shift = self.space.split(self.q + (q - self.q) * (k / steps) if k < steps else q)

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..solvers.ipopt import inside_points
 from ..solvers.problem import Problem
 from ..solvers.problem_solution import ProblemSolution, ProblemStatus
-from ..solvers.settings import CONTINUATION, Ipopt
+from ..solvers.settings import LARGEST_TWIST, Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .gauss_newton import Search
@@ -182,7 +182,7 @@ def _read(goal: Goal, at: Posture, found: ProblemSolution, order: Order) -> Post
         guess = np.column_stack([np.interp(problem.arc_length, s, column) for column in theta.T])
     result = member.solve(member.unknowns(guess))
     change = np.abs((result.state.theta - guess).ravel()[problem.flat]).max(initial=0.0)
-    if not result.converged or change > CONTINUATION.largest_twist:
+    if not result.converged or change > LARGEST_TWIST:
         return None
     point = Point.of(member, result)
     if point.margin <= 0:

@@ -11,9 +11,17 @@ from typing import TypeVar
 
 from ..typing import Array
 from .newton import NewtonResult
-from .settings import CONTINUATION
 
 S = TypeVar("S")
+
+# A valley of the coupling energy is about as wide as the hysteresis, down to a few tenths of a radian (`SOFT_TWIST`): a
+# longer step may cross into the next valley.
+STRIDE = 0.1
+"""Largest turn (rad) of a point in one step downhill."""
+
+# A fall crosses up to a few turns of every tube, at 0.1 rad a step with some steps repeated: some hundred steps.
+FLOW_STEPS = 2000
+"""Maximum number of steps of a fall."""
 
 
 def flow(
@@ -30,9 +38,9 @@ def flow(
         solved: the state at rest, from where the flow hardly moves.
     """
     time = 1.0
-    for count in range(1, CONTINUATION.flow_steps + 1):
+    for count in range(1, FLOW_STEPS + 1):
         change, turn, not_convex = step(state, time)
-        if not_convex or turn > CONTINUATION.stride:
+        if not_convex or turn > STRIDE:
             time *= 0.25 if not_convex else shortened(turn)
             continue
         there = moved(state, change)
@@ -43,7 +51,7 @@ def flow(
         if turn < 1e-6 and time > 1e6:
             last = solved(state)
             return NewtonResult(last.state, last.converged, count, 0.0)
-    return NewtonResult(state, False, CONTINUATION.flow_steps, 0.0)
+    return NewtonResult(state, False, FLOW_STEPS, 0.0)
 
 
 def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[Array]:
@@ -54,9 +62,9 @@ def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[
 
 def shortened(turn: float) -> float:
     """By what a time is multiplied after a step with this turn (rad), which was too long."""
-    return max(0.1, 0.8 * CONTINUATION.stride / turn)
+    return max(0.1, 0.8 * STRIDE / turn)
 
 
 def grown(time: float, turn: float) -> float:
     """The time after one whose step had this turn (rad)."""
-    return min(time * min(3.0, max(1.0, 0.8 * CONTINUATION.stride / max(turn, 1e-12))), 1e12)
+    return min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

@@ -18,8 +18,8 @@ import scipy
 from ..block.transcription.contact import Contact, Rubbing, evaluate_contact
 from ..block.transcription.second_variation import least
 from ..typing import Array
-from .flow import grown, shortened
-from .settings import CONTINUATION, NEWTON
+from .flow import FLOW_STEPS, STRIDE, grown, shortened
+from .settings import FRICTION_ITERATIONS, LAST_STEP, ROUND_OFF
 from .stick_slip import Signs, stick_or_slip
 
 HONEST = 1e-9
@@ -145,7 +145,7 @@ def increment(
     state, turned = evaluate_contact(contact, rotations, x), _Turned(contact, slid)
     last, contraction, kept = np.inf, 0.0, None
     signs = None if signs is None else signs[turned.sharp]
-    for _ in range(CONTINUATION.rubbing_steps):
+    for _ in range(FRICTION_ITERATIONS):
         slip = state.turned - before
         model = model_of(turned.rows, *turned.added(state, slip))
         if model is None:
@@ -161,11 +161,11 @@ def increment(
             return None
         state = evaluate_contact(contact, rotations, state.x + step)
         turned.advance(step)
-        if size <= NEWTON.last_step:
+        if size <= LAST_STEP:
             whole = turned.whole(torque, now, state.turned - before)
             # A step of round-off may still change much of the torque of what slides by little.
-            tiny = size <= NEWTON.round_off and not turned.any
-            if tiny or imbalance(contact, state, whole[0]) <= NEWTON.round_off:
+            tiny = size <= ROUND_OFF and not turned.any
+            if tiny or imbalance(contact, state, whole[0]) <= ROUND_OFF:
                 return _told(contact, state, whole, (before, slid), contraction)
         elif not turned.any and kept is not None and np.array_equal(now, kept):
             contraction = max(contraction, size / last)
@@ -238,7 +238,7 @@ def slide(
     state, heat = sides[lower], taken[lower] if push is not None else 0.0
     before = state.turned if push is not None else before
     delay, turn, signs = 1.0, np.inf, None
-    for count in range(CONTINUATION.flow_steps):
+    for count in range(FLOW_STEPS):
         # At rest the flow is left to Newton's method, which also finds what friction alone holds; where the flow only
         # creeps past a state that was lost, that finds nothing near, and the flow goes on.
         if turn < SLOW and (delay > 1e6 or count % PATIENT == 0):
@@ -256,7 +256,7 @@ def slide(
             continue
         move = model.step - model.response @ found[0]
         turn = contact.turn_of(move)
-        if turn > CONTINUATION.stride:
+        if turn > STRIDE:
             delay *= shortened(turn)
             continue
         trial = evaluate_contact(contact, rotations, state.x + move)

@@ -15,7 +15,7 @@ import scipy
 
 from ..block.transcription.reduced import Evaluation, ReducedProblem
 from ..typing import Array
-from .settings import NEWTON, Newton
+from .settings import LAST_STEP, LONGEST_STEP, NEWTON, ROUND_OFF, Newton
 from .time_limit import check_time
 
 S = TypeVar("S")
@@ -53,7 +53,6 @@ def full_steps(
     moved: Callable[[S, Array], S],
     turn: Callable[[S, Array], float],
     residual: Callable[[S], float],
-    settings: Newton,
     iterations: int,
 ) -> NewtonResult[S]:
     """Newton's method: full steps, which stop early where they grow instead of shrinking.
@@ -69,10 +68,9 @@ def full_steps(
         if not size <= LONGEST or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = moved(state, change)
-        close = settings.round_off
-        if size <= settings.last_step and (size <= close or residual(state) <= close):
+        if size <= LAST_STEP and (size <= ROUND_OFF or residual(state) <= ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
-        if size > settings.last_step:
+        if size > LAST_STEP:
             contraction = max(contraction, size / last)
         last = size
     return NewtonResult(state, False, iterations, contraction)
@@ -91,7 +89,7 @@ def descend(
     if not ended:
         return NewtonResult(state, False, iterations, 0.0)
     # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
-    last = full_steps(state, moved, turn, residual, settings, 4)
+    last = full_steps(state, moved, turn, residual, 4)
     return NewtonResult(last.state, last.converged, iterations, 0.0)
 
 
@@ -109,9 +107,9 @@ def damped_newton(
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
         size = turn(state, step)
-        if size <= settings.last_step:
+        if size <= LAST_STEP:
             return state, iteration, True
-        step *= min(1.0, settings.longest_step / size)
+        step *= min(1.0, LONGEST_STEP / size)
         slope = float(state.gradient @ step)
         for _ in range(40):
             trial = moved(state, step)

@@ -1,10 +1,10 @@
-"""The settings of the solvers: what a user may want to change, as documented fields."""
+"""Settings of the solvers that a user may change, and limits that Python and the compiled kernels share."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from ..arguments import typed
 from ..display import Displayed
@@ -20,116 +20,72 @@ class Newton(Settings):
         InputError: a field out of its range.
     """
 
-    _none: ClassVar[tuple[str, ...]] = ("refinements", "loaded_refinements")
-
-    last_step: float = 1e-6
-    """A step below this (rad) is the last, if it leaves a residual of round-off, as quadratic convergence does."""
-    round_off: float = 1e-12
-    """Residual or step (rad) close to round-off; smaller ones are no sign of divergence."""
-    longest_step: float = 1.0
-    """Descent turns no point by more than this (rad) at once: well inside the period of the energy."""
     iterations: int = 20
     """Maximum number of Newton iterations."""
     descent_iterations: int = 60
     """Maximum number of descent iterations."""
-    refinements: int = 6
-    """Most times that the pieces of the mesh are halved."""
-    loaded_refinements: int = 4
-    """Maximum number of mesh refinements under load."""
     margin_tolerance: float = 1e-8
-    """Wanted accuracy under load of margins so close to 1 that they need a check of their own."""
+    """Accuracy under load of margins so close to 1 that they need a check of their own."""
 
 
 NEWTON = Newton()
-"""What solvers do unless they are told otherwise."""
+"""Default settings."""
 
+# The limits below are compiled into the kernels: kernel and Python follow the same branch only with the same limits.
 
-@dataclass(frozen=True)
-class Continuation(Settings):
-    """How a branch of equilibria is followed, and where a robot goes that has lost its own.
+# Newton's method converges quadratically: after a step of 1e-6 rad the error is about 1e-12 rad, which is round-off of
+# the residual. At 1e-3 a solve stops with an error of 1e-6 rad; below 1e-8 round-off may keep a step from falling
+# below.
+LAST_STEP = 1e-6
+"""Newton step (rad) after which an iteration ends, if the residual is of round-off."""
 
-    Raises:
-        InputError: a count that is no whole number of at least 1, another number that is not positive.
-    """
+ROUND_OFF = 1e-12
+"""Residual or step (rad) close to round-off; smaller ones are no sign of divergence."""
 
-    largest_ratio: float = 0.3
-    """Newton must shrink its steps at least so much: beyond that it may be on its way to another branch."""
-    largest_twist: float = 0.6
-    """Largest change (rad) of the twist theta - alpha at a point in one step."""
-    soft_twist: float = 0.1
-    """The same (rad) where the margin is 0. The two stable branches beside a narrow fold are little farther apart."""
-    largest_turn: float = 0.3
-    """Largest change (rad) of a joint rotation in one step of a path: small against a turn, after which another branch
-    looks like the one that is followed."""
-    largest_shift: float = 0.05
-    """Of a translation, as a fraction of the longest tube."""
-    home_turn: float = math.pi / 8
-    """Largest turn (rad) of a tube per step of the path from home, by which a cold start goes that ended in no stable
-    equilibrium."""
-    shortest_step: float = 1e-8
-    """Fraction of a path or a load below which a step that fails means that the branch has ended."""
-    sharpest_step: float = 1e-11
-    """The same where no fold and no bifurcation is found there: the branch may only bend sharply."""
-    towards_end: float = 0.8
-    """Part of the way to where the margin seems to vanish that is stepped at once."""
-    symmetric: float = 1e-5
-    """A growing load whose part along the softest direction is smaller than this meets a bifurcation there."""
-    compiled_step: float = 1e-3
-    """Fraction of a load below which the compiled kernel leaves a step that fails to the general solver."""
-    shortest_compiled: float = 1 / 128
-    """Part of the longest step along a path below which the general solver takes over from the compiled kernel."""
-    least_stiffness: float = 1e-6
-    """Margin below which errors no longer grow in the estimate."""
-    hardly_softened: float = 0.99
-    """Margins above need the check of their accuracy; the others are surer than the shape."""
-    fold_steps: int = 25
-    """Of Newton's method to a fold at most."""
-    fold_difference: float = 1e-4
-    """Step of the differences along the softest direction, as a turn (rad) of a tube or of the arm."""
-    widest: float = 1e-3
-    """Largest part of the way between the last stable point that was found and the one where stability is lost."""
-    branch_points: int = 4000
-    """Of a branch that is traced through its folds, at most."""
-    nudge: float = 1e-2
-    """Push (rad) along the softest direction that starts a fall."""
-    stride: float = 0.1
-    """Largest turn (rad) of a point in one step downhill: short, so that the steps stay in the valley they are in."""
-    flow_steps: int = 2000
-    """Of a fall at most."""
-    smooth_turn: float = 0.05
-    """A loss of stability after which no point turns by more than this (rad) is a bifurcation into a neighbouring
-    branch, not a snap."""
-    least_turn: float = 1e-3
-    """That (rad) tells where the robot lands from where it was."""
-    past: float = 1e-4
-    """Fraction of a way, or part of a load, by which a smooth change of branch is left behind, where both branches are
-    one."""
-    load_stage: float = 4.0
-    """Every stage of a growing load ends with so many times the load of the one before, on a mesh of its own."""
-    rubbing_steps: int = 15
-    """Of Newton's method with friction at most."""
-    stick_patience: int = 4
-    """Exchanges between sticking and slipping without fewer wrong rows, after which they are taken to go in circles."""
-    stick_changes: int = 20
-    """Per row, after which the descent that then follows gives up: round-off has won."""
-    onward: float = 0.9
-    """Cosine of the angle between two turns of the bases from which the second goes on the way of the first."""
-    towards_rubbing_fold: float = 0.72
-    """Part of the way to a fold with friction in one step. The state moves as the square root of the way that is left,
-    on which Newton's method shrinks its steps enough (`largest_ratio`) up to 0.75 of it."""
-    rubbing_past: float = 1e4
-    """Shortest steps by which the joints are past the last state that was found when a robot with friction flows from
-    it."""
-    landed_step: float = 1e-3
-    """Part of the longest step with which a motion with friction goes on from where it landed, and which no path is too
-    short for."""
-    hop: float = 0.1
-    """Part of the longest step below which a state that only friction holds may hop."""
-    rubbing_waypoints: int = 256
-    """That are handed to the compiled kernel at once."""
+# The coupling energy has the period 2 pi: within 1 rad its second-order model still has the right sign of curvature.
+LONGEST_STEP = 1.0
+"""Largest change (rad) of a rotation in one step of the energy descent."""
 
+# Newton's steps shrink as their squares near a solution of the same branch, and by a constant factor close to a fold,
+# where the two solutions are the same. Friction paths depend on it: see `TOWARDS_FRICTION_FOLD`.
+LARGEST_RATIO = 0.3
+"""Largest ratio of successive Newton steps for which a solution counts as on the same branch."""
 
-CONTINUATION = Continuation()
+LARGEST_TWIST = 0.6
+"""Largest change (rad) of the twist theta - alpha at a point in one step along a branch."""
+
+# The two stable branches beside a narrow hysteresis are little more than this apart.
+SOFT_TWIST = 0.1
+"""The same (rad) where the margin is 0."""
+
+LARGEST_TURN = 0.3
+"""Largest change (rad) of a joint rotation in one step along a path. After a full turn the equilibria repeat, so that a
+step must be short against a turn."""
+
+LARGEST_SHIFT = 0.05
+"""Largest change of a translation in one step along a path, as a fraction of the longest tube."""
+
+# An error is divided by the margin, which vanishes at a fold; without this bound no fold would have an error estimate.
+LEAST_STIFFNESS = 1e-6
+"""Smallest margin by which an error estimate is divided."""
+
+# Only of arms that a load hardly softens is the margin less accurate than the shape.
+HARDLY_SOFTENED = 0.99
+"""Margin above which its own accuracy is checked under load."""
+
+SHORTEST_LOAD_STEP = 1e-3
+"""Fraction of a load below which the compiled kernel leaves a failing step to the general solver."""
+
+# A descent of the dual program never repeats a set of rows. It ends after few exchanges a row unless round-off makes
+# it repeat one.
+STICK_CHANGES = 20
+"""Exchanges per row after which the search for sticking rows gives up."""
+
+FRICTION_ITERATIONS = 15
+"""Maximum number of Newton iterations of an increment with friction."""
+
+ONWARD = 0.9
+"""Cosine of the angle between two increments of the bases above which the second continues the first."""
 
 HESSIANS = ("exact", "limited-memory")
 

@@ -18,12 +18,17 @@ import scipy
 from numpy.typing import NDArray
 
 from ..typing import Array
-from .settings import CONTINUATION
+from .settings import STICK_CHANGES
 
 Signs = NDArray[np.int8]
 
 ROUND_OFF = 1e-12
 """Slip (rad) and part of the capacity that are round-off."""
+
+# Block pivoting may cycle. Judice and Pires switch to single exchanges after ten such rounds; here the descent, which
+# cannot cycle, is as fast, so that four are enough.
+STICK_PATIENCE = 4
+"""Exchanges between sticking and slipping without fewer wrong rows, after which pivoting counts as cycling."""
 
 
 def stick_or_slip(
@@ -36,7 +41,7 @@ def stick_or_slip(
         compliance: (R, R).   free: (R,) slips without friction.   capacity: (R,), above 0.   start: (R,) first guess.
         convex: whether A is positive definite.
     """
-    signs, fewest, patience = start.copy(), len(free) + 1, CONTINUATION.stick_patience
+    signs, fewest, patience = start.copy(), len(free) + 1, STICK_PATIENCE
     while True:
         torque = capacity * signs
         stuck = np.flatnonzero(signs == 0)
@@ -52,7 +57,7 @@ def stick_or_slip(
         count = int(np.count_nonzero(over | back))
         if not count:
             return torque, signs
-        patience = CONTINUATION.stick_patience if count < fewest else patience - 1
+        patience = STICK_PATIENCE if count < fewest else patience - 1
         if patience < 0:
             return _by_descent(compliance, free, capacity, torque) if convex else None
         fewest = min(fewest, count)
@@ -64,7 +69,7 @@ def _by_descent(compliance: Array, free: Array, capacity: Array, near: Array) ->
     """The same from torques (R,) nearby: those inside go down to their least, then the one is freed that gains most."""
     torque = np.clip(near, -capacity, capacity)
     inside = np.abs(torque) < capacity
-    for _ in range(CONTINUATION.stick_changes * (len(free) + 1)):
+    for _ in range(STICK_CHANGES * (len(free) + 1)):
         rows = np.flatnonzero(inside)
         if len(rows):
             rest = free[rows] - compliance[rows] @ (torque * ~inside)

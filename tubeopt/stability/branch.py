@@ -20,7 +20,6 @@ from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_turn
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import fold
@@ -40,6 +39,11 @@ class Branch(Displayed):
     """(P,) margins."""
     folds: tuple[Equilibrium, ...]
     """Equilibria where the curve turns back, where a robot that follows it snaps."""
+
+
+# A point lies every 0.05 to 0.3 rad: this is a hundred turns of a tube.
+MOST_POINTS = 4000
+"""Maximum number of points of a branch that is traced through its folds."""
 
 
 @typed
@@ -122,7 +126,7 @@ def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[Pla
     t, x, step = 0.0, np.append(start.state.x, 0.0), first
     tangent = _tangent(system(x)[1], np.append(np.zeros(len(x) - 1), 1.0))
     points, folds = [start], list[PlainPoint]()
-    while len(points) < CONTINUATION.branch_points:
+    while len(points) < MOST_POINTS:
         turn = max(float(np.abs(factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
         trial = _correct(system, factor, x, tangent * (step / turn))
         if trial is None:

@@ -13,11 +13,34 @@ from ..equilibrium.continuation import Family, bifurcates
 from ..equilibrium.member import Member, Place, Point
 from ..solvers.flow import downhill, flow
 from ..solvers.newton import NewtonResult
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array, Delegate
 
 NEUTRAL = 1e-9
 """A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
+
+
+# Newton's method with differences converges linearly at worst: from 1e-4 rad to 1e-9 rad takes about five steps.
+FOLD_ITERATIONS = 25
+"""Maximum number of Newton iterations to a fold."""
+
+# A central difference of the Hessian has the error h^2 of truncation and 1e-15 / h of round-off: the sum is 1e-8 at most.
+FOLD_DIFFERENCE = 1e-4
+"""Step of the differences along the softest direction, as a turn (rad) of a tube or of the arm."""
+
+# A step that fails is divided by three down to `SHORTEST_STEP`, so that the end is much closer than this. A fold
+# farther away belongs to another branch.
+WIDEST = 1e-3
+"""Largest distance, in t, between the last stable point that was found and the one where stability is lost."""
+
+# The push is small against the hysteresis, and its energy, of the order of the cube at a fold, still far above
+# round-off.
+NUDGE = 1e-2
+"""Push (rad) along the softest direction that starts a fall."""
+
+# Beyond this distance the two branches of a bifurcation are distinct by its square root, 0.01 rad.
+PAST = 1e-4
+"""Distance in t, or fraction of a load, to a point beyond a smooth change of branch."""
 
 
 class Equations(Protocol):
@@ -58,7 +81,7 @@ def turning_point(
         turn: of a step in x, rad.   border: p (U,), the softest direction.
     """
     begin, size = t, len(x)
-    for iteration in range(1, CONTINUATION.fold_steps + 1):
+    for iteration in range(1, FOLD_ITERATIONS + 1):
         here = at(t)
         if here is None:
             return None
@@ -72,7 +95,7 @@ def turning_point(
             unit = np.append(np.zeros(size), 1.0)
             left, right = np.linalg.solve(bordered.T, unit)[:-1], np.linalg.solve(bordered, unit)
             v, sigma = right[:-1], right[-1]
-            push = CONTINUATION.fold_difference / turn(v)
+            push = FOLD_DIFFERENCE / turn(v)
             along = (here(x + push * v).hessian - here(x - push * v).hessian) / (2 * push)
             pull = (other.gradient - one.gradient) / (second - first)
             stiffer = (other.hessian - one.hessian) @ v / (second - first)
@@ -103,7 +126,7 @@ class Loss:
 
 def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
     """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
-    far = min(goal, last.t + CONTINUATION.widest * max(1.0, abs(last.t)))
+    far = min(goal, last.t + WIDEST * max(1.0, abs(last.t)))
     if bifurcates(family, last):
         return bifurcation(family, last, goal) or fold_ahead(family, last, far)
     return fold_ahead(family, last, far) or bifurcation(family, last, goal)
@@ -149,7 +172,7 @@ def bifurcation(family: Family, near: Place, goal: float) -> Loss | None:
         return Point.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
-    while ahead < CONTINUATION.widest:
+    while ahead < WIDEST:
         t = min(goal, near.t + ahead * max(1.0, abs(goal)))
         beyond = at(t)
         if beyond is None:
@@ -178,7 +201,7 @@ def _root(at: Callable[[float], Place | None], low: float, high: float) -> Place
     except ValueError:
         return None
     # Where the margin jumps, there are two branches, not a root on one.
-    return found if found is not None and abs(found.margin) <= CONTINUATION.least_stiffness else None
+    return found if found is not None and abs(found.margin) <= LEAST_STIFFNESS else None
 
 
 def fall(lost: Place, direction: Array) -> Place | None:
@@ -191,7 +214,7 @@ def fall(lost: Place, direction: Array) -> Place | None:
     energy the path is that of tubes of a viscous material, x' = -g; of two sides it is the first.
     """
     member, x = lost.member, lost.state.x
-    push = CONTINUATION.nudge / member.turn(lost.state, direction) * direction
+    push = NUDGE / member.turn(lost.state, direction) * direction
     along = lost.unresisted * np.copysign(1.0, lost.unresisted @ direction)
 
     def uphill(x: Array) -> Array:

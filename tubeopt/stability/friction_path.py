@@ -22,15 +22,35 @@ from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.friction_increment import HONEST, slide, softest
-from ..solvers.settings import CONTINUATION
+from ..solvers.settings import LARGEST_RATIO
 from ..typing import Array
-from .motion import Snap
+from .folds import NUDGE
+from .motion import SMOOTH_TURN, Snap
 
 SHORTEST = 1e-11
 """Turn of a base (rad), or shift over the longest tube, in a step that fails only where the state is lost."""
 
 UNTOLD = 1e-9
 """Margin whose square is round-off, which tells of no fold."""
+
+
+# The state moves by the square root of the distance to a fold. Newton's method shrinks its steps enough
+# (`LARGEST_RATIO`) over up to 0.75 of that distance.
+TOWARDS_FRICTION_FOLD = 0.72
+"""Fraction of the distance to a fold with friction that one step covers."""
+
+PAST_LAST = 1e4
+"""Shortest steps between the last state before a snap and the joint values at which the robot flows on from it."""
+
+LANDED_STEP = 1e-3
+"""Fraction of the longest step that the first step after a snap takes, also on a path that is shorter."""
+
+# Rows that let go one after another move by less, the finer the mesh is: only short steps may be such a hop.
+HOP = 0.1
+"""Fraction of the longest step below which a state that only friction holds may hop."""
+
+WAYPOINTS = 256
+"""Waypoints that the compiled kernel gets at once."""
 
 
 class Stride:
@@ -41,7 +61,7 @@ class Stride:
 
     def __init__(self, family: Family) -> None:
         self.longest = family.path.largest_step()
-        self.shortest = min(SHORTEST / max(family.span(), SHORTEST), CONTINUATION.landed_step * self.longest)
+        self.shortest = min(SHORTEST / max(family.span(), SHORTEST), LANDED_STEP * self.longest)
         self.size, self._halted, self._wall = self.longest, False, 0.0
         self._before: tuple[float, Held] | None = None
 
@@ -61,7 +81,7 @@ class Stride:
 
     def landed(self) -> None:
         """After the state was another one at once."""
-        self.size = max(self.size, CONTINUATION.landed_step * self.longest)
+        self.size = max(self.size, LANDED_STEP * self.longest)
         self._halted, self._wall, self._before = False, 0.0, None
 
     def _ahead(self, t: float, held: Held) -> float:
@@ -70,7 +90,7 @@ class Stride:
             return float("inf")
         s, earlier = self._before
         soft, softer = earlier.held_margin**2, held.held_margin**2
-        return CONTINUATION.towards_rubbing_fold * (t - s) * softer / (soft - softer) if softer < soft else float("inf")
+        return TOWARDS_FRICTION_FOLD * (t - s) * softer / (soft - softer) if softer < soft else float("inf")
 
 
 NOWHERE = np.zeros(0)
@@ -97,7 +117,7 @@ def rubbing_legs(
     yield held, []
     k = 1
     while k < len(joints):
-        rows = joints[k - 1 : k + CONTINUATION.rubbing_waypoints]
+        rows = joints[k - 1 : k + WAYPOINTS]
         many = sweep(robot, held, rows, NOWHERE, margins=False) if load is None else None
         count = 0 if many is None else len(many.margin)
         if many is not None and count:
@@ -155,21 +175,21 @@ def _along(family: Family, held: Held) -> Iterator[Held | RubbingSnap]:
             shorter = stride.failed(t, held, at)
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
-            if held.margin <= 0 and stride.size < CONTINUATION.hop * stride.longest and t >= far:
+            if held.margin <= 0 and stride.size < HOP * stride.longest and t >= far:
                 there = _flowed(family, held, at, pushed=False)
-                if there is None or _distance(held, there) > CONTINUATION.smooth_turn:
+                if there is None or _distance(held, there) > SMOOTH_TURN:
                     there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
-                at, far = min(goal, t + CONTINUATION.rubbing_past * stride.shortest), -1.0
+                at, far = min(goal, t + PAST_LAST * stride.shortest), -1.0
                 there = _flowed(family, held, at, pushed=True)
                 if there is None:
                     raise SolveError(
                         f"the motion with friction is lost at {100 * at:.3f} % of the path: "
                         f"no state satisfies the friction law to {HONEST:g}"
                     )
-                if _distance(held, there) > CONTINUATION.smooth_turn:
+                if _distance(held, there) > SMOOTH_TURN:
                     yield RubbingSnap(t, held, there)
             t, held = at, there
             stride.landed()
@@ -179,7 +199,7 @@ def _along(family: Family, held: Held) -> Iterator[Held | RubbingSnap]:
 def _near(family: Family, held: Held, t: float) -> Held | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
     there = step(family.path.robot, held, *family.path.at(t), family.load_at(t))
-    if there is None or there.found.contraction > CONTINUATION.largest_ratio:
+    if there is None or there.found.contraction > LARGEST_RATIO:
         return None
     far = _distance(held, there)
     return there if far <= largest_twist(0.0) or far <= largest_twist(held.held_margin) else None
@@ -204,9 +224,9 @@ def _flowed(family: Family, held: Held, t: float, *, pushed: bool) -> Held | Non
     contact, before, x = carried(family.path.robot, held, rotations, translations, load)
     push = None
     if pushed and contact is held.contact:
-        push = CONTINUATION.nudge * softest(contact, held.found.state, held.found.signs)
+        push = NUDGE * softest(contact, held.found.state, held.found.signs)
     elif pushed:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
-        push = CONTINUATION.nudge * softest(contact, state, np.ones(len(before), dtype=np.int8))
+        push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
     return None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])

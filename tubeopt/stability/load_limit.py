@@ -21,10 +21,14 @@ from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.parallel.blas import small
-from ..solvers.settings import CONTINUATION
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import StatusEnum
-from .folds import Loss, branch_end, fall
+from .folds import PAST, Loss, branch_end, fall
+
+# The mesh follows from the largest load of a stage: four times the load needs at most twice the pieces, and 10 times
+# the load, the default limit, takes three stages.
+LOAD_STAGE = 4.0
+"""Ratio of the loads at the ends of successive stages of a growing load; every stage has a mesh of its own."""
 
 
 class LoadLimitStatus(StatusEnum):
@@ -129,7 +133,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
     robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
     point, reached = None, 0.0
     while reached < up_to:
-        goal = min(up_to, CONTINUATION.load_stage * reached if reached else 1.0)
+        goal = min(up_to, LOAD_STAGE * reached if reached else 1.0)
         grown = load.scaled(goal)
         if point is None:
             point = point_of(first, grown)
@@ -159,7 +163,7 @@ def _described(loss: Loss, scale: float) -> LoadLimit:
     before = to_equilibrium(loss.point, "the load before")
     left = loss.point
     if loss.kind == "bifurcation":
-        left = _restart(left, replace(left.member, factor=loss.t * (1 + CONTINUATION.past)))
+        left = _restart(left, replace(left.member, factor=loss.t * (1 + PAST)))
     landed = None if loss.kind == "flutter" else fall(left, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))

@@ -23,10 +23,9 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.settings import CONTINUATION
 from ..typing import Array
 from .certificate import snap_free_certificate
-from .folds import slide
+from .folds import NUDGE, slide
 from .settings import DEFAULT_EQUILIBRIA_SEARCH, EquilibriaSearch
 
 
@@ -113,7 +112,7 @@ def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int], same:
         explored.add(k)
         values, vectors = (np.linalg.eigh if member.descends else np.linalg.eig)(point.state.hessian)
         for direction in vectors.real.T[(values.real < 0) & (values.imag == 0)]:
-            push = CONTINUATION.nudge / member.turn(point.state, direction) * direction
+            push = NUDGE / member.turn(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
                 new += landed.converged and add(found, member, landed.state.x, same)

@@ -11,7 +11,7 @@ import numpy as np
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.compiled import along
-from ..equilibrium.continuation import Family, JointPath, Milestone, follow, step_to
+from ..equilibrium.continuation import SHARPEST_STEP, SHORTEST_STEP, Family, JointPath, Milestone, follow, step_to
 from ..equilibrium.member import Place
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
@@ -19,9 +19,8 @@ from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.binding import kernel_of
-from ..solvers.settings import CONTINUATION
 from ..typing import Array, Delegate, StatusEnum
-from .folds import Loss, branch_end, fall, fold_ahead
+from .folds import PAST, Loss, branch_end, fall, fold_ahead
 
 
 class SnapStatus(StatusEnum):
@@ -71,6 +70,15 @@ class Snap(Displayed):
     def statistics(self) -> Statistics:
         """Statistics of the vanishing equilibrium."""
         return self.before.statistics
+
+
+# Beside a bifurcation the new branch is reached within `PAST` of the path, where it is about 0.01 rad away. The
+# smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller turn cannot be told from no snap.
+SMOOTH_TURN = 0.05
+"""Largest turn (rad) of a point by which the robot changes to a neighbouring branch at a bifurcation without a snap."""
+
+LEAST_TURN = 1e-3
+"""Turn (rad) above which the equilibrium where the robot lands differs from the one that it left."""
 
 
 TAKEN_OVER, CLOSE = 0.1, 0.02
@@ -143,7 +151,7 @@ def _point_of(family: Family, here: Milestone) -> Place:
 
 def _slowly(family: Family, start: Place, far: float) -> Place | Event:
     """Where the general follower comes from a stable point: to t = `far` or beyond, or to the next snap."""
-    here, shortest = start, CONTINUATION.shortest_step
+    here, shortest = start, SHORTEST_STEP
     while here.t < far:
         goal = next(t for t in family.path.events() if t > here.t)
         for point in follow(family, here, goal, shortest=shortest):
@@ -153,10 +161,10 @@ def _slowly(family: Family, start: Place, far: float) -> Place | Event:
         if here.t >= goal:
             continue
         loss = branch_end(family, here, goal)
-        if loss is None and shortest > CONTINUATION.sharpest_step:
-            shortest = CONTINUATION.sharpest_step
+        if loss is None and shortest > SHARPEST_STEP:
+            shortest = SHARPEST_STEP
             continue
-        found, shortest = leave(family, here, loss, goal), CONTINUATION.shortest_step
+        found, shortest = leave(family, here, loss, goal), SHORTEST_STEP
         if isinstance(found, Event):
             return found
         here = found
@@ -174,10 +182,10 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
         )
     landed = fall(lost, direction)
     turn = 0.0 if landed is None else landed.member.moved(lost, landed.state)
-    t = min(goal, lost.t + CONTINUATION.past)
-    beyond = step_to(family, t, last) if turn <= CONTINUATION.smooth_turn else None
+    t = min(goal, lost.t + PAST)
+    beyond = step_to(family, t, last) if turn <= SMOOTH_TURN else None
     # Without equilibria beyond a fold even a small turn is a snap.
-    if landed is not None and beyond is None and turn > CONTINUATION.least_turn:
+    if landed is not None and beyond is None and turn > LEAST_TURN:
         return Event(lost, landed)
     # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
     side = None if beyond is None else fall(beyond, beyond.softest)
@@ -185,7 +193,7 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
         raise SolveError(
             f"the branch ends at {100 * t:.3f} % of the path, and energy descent from there finds no equilibrium"
         )
-    if landed is None and side.member.moved(beyond, side.state) > CONTINUATION.smooth_turn:
+    if landed is None and side.member.moved(beyond, side.state) > SMOOTH_TURN:
         return Event(replace(beyond, t=lost.t), side)
     return side
 

@@ -13,7 +13,7 @@ from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
 from ..friction_increment import HONEST
-from ..settings import CONTINUATION
+from ..settings import FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD, SOFT_TWIST, STICK_CHANGES
 from ..stick_slip import ROUND_OFF
 from .text import c_tables, defined
 
@@ -82,14 +82,14 @@ def slope_constants() -> str:
 def rubbing_constants() -> str:
     """Numbers and tables of `rubbing.c`."""
     numbers = {
-        "MOST_CHANGES": CONTINUATION.stick_changes,
+        "MOST_CHANGES": STICK_CHANGES,
         "HARDLY": ROUND_OFF,
         "HONEST": HONEST,
-        "RUB_ITERATIONS": CONTINUATION.rubbing_steps,
-        "ONWARD": CONTINUATION.onward,
-        "LARGEST_RATIO": CONTINUATION.largest_ratio,
-        "LARGEST_TWIST": CONTINUATION.largest_twist,
-        "SOFT_TWIST": CONTINUATION.soft_twist,
+        "RUB_ITERATIONS": FRICTION_ITERATIONS,
+        "ONWARD": ONWARD,
+        "LARGEST_RATIO": LARGEST_RATIO,
+        "LARGEST_TWIST": LARGEST_TWIST,
+        "SOFT_TWIST": SOFT_TWIST,
     }
     tables = {"TWICE_LEGENDRE": tableau("gauss", DEGREE).integrated(2)}
     return defined(numbers) + c_tables(tables)

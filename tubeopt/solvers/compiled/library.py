@@ -37,7 +37,7 @@ from ...physics.shape import carry_function
 from ...physics.torsion import section_functions
 from ...robots.assembly import ROUND_OFF as ROUND_OFF_LENGTH
 from ...robots.order import SAME_END
-from ..settings import NEWTON
+from ..settings import LAST_STEP, LONGEST_STEP, NEWTON, ROUND_OFF
 from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
 from .text import HERE, c_text
@@ -135,9 +135,9 @@ def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
         "BEND_PER_PIECE": BEND_PER_PIECE,
         "ROUND_OFF_LENGTH": ROUND_OFF_LENGTH,
         "SAME_END": SAME_END,
-        "ROUND_OFF": NEWTON.round_off,
-        "LAST_STEP": NEWTON.last_step,
-        "LONGEST_STEP": NEWTON.longest_step,
+        "ROUND_OFF": ROUND_OFF,
+        "LAST_STEP": LAST_STEP,
+        "LONGEST_STEP": LONGEST_STEP,
     }
     tables = rule_constants() + arm_constants() + slope_constants() * slopes
     return tables + c_text(constants, generator, "kernel.c")

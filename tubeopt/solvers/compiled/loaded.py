@@ -24,7 +24,17 @@ from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
 from ...typing import Array, Mask
-from ..settings import CONTINUATION, NEWTON
+from ..settings import (
+    HARDLY_SOFTENED,
+    LARGEST_RATIO,
+    LARGEST_TWIST,
+    LAST_STEP,
+    LEAST_STIFFNESS,
+    NEWTON,
+    ROUND_OFF,
+    SHORTEST_LOAD_STEP,
+    SOFT_TWIST,
+)
 from ..time_limit import check_time
 from .binding import address, room_of
 from .library import Kernel, load_kernel
@@ -54,15 +64,15 @@ def loaded_text(n: int, generator: ca.CodeGenerator, pieces: int = MOST_PIECES) 
         "MOST_DEGREE": CHECK_DEGREE,
         "MOST_PIECES": pieces,
         "STEPS": STEPS,
-        "ROUND_OFF": NEWTON.round_off,
-        "LAST_STEP": NEWTON.last_step,
+        "ROUND_OFF": ROUND_OFF,
+        "LAST_STEP": LAST_STEP,
         "MOST_ITERATIONS": NEWTON.iterations,
-        "LARGEST_RATIO": CONTINUATION.largest_ratio,
-        "LARGEST_TWIST": CONTINUATION.largest_twist,
-        "SOFT_TWIST": CONTINUATION.soft_twist,
-        "SHORTEST_LOAD_STEP": CONTINUATION.compiled_step,
-        "LEAST_STIFFNESS": CONTINUATION.least_stiffness,
-        "HARDLY_SOFTENED": CONTINUATION.hardly_softened,
+        "LARGEST_RATIO": LARGEST_RATIO,
+        "LARGEST_TWIST": LARGEST_TWIST,
+        "SOFT_TWIST": SOFT_TWIST,
+        "SHORTEST_LOAD_STEP": SHORTEST_LOAD_STEP,
+        "LEAST_STIFFNESS": LEAST_STIFFNESS,
+        "HARDLY_SOFTENED": HARDLY_SOFTENED,
     }
     tables = {"TANGENT": tangent_forms(), "TURN": world_turns()}
     braces = str.maketrans("[]", "{}")
