@@ -70,7 +70,7 @@ def unstable_home(robot: ConcentricRobot, rotations: Array) -> PlainPoint:
 
 
 def newton(
-    problem: ReducedProblem, rotations: Array, z: Array, iterations: int | None = None
+    problem: ReducedProblem, rotations: Array, z: Array, iterations: int = NEWTON.iterations
 ) -> NewtonResult[Evaluation]:
     """By Newton's method from z (U,)."""
     return Unloaded(THESIS, problem, rotations, ()).solve(z, iterations)

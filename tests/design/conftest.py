@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from tubeopt import worst_certificate
-from tubeopt.stability.settings import SnapSearch
+from tubeopt.stability import SnapSearch
 
 
 @pytest.fixture

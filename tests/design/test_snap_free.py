@@ -24,7 +24,7 @@ from tubeopt import (
 from tubeopt.design import DesignSolution, Free, Objective, SnapFree, Strain, count_snaps, pareto_front
 from tubeopt.design.program import compile_task
 from tubeopt.design.solve import solve
-from tubeopt.stability.settings import SnapSearch
+from tubeopt.stability import SnapSearch
 
 CASES = np.random.default_rng(50).uniform((0.05, 0.0, 0.0), (0.3, 0.3, 0.9), (12, 3))
 

@@ -26,8 +26,8 @@ from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.pieces import as_pieces
 from tubeopt.equilibrium.problem import loaded_problem
+from tubeopt.stability.certificate import bundle_of
 from tubeopt.stability.deflection import most_borne, under_any_force
-from tubeopt.stability.loaded_certificate import bundle_of
 from tubeopt.typing import Array
 
 FINE = ConcentricRobot((Tube(1e-3, 0.7e-3, 0.05, 0.08, 10.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 8.0)))

@@ -31,7 +31,8 @@ from tubeopt.block.transcription.second_variation import softenings
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.robot import Robot
-from tubeopt.stability import EccentricSnapAssessment, eccentric_bound
+from tubeopt.stability import EccentricSnapAssessment
+from tubeopt.stability import eccentric_certificate as theorem
 from tubeopt.stability.eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from tubeopt.stability.shooting import profiles, to_base
 from tubeopt.typing import Array
@@ -92,13 +93,13 @@ def sections(theta: Array, delta: float) -> tuple[Array, Array, Array, Array]:
 @pytest.mark.parametrize("delta", [0.004, 0.06, 0.173, 0.2525])
 def test_the_table_fulfils_the_inequality_at_random_states(delta: float) -> None:
     random = np.random.default_rng(1)
-    x = np.array([eccentric_bound.longest(delta, angle) for angle in eccentric_bound.ANGLES])
+    x = np.array([theorem.longest(delta, angle) for angle in theorem.ANGLES])
     turns = np.ones((3, 3)) / 3
     for _ in range(60):
         at = random.uniform(0.02, 0.98) * x[-1]
         k = int(np.searchsorted(x, at))
-        rise = (eccentric_bound.ANGLES[k] - eccentric_bound.ANGLES[k - 1]) / (x[k] - x[k - 1])
-        phi = eccentric_bound.ANGLES[k - 1] + rise * (at - x[k - 1])
+        rise = (theorem.ANGLES[k] - theorem.ANGLES[k - 1]) / (x[k] - x[k - 1])
+        phi = theorem.ANGLES[k - 1] + rise * (at - x[k - 1])
         opposed = random.uniform(0, 2 * np.pi) + np.array([0.0, 0.0, np.pi]) + random.normal(0, 0.2, 3)
         states = [random.uniform(0, 2 * np.pi, 3) if random.random() < 0.5 else opposed]
         states += [random.uniform(0, 2 * np.pi, 3) for _ in range(2)]
@@ -115,8 +116,12 @@ def test_the_table_fulfils_the_inequality_at_random_states(delta: float) -> None
 def test_the_slope_is_the_least_that_fulfils_the_inequality(delta: float) -> None:
     """Of (*), with the slope for phi_x, the least eigenvalue is 0 at every rotation and corner."""
     random, x, phi = np.random.default_rng(2), 0.7, 0.6
-    theta, vertices, turns = random.uniform(0, 2 * np.pi, (8, 3)), eccentric_bound.corners()[:3], np.ones((3, 3)) / 3
-    found = eccentric_bound.Slope(theta, delta, vertices)(x, phi)
+    theta, vertices, turns = (
+        random.uniform(0, 2 * np.pi, (8, 3)),
+        theorem.corners()[:3],
+        np.ones((3, 3)) / 3,
+    )
+    found = theorem.Slope(theta, delta, vertices)(x, phi)
     bound = np.tan(phi) * (np.eye(3) - turns) + delta * x * turns
     for angles, slopes in zip(theta, found, strict=True):
         _, moments, g, stretched = sections(angles, delta)
@@ -130,53 +135,57 @@ def test_the_slope_is_the_least_that_fulfils_the_inequality(delta: float) -> Non
 @pytest.mark.parametrize("fall", [0.0, 4.0])
 def test_a_length_curve_is_below_the_solution_that_it_bounds(fall: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """phi_x = 5 + x^2 - fall phi, which grows with x and with phi falls, by a solver of differential equations."""
-    monkeypatch.setattr(eccentric_bound, "Slope", lambda *_: lambda x, phi: np.array([5 + x**2 - fall * phi]))
-    found = eccentric_bound.length_curve(0.25, steps=40)
+    monkeypatch.setattr(theorem, "Slope", lambda *_: lambda x, phi: np.array([5 + x**2 - fall * phi]))
+    found = theorem.length_curve(0.25, steps=40)
     true = solve_ivp(lambda x, phi: 5 + x**2 - fall * phi, (0, 2), [0.0], rtol=1e-10, atol=1e-12, dense_output=True)
     phi = true.sol(found)[0]
-    assert (phi <= eccentric_bound.ANGLES + 1e-9).all()
+    assert (phi <= theorem.ANGLES + 1e-9).all()
     assert phi[-1] > 0.85 * np.pi / 2
 
 
 def test_the_room_of_the_grid_is_twice_what_lies_between_its_rotations() -> None:
     """Around the steepest rotations of the grid the slope is higher by at most half of the room, and by a fourth."""
-    delta, angle, random = eccentric_bound.DELTAS[-1], 1.5, np.random.default_rng(3)
-    x, corners, step = eccentric_bound.longest(delta, angle), eccentric_bound.corners()[:4], 2 * np.pi / 24
-    grid = eccentric_bound.all_rotations()
-    coarse = eccentric_bound.Slope(grid, delta, corners)(x, angle).max(1)
+    delta, angle, random = theorem.DELTAS[-1], 1.5, np.random.default_rng(3)
+    x, corners, step = theorem.longest(delta, angle), theorem.corners()[:4], 2 * np.pi / 24
+    grid = theorem.all_rotations()
+    coarse = theorem.Slope(grid, delta, corners)(x, angle).max(1)
     near = (grid[np.argsort(coarse)[-60:], None] + random.uniform(-step / 2, step / 2, (100, 3))).reshape(-1, 3)
-    between = eccentric_bound.Slope(near, delta, corners)(x, angle).max() / coarse.max() - 1
-    room = eccentric_bound.GRID_ROOM[0] + eccentric_bound.GRID_ROOM[1] * delta
+    between = theorem.Slope(near, delta, corners)(x, angle).max() / coarse.max() - 1
+    room = theorem.GRID_ROOM[0] + theorem.GRID_ROOM[1] * delta
     assert room / 4 < between < room / 2
 
 
 def test_the_table_is_lowered_by_an_eighth_of_its_second_differences_and_more() -> None:
     """What linear interpolation is above a function at most, in delta and in phi; and it is no larger than need be."""
-    rows = np.loadtxt(eccentric_bound.FILE, delimiter=",")
-    lowered = (rows - eccentric_bound.table())[1:, 1:].min()
+    rows = np.loadtxt(theorem.FILE, delimiter=",")
+    lowered = (rows - theorem.table())[1:, 1:].min()
     along = np.diff(rows, 2, axis=1).max() / 8
-    steps = np.diff(eccentric_bound.DELTAS)[:, None]
+    steps = np.diff(theorem.DELTAS)[:, None]
     bend = np.diff(np.diff(rows, axis=0) / steps, axis=0) / (steps[1:] + steps[:-1]) * 2
     across = (bend * np.maximum(steps[1:], steps[:-1]) ** 2).max() / 8
     assert along + across <= lowered <= 3 * (along + across)
 
 
 def test_what_is_between_the_rows_and_columns_of_the_table_is_their_mean() -> None:
-    deltas, angles, rows = eccentric_bound.DELTAS[20:22], eccentric_bound.ANGLES[30:32], eccentric_bound.table()
-    found = eccentric_bound.longest(deltas @ [0.75, 0.25], angles @ [0.25, 0.75])
+    deltas, angles, rows = (
+        theorem.DELTAS[20:22],
+        theorem.ANGLES[30:32],
+        theorem.table(),
+    )
+    found = theorem.longest(deltas @ [0.75, 0.25], angles @ [0.25, 0.75])
     assert found == pytest.approx([0.75, 0.25] @ rows[20:22, 30:32] @ [0.25, 0.75], rel=1e-12)
 
 
 def test_no_segment_of_the_table_is_as_long_as_a_quarter_of_a_wave() -> None:
     """Without offset x is phi, up to pi / 2; the root of the proof lies below it, for every offset."""
-    lengths = eccentric_bound.table()
+    lengths = theorem.table()
     assert np.pi / 2 - 1e-7 < lengths.max() < np.pi / 2
-    assert lengths[0] == pytest.approx(eccentric_bound.ANGLES, abs=6e-8)
+    assert lengths[0] == pytest.approx(theorem.ANGLES, abs=6e-8)
 
 
 def test_all_moments_lie_in_the_polygon() -> None:
     random = np.random.default_rng(0)
-    corners = eccentric_bound.corners()
+    corners = theorem.corners()
     assert corners.sum(1) == pytest.approx(np.zeros(12), abs=1e-12)
     sides = np.roll(corners, -1, axis=0) - corners
     outward = np.cross(sides, np.ones(3))
@@ -188,13 +197,13 @@ def test_all_moments_lie_in_the_polygon() -> None:
 
 
 def test_the_table_is_what_its_script_makes() -> None:
-    coarse = eccentric_bound.length_curve(0.12, steps=80)
-    stored = np.array([eccentric_bound.longest(0.12, angle) for angle in eccentric_bound.ANGLES])
+    coarse = theorem.length_curve(0.12, steps=80)
+    stored = np.array([theorem.longest(0.12, angle) for angle in theorem.ANGLES])
     assert (coarse < stored + 1e-4).all()
     assert coarse == pytest.approx(stored, rel=5e-3, abs=1e-4)
-    assert [eccentric_bound.longest(0.0, angle) for angle in (0.3, 1.2)] == pytest.approx([0.3, 1.2], abs=1e-7)
+    assert [theorem.longest(0.0, angle) for angle in (0.3, 1.2)] == pytest.approx([0.3, 1.2], abs=1e-7)
     with pytest.raises(InputError, match=r"the bound holds from 0 to 0\.2525"):
-        eccentric_bound.longest(0.26, 1.0)
+        theorem.longest(0.26, 1.0)
 
 
 # --- numbers --------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from tubeopt.block.transcription.mesh import make_mesh
 from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.robots.assembly import assemble
 from tubeopt.robots.robot import Robot
-from tubeopt.stability.groups import groups_of
+from tubeopt.stability.equilibria import groups_of
 from tubeopt.stability.shooting import shoot, whole
 from tubeopt.typing import Array
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, rosen
 
-from tubeopt.stability.simplex import minimise_together
+from tubeopt.stability.worst import minimise_together
 from tubeopt.typing import Array
 
 

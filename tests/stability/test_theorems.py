@@ -12,11 +12,9 @@ from tests.examples import CRL, nested
 from tests.physics.test_loaded_certificate import ritz
 from tubeopt import ConcentricRobot, EccentricRobot, Piece, Tube, certify, deflection_bound, snap_free_certificate
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from tubeopt.stability.certificate import convexity, worst_case
+from tubeopt.stability.certificate import bundle_of, convexity, loaded_worst_case, worst_case
 from tubeopt.stability.deflection import under_any_force
-from tubeopt.stability.eccentric_bound import cross_sections, longest
-from tubeopt.stability.eccentric_certificate import Segment, proved_margin
-from tubeopt.stability.loaded_certificate import bundle_of, loaded_worst_case
+from tubeopt.stability.eccentric_certificate import Segment, cross_sections, longest, proved_margin
 
 
 def test_a_cantilever_moves_by_the_cube_of_its_length_over_three_times_its_stiffness() -> None:

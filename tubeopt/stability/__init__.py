@@ -4,16 +4,15 @@ from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
 from .energy import EnergyMap, energy_map
-from .equilibria import find_equilibria
+from .equilibria import EquilibriaSearch, find_equilibria
 from .following import Path, find_snap, follow
-from .friction_band import FrictionBand, friction_band
+from .friction_path import FrictionBand, friction_band
 from .load_limit import LoadLimit, find_load_limit
 from .maps import StabilityMap, stability_map
 from .motion import Snap
-from .settings import EquilibriaSearch, SnapSearch
 from .snap_assessment import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, assess_snapping
 from .stroke import find_stroke_force
-from .worst import WorstCertificate, WorstMargin, worst_certificate, worst_margin
+from .worst import SnapSearch, WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
 __all__ = [
     "ASSUMING",

@@ -41,7 +41,7 @@ class Branch(Displayed):
     """Equilibria where the curve turns back, where a robot that follows it snaps."""
 
 
-# A point lies every 0.05 to 0.3 rad: this is a hundred turns of a tube.
+# A step turns no point by more than twice the first step, so that this is at least tens of turns of a tube.
 MOST_POINTS = 4000
 """Maximum number of points of a branch that is traced through its folds."""
 

@@ -35,8 +35,7 @@ from ..errors import InputError, finite_array, triple
 from ..robots.load import ZERO, Load, Stretch, masses
 from ..robots.robot import Robot, shifts
 from ..typing import Array
-from .certificate import snap_free_certificate
-from .loaded_certificate import Bundle, bundle_of
+from .certificate import Bundle, bundle_of, snap_free_certificate
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""

@@ -24,7 +24,7 @@ NEUTRAL = 1e-9
 FOLD_ITERATIONS = 25
 """Maximum number of Newton iterations to a fold."""
 
-# A central difference of the Hessian has the error h^2 of truncation and 1e-15 / h of round-off: the sum is 1e-8 at most.
+# A central difference of the Hessian has the error h^2 of truncation and 1e-15 / h of round-off: at most 1e-8 in all.
 FOLD_DIFFERENCE = 1e-4
 """Step of the differences along the softest direction, as a turn (rad) of a tube or of the arm."""
 

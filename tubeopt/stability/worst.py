@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,18 +17,121 @@ from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.member import Point
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.unloaded import Unloaded
-from ..errors import InputError, vector
+from ..errors import InputError, Settings, vector
 from ..robots.robot import Robot, shifts
 from ..solvers.parallel.blas import small
 from ..solvers.sampling import sobol
-from ..solvers.time_limit import TIME_LIMIT, limited
+from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Delegate, Index
 from .certificate import Certificate, certify, estimated_certificate
 from .eccentric_certificate import segments_of, softest_untwisted, untwisted_tips
 from .pair import least_margin_of_pair, pair_of
-from .settings import DEFAULT_SEARCH, SnapSearch
 from .shooting import profiles, to_base
-from .simplex import minimise_together
+
+
+@dataclass(frozen=True)
+class SnapSearch(Settings):
+    """Settings of the search for snaps and worst cases where no proof decides.
+
+    For `assess_snapping`, `worst_margin` and `worst_certificate`.
+
+    Raises:
+        InputError: a field out of its range.
+    """
+
+    samples: int = 512
+    """Number of sampled tip angles; the search for the smallest margin starts from the best."""
+    evaluations: int = 1500
+    """Maximum number of certificates in the global search over translations."""
+    random_paths: int = 32
+    """Number of random directions tried last."""
+
+
+DEFAULT_SEARCH = SnapSearch()
+
+# The least margin of one segment off the centreline depends on two relative angles: fewer samples cover them, and the
+# softest untwisted shape, where a search starts anyway, is nearly always the worst.
+SEGMENT_SAMPLES = 128
+"""Number of samples per segment, for tubes off the centreline."""
+
+# The margin has few local minima per turn, mirror images of one another in pairs.
+LOCAL_SEARCHES = 6
+"""Number of local searches, from the best samples."""
+
+
+# --- Simplices --------------------------------------------------------------------------------------------------------
+
+# Nelder and Mead's method from many starts in step: an evaluation of many points costs little more than one of one.
+
+Search = Generator[Array, float, tuple[Array, float]]
+"""Yields points (d,), is sent their values, returns the best point and its value."""
+
+FIRST, FIRST_AT_ZERO = 0.05, 0.00025
+"""Sides of the first simplex: shares of the start's coordinates, and of those that are 0."""
+
+PATIENCE = 200
+"""Times the number of unknowns: iterations after which a search ends where it is."""
+
+
+def minimise_together(
+    values: Callable[[Array], Array], starts: Array, *, x: float, f: float
+) -> list[tuple[Array, float]]:
+    """The local minima (d,) and their values that simplices from `starts` (S, d) shrink to.
+
+    Args:
+        values: of points (B, d) -> (B,).
+        x, f: a simplex whose other corners lie within `x` of its best, by coordinate, and whose values do within `f`,
+            has shrunk.
+    """
+    searches = dict(enumerate(_search(start, x, f) for start in starts))
+    points = {k: next(search) for k, search in searches.items()}
+    ends: dict[int, tuple[Array, float]] = {}
+    while points:
+        check_time()
+        told = values(np.array(list(points.values())))
+        for (k, search), value in zip([(k, searches[k]) for k in points], told, strict=True):
+            try:
+                points[k] = search.send(float(value))
+            except StopIteration as end:
+                ends[k] = end.value
+                del points[k]
+    return [ends[k] for k in range(len(starts))]
+
+
+def _search(start: Array, x: float, f: float) -> Search:
+    """One simplex; its values are asked for one by one."""
+    d = len(start)
+    simplex = np.tile(start, (d + 1, 1))
+    for i in range(d):
+        simplex[i + 1, i] = start[i] * (1 + FIRST) if start[i] else FIRST_AT_ZERO
+    value = np.empty(d + 1)
+    for i in range(d + 1):
+        value[i] = yield simplex[i].copy()
+    for _ in range(PATIENCE * d):
+        order = np.argsort(value, kind="stable")
+        simplex, value = simplex[order], value[order]
+        if np.abs(simplex[1:] - simplex[0]).max() <= x and np.abs(value[1:] - value[0]).max() <= f:
+            break
+        middle, away = simplex[:-1].mean(0), simplex[:-1].mean(0) - simplex[-1]
+        reflected = yield middle + away
+        # The reflected point, or another on its line: farther out, or on this or that side of the middle.
+        tried, best = middle + away, reflected
+        if reflected < value[0]:
+            farther = yield middle + 2 * away
+            if farther < reflected:
+                tried, best = middle + 2 * away, farther
+        elif reflected >= value[-2]:
+            tried = middle + (0.5 if reflected < value[-1] else -0.5) * away
+            best = yield tried
+            if best >= value[-1] or best > reflected:
+                for i in range(1, d + 1):
+                    simplex[i] = simplex[0] + 0.5 * (simplex[i] - simplex[0])
+                    value[i] = yield simplex[i].copy()
+                continue
+        simplex[-1], value[-1] = tried, best
+    k = int(np.argmin(value))
+    return simplex[k], float(value[k])
+
 
 NOTHING_PROVED = -1e3
 """What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
@@ -119,10 +223,10 @@ def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
 def _searched(problem: ReducedProblem, base: Array, turning: Index, effort: SnapSearch) -> list[tuple[Array, float]]:
     """Tip angles (n,) and margins at which local searches over the tubes `turning` end, the others as in `base`."""
     eccentric = problem.assembly.eccentric
-    unit = sobol(len(turning), effort.segment_samples if eccentric else effort.samples)
+    unit = sobol(len(turning), SEGMENT_SAMPLES if eccentric else effort.samples)
     samples = _turned(base, turning, 2 * np.pi * unit)
     order = np.argsort(_margins(problem, samples))
-    starts = np.stack([base, samples[order[0]]]) if eccentric else samples[order[: effort.local_searches]]
+    starts = np.stack([base, samples[order[0]]]) if eccentric else samples[order[:LOCAL_SEARCHES]]
     ends = minimise_together(
         lambda own: _margins(problem, _turned(base, turning, own)), starts[:, turning], x=1e-6, f=1e-10
     )
