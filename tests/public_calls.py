@@ -319,8 +319,8 @@ REQUIRED: dict[str, dict[str, Any]] = {
 
 CONSTRUCTORS: dict[Any, str] = {
     tubeopt: """Tube Material Piece ConcentricRobot EccentricRobot JointLimits Load Friction Slots Discretisation Newton
-        Ipopt Problem EntryRegion PlacedRobot PlanEffort PlanOptions ProofSearch RateLimits TipGoal LeaderSolver
-        TipPathSolver RegionReach PairReach DesignTask DesignSolver InverseOptions InverseSolver EquilibriaSearch
+        Ipopt Problem EntryRegion PlacedRobot PlanOptions RateLimits TipGoal
+        RegionReach PairReach DesignTask DesignSolver InverseOptions EquilibriaSearch
         SnapSearch ForceSolver MoldSpec HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance""",
     design: """Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube
         Strain Stroke StrokeForce Target Tolerances Wall""",

@@ -12,16 +12,16 @@ import trimesh
 from benchmarks.bodies import cloud
 from tests.examples import CONFIGS, CRL, THESIS
 from tests.inverse_targets import reachable
-from tubeopt import IkSession, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics, load_robot
+from tubeopt import IkSession, InverseOptions, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Lookout, Scene
 from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.inverse import closest, multistart
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.settings import Closest, Starts
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
@@ -171,13 +171,15 @@ def test_bodies_beyond_the_nearest_are_kept_away_from_too() -> None:
     assert min(everywhere(found.equilibrium, body).min() for body in about + wall) > 0.0
 
 
-def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes() -> None:
+def test_a_target_inside_a_body_of_a_crowd_is_approached_as_close_as_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Starts end against many bodies at once, at some where breakpoints coincide; the tip ends at the sphere in the
     way."""
     bodies = cloud(600, list(reachable(THESIS, 4, seed=6))[3:])
     target = np.array(bodies[0].centre)
-    options = InverseOptions(starts=12, solver=InverseSolver(closest=Closest(postures=1), starts=Starts(clear=0)))
-    found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=options)
+    monkeypatch.setattr(closest, "POSTURES", 1)
+    monkeypatch.setattr(multistart, "CLEAR_STARTS", 0)
+    few = InverseOptions(starts=12)
+    found = inverse_kinematics(THESIS, target, obstacles=bodies, on_failure="closest", options=few)
     assert found.clearance >= -1e-9
     assert found.position_error >= bodies[0].radius + THESIS.tubes[0].outer_diameter / 2
 

@@ -18,7 +18,6 @@ from tubeopt import (
     ConcentricRobot,
     InputError,
     InverseOptions,
-    InverseSolver,
     InverseStatus,
     SolveError,
     Tube,
@@ -28,6 +27,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.batch import solved_batch
+from tubeopt.inverse import multistart
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.descent import reach
@@ -35,7 +35,6 @@ from tubeopt.inverse.goal import pose_question, unit_vector
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.settings import Aiming, Descent, Programs, Starts
 from tubeopt.inverse.table import build_table, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
@@ -242,14 +241,14 @@ class TestObstacles:
         check_answer(answer, THESIS)
         assert answer.clearance >= 2 * MM
 
-    def test_a_target_inside_of_one_is_out_of_reach(self) -> None:
+    def test_a_target_inside_of_one_is_out_of_reach(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """The tip, 0.5 mm thick, touches the sphere: no pose is closer, and as many starts as there may be find it."""
         body = Sphere(tuple(TARGET), 0.01)
         nearest = 0.01 + THESIS.tubes[0].outer_diameter / 2
+        monkeypatch.setattr(multistart, "PROGRAM_STARTS", 1)
+        monkeypatch.setattr(multistart, "CLEAR_STARTS", 2)
         for starts in (1, 2):
-            options = InverseOptions(
-                starts=starts, solver=InverseSolver(program=Programs(starts=1), starts=Starts(clear=2))
-            )
+            options = InverseOptions(starts=starts)
             with pytest.raises(SolveError, match=r"mm short.*arm at obstacle 1 \(sphere\)") as told:
                 inverse_kinematics(THESIS, TARGET, obstacles=[body], options=options)
             closest = told.value.solution
@@ -267,11 +266,11 @@ class TestObstacles:
             least = float((body.signed_distance(line) - reach).min())
             assert ArmSurface(e).clearance(Scene((body,))) == pytest.approx(least, abs=2e-6)
 
-    def test_the_closest_pose_is_clear_too(self) -> None:
+    def test_the_closest_pose_is_clear_too(self, monkeypatch: pytest.MonkeyPatch) -> None:
         body = Sphere((1.96 * MM, 12.05 * MM, 67.32 * MM), 8 * MM)
         target = np.array([10.4, 38.2, 103.6]) * MM
-        few = InverseSolver(starts=Starts(clear=1))
-        options = InverseOptions(clearance=MM, starts=1, method="gauss_newton", solver=few)
+        monkeypatch.setattr(multistart, "CLEAR_STARTS", 1)
+        options = InverseOptions(clearance=MM, starts=1, method="gauss_newton")
         closest = inverse_kinematics(THESIS, target, obstacles=[body], on_failure="closest", options=options)
         assert closest.clearance >= MM
         assert closest.margin >= 0.05
@@ -507,10 +506,10 @@ class TestJoints:
         assert (-np.diff(ends) >= 8 * MM - 1e-9).all()
 
 
-def test_settings_bound_the_search() -> None:
-    options = InverseOptions(solver=InverseSolver(starts=Starts(hopeless=3)))
+def test_starts_that_all_end_far_from_the_target_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multistart, "HOPELESS", 3)
     with pytest.raises(SolveError) as caught:
-        inverse_kinematics(TWO_TUBE, [0.5, 0.0, 0.05], options=options)
+        inverse_kinematics(TWO_TUBE, [0.5, 0.0, 0.05])
     assert caught.value.solution.statistics.tries == 3
 
 
@@ -552,19 +551,13 @@ class TestInput:
             ({"starts": 0}, "starts is 0; it must be at least 1"),
             ({"starts": "many"}, "starts is 'many'; it must be a whole number"),
             ({"starts": np.nan}, "starts is nan; it must be a whole number"),
-            ({"solver": InverseSolver}, "solver is"),
+            ({"steps": 0}, "steps is 0; it must be at least 1"),
             ({"distinct": 0.0}, "distinct is 0; it must be greater than 0"),
         ],
     )
     def test_options_too(self, options: dict[str, object], message: str) -> None:
         with pytest.raises(InputError, match=message):
             InverseOptions(**options)  # type: ignore[arg-type]
-
-    def test_settings_are_whole_and_positive(self) -> None:
-        with pytest.raises(InputError, match="shots is 0; it must be at least 1"):
-            Aiming(shots=0)
-        with pytest.raises(InputError, match="first_step is 0; it must be greater than 0"):
-            Descent(first_step=0.0)
 
     @pytest.mark.parametrize("size", [1e-200, 1e200])
     def test_directions_have_any_length(self, size: float) -> None:

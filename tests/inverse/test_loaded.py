@@ -10,9 +10,9 @@ import pytest
 from tests.command_line import THESIS as THESIS_FILE
 from tests.command_line import Run, answer, refused
 from tests.examples import THESIS
-from tubeopt import InputError, InverseOptions, InverseSolver, Load, SolveError, forward_kinematics, inverse_kinematics
+from tubeopt import InputError, InverseOptions, Load, SolveError, forward_kinematics, inverse_kinematics
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.inverse.settings import Starts
+from tubeopt.inverse import multistart
 
 LOAD = Load((0.05, 0.02, -0.02))
 TARGET = np.array([0.05, 0.02, 0.16])
@@ -52,11 +52,12 @@ def test_no_way_of_the_unloaded_robot_is_told_of_the_loaded_one() -> None:
     assert (found.reachable, found.path) == (None, None)
 
 
-def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter() -> None:
+def test_the_loaded_arm_keeps_clear_where_the_unloaded_one_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multistart, "COMPARED", 1)
     free = inverse_kinematics(THESIS, TARGET, load=LOAD)
     middle = free.equilibrium.position[len(free.equilibrium.position) // 2]
     ball = Sphere(middle + np.array([0.0, 0.004, 0.0]), 0.002)
-    options = InverseOptions(clearance=1e-3, solver=InverseSolver(starts=Starts(compared=1)))
+    options = InverseOptions(clearance=1e-3)
     kept = inverse_kinematics(THESIS, TARGET, start=free, load=LOAD, obstacles=[ball], options=options)
     assert kept.clearance >= 1e-3
     assert np.allclose(kept.equilibrium.tip_position, TARGET, rtol=0, atol=2e-8)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tests.examples import THESIS
-from tubeopt import IkSession, InputError, InverseOptions, InverseSolver, forward_kinematics, inverse_kinematics
+from tubeopt import IkSession, InputError, InverseOptions, forward_kinematics, inverse_kinematics
 from tubeopt.design import CustomObjective, CustomRequirement, Quantities
 from tubeopt.equilibrium.verification import point_at
-from tubeopt.inverse.settings import Starts
+from tubeopt.inverse import multistart
 
 SEED = ((0.0, 0.5, 1.0), (-0.03, -0.02, 0.0))
 REFERENCE = ((0.4, 0.7, 0.6), (-0.02, -0.015, -0.005))
@@ -68,10 +68,11 @@ def test_own_cost_equal_to_a_built_in_one_has_the_same_optimum() -> None:
     assert own.rotations == pytest.approx(built_in.rotations, abs=1e-3)
 
 
-def test_own_constraint_is_kept_in_every_answer() -> None:
+def test_own_constraint_is_kept_in_every_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multistart, "COMPARED", 1)
     start = forward_kinematics(THESIS, *SEED)
     without = inverse_kinematics(THESIS, start.tip_position, start=SEED)
-    options = InverseOptions(extra_constraints=(Aside(0.0105),), solver=InverseSolver(starts=Starts(compared=1)))
+    options = InverseOptions(extra_constraints=(Aside(0.0105),))
     answer = inverse_kinematics(THESIS, start.tip_position, start=SEED, options=options)
     places = [point_at(one.equilibrium, one.equilibrium.arc_length[-1] / 2)[0][0] for one in (without, answer)]
     assert places[0] < 0.009

@@ -23,7 +23,6 @@ from tubeopt.bodies.labels import field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
-from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.path_program import table_function
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.runs.inverse_study import InverseStudy
@@ -71,8 +70,9 @@ def test_an_insertion_is_smoothed_as_asked_and_comes_near_no_voxel_that_is_barre
     goal = end.tip_position
     assert field.signed_distance(goal) > 1e-3
     # However busy the machine is, there is time to smooth.
-    effort = PlanEffort(smoothing=Smoothing(seconds=300.0, intervals=8))
-    options = PlanOptions(clearance=2e-3, objective="effort", effort=effort, time_limit=600.0)
+    options = PlanOptions(
+        clearance=2e-3, objective="effort", time_limit=600.0, smoothing_seconds=300.0, smoothing_intervals=8
+    )
     plan = plan_trajectory(ROBOT, WITHDRAWN, end, obstacles=[field], options=options)
     assert plan.proved
     assert plan.statistics.smoothed == "effort"

@@ -21,8 +21,7 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning import arms_plan
-from tubeopt.planning.arms import at_rest
-from tubeopt.planning.effort import DEFAULT_EFFORT, DEFAULT_PROOF, PlanEffort, Smoothing
+from tubeopt.planning.arms import ACCURACY, at_rest
 from tubeopt.planning.goals import goal_seen
 from tubeopt.typing import Array
 
@@ -89,9 +88,7 @@ def test_the_bound_of_moving_arms_is_below_what_is_sampled_and_close_to_it(seed:
     (pair,) = proof.pairs
     dense = sampled(arms, motions, 90)
     assert pair.least_clearance <= dense
-    assert pair.measured_clearance - pair.least_clearance <= 1.05 * max(
-        DEFAULT_PROOF.arms_accuracy, -0.05 * pair.measured_clearance
-    )
+    assert pair.measured_clearance - pair.least_clearance <= 1.05 * max(ACCURACY, -0.05 * pair.measured_clearance)
     assert dense - pair.measured_clearance < 4e-4  # samples are 50 ms and half a millimetre apart
     assert proof.holds == (pair.least_clearance >= 0 and all(each.holds for each in proof.proofs))
     if pair.measured_clearance < 0:
@@ -115,7 +112,7 @@ def test_two_arms_cross_over_without_touching() -> None:
     shift = [0.012, -0.05, -0.085]
     goals = [(np.radians([60, 50, 75]), shift), (np.radians([-120, -130, -105]), shift)]
     ball = Sphere((0.0, 0.03, 0.03), 0.004)
-    options = PlanOptions(clearance=5e-4, effort=PlanEffort(smoothing=Smoothing(intervals=8)))
+    options = PlanOptions(clearance=5e-4, smoothing_intervals=8)
     plan = plan_arms(arms, [REST] * 2, goals, obstacles=[ball], options=options)
     assert plan.proved
     assert plan.status == "proved"
@@ -164,7 +161,7 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
 
 def test_an_arm_at_rest_lies_within_its_capsules() -> None:
     arm = tubeopt.forward_kinematics(ROBOT, [0.4, 1.0, -0.5], [0.02, -0.04, -0.08])
-    bodies = at_rest(arm, PLATE, DEFAULT_EFFORT.arms.rest_chord)
+    bodies = at_rest(arm, PLATE, arms_plan.REST_CHORD)
     points, radius = surface_points(arm, PLATE, 500)
     deep = np.min([body.signed_distance(points) for body in bodies], axis=0)
     assert (deep <= -radius + 1e-9).all()

@@ -13,9 +13,8 @@ from tubeopt import verify_trajectory
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.planning import proof
 from tubeopt.planning.clearance_bound import Wanted
-from tubeopt.planning.effort import ProofSearch
 
-ROOM = 1.01 * ProofSearch().accuracy
+ROOM = 1.01 * proof.ACCURACY
 
 STRAIGHT = nested((0.0, 0.05, 0.0))
 
@@ -62,7 +61,7 @@ def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: 
 
 
 def test_a_tip_that_a_second_solver_puts_elsewhere_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    allowed = ProofSearch().agreement * STRAIGHT.tubes[0].length
+    allowed = proof.AGREEMENT * STRAIGHT.tubes[0].length
     for share, fine in ((0.99, True), (1.01, False)):
         monkeypatch.setattr(proof, "_again", lambda equilibria, share=share: share * allowed)
         found = verify_trajectory(STRAIGHT, [0.0, 1.0], [[0.0], [0.02]])

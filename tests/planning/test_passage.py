@@ -14,17 +14,15 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import passage
+from tubeopt.planning import passage, proof
 from tubeopt.planning.clearance_bound import Wanted
-from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.passage import BranchEndsError, Follower, Link, Step, follow
 from tubeopt.planning.sections import Arms
 from tubeopt.robots.robot import Robot
 
 
-def follower_of(robot: Robot, *bodies: Sphere, **effort: Any) -> Follower:
-    search = ProofSearch(**effort)
-    return Follower(robot, scene_of(bodies), Wanted(0.0, search.accuracy, search.cells), Clock(60.0), search)
+def follower_of(robot: Robot, *bodies: Sphere) -> Follower:
+    return Follower(robot, scene_of(bodies), Wanted(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0))
 
 
 def test_the_stiffness_of_two_opposed_tubes_is_that_of_a_column() -> None:
@@ -61,14 +59,16 @@ def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
     found = follow(follower, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
     true = 8e-3 - radius - robot.tubes[0].outer_diameter / 2
     assert not found.lost
-    assert true - follower.effort.accuracy <= found.clearance <= true + 1e-9
+    assert true - proof.ACCURACY <= found.clearance <= true + 1e-9
     assert max(link.bound for link in found.links) > 1.2 * true
 
 
-def test_no_clearance_is_shown_where_a_branch_is_lost() -> None:
+def test_no_clearance_is_shown_where_a_branch_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two steps far apart, and no equilibria left to put between them."""
+    monkeypatch.setattr(passage, "LARGEST_TURN", 1.0)
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 1)
     begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [1.0, 0.0, 0.0, 0.0]])
-    follower = follower_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3), turn=1.0, equilibria=1)
+    follower = follower_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3))
     found = follow(follower, begin, np.array([0.0, 1.0]), turned)
     assert found.lost
     assert found.clearance == -np.inf
@@ -92,7 +92,8 @@ def test_no_clearance_is_shown_where_a_branch_is_lost_between_more_equilibria(
     monkeypatch.setattr(passage, "joined", joined)
     if lost == "the branch":
         monkeypatch.setattr(passage, "halves", halves)
-    follower = follower_of(TWO_TUBE, ball, equilibria=9)
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 9)
+    follower = follower_of(TWO_TUBE, ball)
     follower.wanted = Wanted(1.0, 1e-9, 0)
     shown = follow(follower, begin, np.arange(2.0), turned)
     assert shown.lost == (() if lost == "nothing" else ((0.25, 0.25),))

@@ -38,8 +38,7 @@ from tubeopt.bodies.obstacles import Sphere, nearest_distance
 from tubeopt.inverse import search
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.tip_coordinates import TipCoordinates
-from tubeopt.planning import plan
-from tubeopt.planning.effort import PlanEffort, Smoothing
+from tubeopt.planning import plan, smooth
 from tubeopt.planning.file import save_joint_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import PlanTask, asked
@@ -50,14 +49,19 @@ from tubeopt.typing import Array
 
 OBJECTIVES = ("none", "length", "time")
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-FEW_KNOTS = PlanEffort(smoothing=Smoothing(intervals=6, refinements=0))
-SOME_KNOTS = PlanEffort(smoothing=Smoothing(intervals=12))
 TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def few_knots(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Intervals of a smoothing whose knots are not refined."""
+    monkeypatch.setattr(smooth, "REFINEMENTS", 0)
+    return 6
 
 
 @pytest.fixture(scope="module")
 def turn() -> Trajectory:
-    return plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(effort=SOME_KNOTS))
+    return plan_trajectory(THESIS, HOME, TURNED, options=PlanOptions(smoothing_intervals=12))
 
 
 def test_the_turn_that_snaps_is_planned(turn: Trajectory) -> None:
@@ -132,9 +136,10 @@ def test_a_goal_modulo_turns_tells_how_many() -> None:
 
 
 @pytest.mark.parametrize("objective", ["time", "effort", "margin"])
-def test_objectives(objective: str) -> None:
+def test_objectives(objective: str, few_knots: int) -> None:
     goal = ([150 * DEG, 30 * DEG, 0.0], [-0.02, -0.02, -0.01])
-    plan = plan_trajectory(THESIS, HOME, goal, options=PlanOptions(objective=objective, effort=FEW_KNOTS))
+    options = PlanOptions(objective=objective, smoothing_intervals=few_knots)
+    plan = plan_trajectory(THESIS, HOME, goal, options=options)
     assert plan.proof.holds
     assert plan.statistics.knots == 7, "as many as asked for"
     if objective == "time":
@@ -142,15 +147,15 @@ def test_objectives(objective: str) -> None:
 
 
 def test_knots_that_are_none_are_refused() -> None:
-    with pytest.raises(InputError, match="intervals is 0; it must be at least 1"):
-        Smoothing(intervals=0)
+    with pytest.raises(InputError, match="smoothing_intervals is 0; it must be at least 1"):
+        PlanOptions(smoothing_intervals=0)
 
 
-def test_obstacles_are_kept_clear_of_by_the_surface() -> None:
+def test_obstacles_are_kept_clear_of_by_the_surface(few_knots: int) -> None:
     start = forward_kinematics(THESIS, [-90 * DEG, -30 * DEG, 0.0])
     goal = forward_kinematics(THESIS, [110 * DEG, 0.0, 0.0])
     body = Sphere(tuple(forward_kinematics(THESIS, [0.0, 0.0, 0.0]).tip_position.tolist()), 0.02)
-    options = PlanOptions(clearance=1e-3, effort=FEW_KNOTS)
+    options = PlanOptions(clearance=1e-3, smoothing_intervals=few_knots)
     plan = plan_trajectory(THESIS, start, goal, obstacles=[body], options=options)
     assert plan.proof.holds
     here, least = start, np.inf
@@ -423,9 +428,9 @@ def test_a_plan_is_as_fast_as_its_own_path_can_be_passed(turn: Trajectory) -> No
     assert turn.time[-1] <= 1.05 * least_time(q / space.scale, rate / space.scale, most / space.scale)
 
 
-def test_a_plan_for_time_is_no_slower_than_one_for_length() -> None:
+def test_a_plan_for_time_is_no_slower_than_one_for_length(few_knots: int) -> None:
     goal = ([100 * DEG, -40 * DEG, 20 * DEG], [-0.03, -0.02, -0.01])
-    asked = [PlanOptions(objective=name, effort=FEW_KNOTS) for name in OBJECTIVES]
+    asked = [PlanOptions(objective=name, smoothing_intervals=few_knots) for name in OBJECTIVES]
     times = [plan_trajectory(THESIS, HOME, goal, options=options).time[-1] for options in asked]
     none, length, fast = times
     assert fast <= min(none, length) * (1 + 1e-9)

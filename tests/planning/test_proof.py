@@ -15,9 +15,9 @@ from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
+from tubeopt.planning import passage
 from tubeopt.planning.branch import branch
 from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.sections import Arms, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
@@ -203,13 +203,17 @@ def test_rotations_of_a_robot_without_limits_are_free() -> None:
     assert any("leaves its range" in fault for fault in limited.faults)
 
 
-def test_equilibria_are_as_close_as_asked_for() -> None:
+def test_equilibria_are_as_close_as_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice as many at half the turn, and the same least margin; with too few nothing is proved."""
     way = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
-    turns = [verify_trajectory(TWO_TUBE, *way, effort=ProofSearch(turn=turn)) for turn in (0.01, 0.005)]
+    turns = []
+    for turn in (0.01, 0.005):
+        monkeypatch.setattr(passage, "LARGEST_TURN", turn)
+        turns.append(verify_trajectory(TWO_TUBE, *way))
     assert turns[0].least_margin == pytest.approx(turns[1].least_margin, abs=1e-9)
     assert [proof.equilibria for proof in turns] == [101, 201]
-    assert not verify_trajectory(TWO_TUBE, *way, effort=ProofSearch(equilibria=5)).holds
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 5)
+    assert not verify_trajectory(TWO_TUBE, *way).holds
 
 
 def test_what_is_not_shown_in_time_is_a_fault() -> None:
@@ -242,10 +246,11 @@ def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
     assert MeshObstacle(vertices, faces).surface.signed_distance(place)[0] == pytest.approx(0.0303998881, abs=1e-9)
 
 
-def test_what_cannot_be_bounded_is_given_up_soon() -> None:
+def test_what_cannot_be_bounded_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three tubes so curved and so far off their middle that no interval, however short, bounds how they turn."""
     robot = EccentricRobot(Tube(1.9e-3, 1.6e-3, 0.02, 0.12, 60.0))
-    proof = verify_trajectory(robot, [0, 1], [[0.5, -0.3, 0.1], [0.54, -0.3, 0.1]], effort=ProofSearch(halvings=2))
+    monkeypatch.setattr(passage, "MOST_HALVINGS", 2)
+    proof = verify_trajectory(robot, [0, 1], [[0.5, -0.3, 0.1], [0.54, -0.3, 0.1]])
     assert proof.snap is None
     assert "nothing shows that one stable branch" in proof.faults[0]
     assert proof.equilibria < 50

@@ -18,7 +18,6 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.planning import arm_distance_bound, branch, loaded_branch, pair_reach, passage
 from tubeopt.planning.clearance_bound import Cells, Sizes, Wanted, cleared
 from tubeopt.planning.cross_sections import Constants, Jet, linear
-from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, Arms, Intervals
 from tubeopt.robots.robot import Robot
@@ -125,7 +124,7 @@ class Rod:
             length=(long, long), radius=nothing + radius, sagitta=lambda link, section, x: np.full(len(link), bend)
         )
         self.off, self.times = nothing + off, np.array([0.0, 1.0])
-        self.follower: Any = SimpleNamespace(effort=SimpleNamespace(arms_rounds=1), over=True)
+        self.follower: Any = SimpleNamespace(over=True)
         self.whole = True
 
     def link_at(self, t: Array) -> Array:
@@ -276,12 +275,14 @@ def test_a_clearance_from_one_time_to_another_is_the_least_in_between() -> None:
 
 
 @pytest.mark.parametrize(("share", "more"), [(0.6e-9, 0), (2.2e-9, 3), (0.1, 63)])
-def test_a_stretch_of_time_that_is_short_is_not_halved(share: float, more: int) -> None:
+def test_a_stretch_of_time_that_is_short_is_not_halved(
+    share: float, more: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where one cell at once cannot show the clearance, stretches are halved down to 1e-9 of the time, or
     until there are no equilibria left, of which each round takes twice as many."""
     body = Sphere((0.0, 0.0, 0.4), 0.05)
-    wanted, effort = Wanted(0.5, 1e-9, 0), ProofSearch(equilibria=40)
-    follower = passage.Follower(THESIS, scene_of([body]), wanted, Clock(60.0), effort)
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 40)
+    follower = passage.Follower(THESIS, scene_of([body]), Wanted(0.5, 1e-9, 0), Clock(60.0))
     joints = [np.append(angles, THESIS.home_translations) for angles in ([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])]
     steps = [
         passage.Step(at, forward_kinematics(THESIS, q[:3]), q) for at, q in zip((0.5, 0.5 + share), joints, strict=True)
@@ -473,12 +474,15 @@ def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_t
     assert found == pytest.approx(1 - 0.08 - 0.003)
 
 
-def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pieces_by_their_sagitta() -> None:
+def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pieces_by_their_sagitta(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """An arc that a tube leaves half-way: 11 points, of pieces of a tenth."""
+    monkeypatch.setattr(pair_reach, "REST_POINTS", 11)
     robot, curvature, length, count = nested((0.0, 0.08, 5.0), (0.0, 0.043, 5.0)), 5.0, 0.08, 11
     arm = forward_kinematics(robot, [0.0, 0.0])
     found: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
-    line, thick, square, bow = pair_reach._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]), count)[0]
+    line, thick, square, bow = pair_reach._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]))[0]
     assert len(line) == count
     assert square == pytest.approx((length / 10) ** 2)
     sagitta = (1 - np.cos(curvature * length / 20)) / curvature

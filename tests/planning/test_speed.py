@@ -24,10 +24,9 @@ from tubeopt import (
 from tubeopt.bodies.scene import scene_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import PlanOptions
+from tubeopt.planning import PlanOptions, passage
 from tubeopt.planning.clearance_bound import Wanted
 from tubeopt.planning.cross_sections import Jet, inverse, turned
-from tubeopt.planning.effort import DEFAULT_PROOF, ProofSearch
 from tubeopt.planning.passage import Follower, Link, Step, _divided, _meetings
 from tubeopt.planning.speed import HERMITE, _Row, fastest_on_cubic
 from tubeopt.robots.load import PointLoad
@@ -60,7 +59,7 @@ def test_second_and_third_derivatives_of_the_tip_are_bounded(
     a, b = np.append(begin, home - 0.010), np.append(end, home - 0.010 + slide * np.arange(robot.n_tubes))
     if robot is ECCENTRIC:
         a, b = np.append(begin, home), np.append(end, home)
-    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
+    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
     arms = [forward_kinematics(robot, *np.split(q, 2), load=load) for q in (a, b)]
     intervals = follower.intervals(arms, np.array([0]), np.array([1]))
     known = follower.joined(intervals)
@@ -170,11 +169,11 @@ def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
     assert math.hypot(6, 1) <= float(both.ddd) == 7.0
 
 
-def test_a_limit_that_the_bound_does_not_reach_is_not_proved() -> None:
+def test_a_limit_that_the_bound_does_not_reach_is_not_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     """With too few equilibria for a sharp bound the limit is neither refuted nor satisfied."""
     last = np.radians([214, 0, 0])
-    limits, few = RateLimits(tip=0.1329), ProofSearch(equilibria=121)
-    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=limits, effort=few)
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 121)
+    proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.1329))
     assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
     assert not proof.holds
     assert any("of the speed of the tip only" in fault for fault in proof.faults)
@@ -350,7 +349,7 @@ def test_joints_go_on_alike_along_one_line_of_one_order_of_sections(joints: list
 
 def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None = None) -> Any:
     """One link from joint values at given rates, of equilibria so close that their difference has no second order."""
-    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
+    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
     joints = [np.array(here) + np.array(rate) * t for t in (0.0, 1e-3)]
     steps = [
         Step(t, forward_kinematics(robot, *np.split(q, 2), load=load), q) for t, q in zip((0, 1), joints, strict=True)
@@ -457,5 +456,5 @@ def test_meetings_at_one_time_are_one_and_parts_beside_them_are_none() -> None:
 
 def test_sections_change_at_the_plate_behind_it_and_at_places_of_a_load() -> None:
     load = Load(points=(PointLoad(0.07, (0.03, 0.0, 0.0)),))
-    follower = Follower(TWO_TUBE, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), DEFAULT_PROOF, load)
+    follower = Follower(TWO_TUBE, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
     assert follower.cuts(np.array([-0.02, 0.01])).tolist() == pytest.approx([0, -0.02, 0.01, 0.08, 0.11, 0.07])

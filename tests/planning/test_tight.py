@@ -42,7 +42,6 @@ from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.task import Task
 from tubeopt.inverse.tip_coordinates import TipCoordinates
 from tubeopt.planning import trajectory_building
-from tubeopt.planning.effort import PlanEffort, Smoothing
 from tubeopt.planning.proof import proved
 from tubeopt.planning.question import asked
 from tubeopt.planning.reach import least_miss, step_constraints, way_around
@@ -102,7 +101,7 @@ def test_ways_along_a_wall_are_smoothed_as_free_ones(spare: float) -> None:
             start,
             goal,
             obstacles=[body_at(goal, start, "half-space", left)],
-            options=PlanOptions(clearance=1e-3, effort=PlanEffort(smoothing=Smoothing(intervals=12))),
+            options=PlanOptions(clearance=1e-3, smoothing_intervals=12),
         )
         for left in (0.03, spare)
     )
@@ -192,8 +191,8 @@ def test_a_proof_that_is_out_of_time_says_so() -> None:
 
 def unproved(*arguments: Any) -> object:
     """The proof as it is when time is over after its first steps."""
-    *given, _, effort = arguments
-    return proved(*given, Clock(0.0), effort)
+    *given, _ = arguments
+    return proved(*given, Clock(0.0))
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:

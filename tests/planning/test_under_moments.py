@@ -21,8 +21,8 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.answer import point_of, sure_margin
+from tubeopt.planning import passage
 from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.effort import ProofSearch
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 
@@ -212,12 +212,13 @@ def test_what_has_no_positive_symmetric_part_is_refused_by_name() -> None:
     assert f"symmetric part of the linearised equations is {1 - 4 / np.pi:.3g}; a proof" in proof.faults[0]
 
 
-def test_flutter_is_no_snap() -> None:
+def test_flutter_is_no_snap(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rod that is pushed along itself with less than what buckles it, under K/L along it, and gets longer."""
     robot = rod(LENGTH, BENDING, 0.8 * BENDING)
     load = Load((0, 0, -0.96 * np.pi**2 / 4 * BENDING / LENGTH**2), (0, 0, BENDING / LENGTH))
-    ends, effort = ([-LENGTH / 10], [0.0]), ProofSearch(equilibria=60)
-    proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load, effort=effort)
+    ends = ([-LENGTH / 10], [0.0])
+    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 60)
+    proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load)
     assert proof.faults[0].startswith("the robot begins to flutter at 92 % of the trajectory (0.92 s)")
     with pytest.raises(SolveError, match=r"flutter at 94\.575 %"):
         find_snap(robot, ([0.0], ends[0]), ([0.0], ends[1]), load=load)

@@ -20,8 +20,8 @@ from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..inverse.configurations import Configuration, configuration
+from ..inverse.goal import BODY_REACH
 from ..inverse.posture import Posture
-from ..inverse.settings import DEFAULT_SOLVER
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
@@ -201,7 +201,7 @@ class Servo:
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
         moved = np.linalg.norm(self.space.by_joints(at.along), axis=1) @ rate
-        farthest = DEFAULT_SOLVER.descent.body_reach * self.space.length
+        farthest = BODY_REACH * self.space.length
         reach = clearance + APART + min(float(moved.max()) / APPROACH, farthest)
         self.guard.sight = FARTHER * reach
         contacts = at.outline.contacts(scene, reach)

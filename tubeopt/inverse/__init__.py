@@ -2,14 +2,13 @@
 
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .session import IkSession
-from .settings import InverseOptions, InverseSolver
+from .settings import InverseOptions
 from .solving import inverse_kinematics
 
 __all__ = [
     "IkSession",
     "InverseOptions",
     "InverseSolution",
-    "InverseSolver",
     "InverseStatistics",
     "InverseStatus",
     "JointPath",

@@ -14,22 +14,43 @@ import numpy as np
 import scipy
 
 from ..typing import Array, Index
-from .gauss_newton import SLACK, Back, Descent, Model, Search, Step
+from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step
 from .goal import Goal
 from .order import apart, breakpoint_order
 from .posture import Posture
+
+STEPS, POSTURES = 60, 150
+"""Maximum numbers of steps and of equilibria of one descent."""
+
+PROMISE = 1e-8
+"""Approach of a step to the target, as a share of the robot's length, that it must promise."""
+
+GAIN, SAME_MISS = 1e-7, 2e-5
+"""Approach by which a later end replaces an earlier one, and largest difference of distances from the target that count
+as equal; both as shares of the robot's length."""
+
+RETURNS = 12
+"""Maximum number of steps back into the allowed set."""
+
+CURVATURE = 1e-6
+"""Smallest curvature of the model, per square of a joint's scale."""
+
+SAME_END = 1e-3
+"""Ends closer than this in every joint, in units of their scales, are one."""
+
+AGREEING = 4
+"""Number of further ends at the same distance after which no closer one is searched for."""
 
 
 def approach(goal: Goal, start: Posture) -> Search | None:
     """The local minimum of what is left to the target that is found from a posture; None where no allowed posture is
     found near the start."""
     goal.touched.clear()  # so that what is found does not depend on what was looked for before
-    solver = goal.solver.closest
-    first = restored(goal, start, most=solver.returns)
+    first = restored(goal, start, most=RETURNS)
     if first is None:
         return None
-    descent = Descent(_Miss(goal), goal.solver.descent.first_step, solver.steps, solver.postures)
-    here = descent.last(restored(goal, apart(goal, first), most=solver.returns) or first)
+    descent = Descent(_Miss(goal), FIRST_STEP, STEPS, POSTURES)
+    here = descent.last(restored(goal, apart(goal, first), most=RETURNS) or first)
     return Search(here, goal.reached(here, 1e-8, 1e-8), descent.steps, descent.solves)
 
 
@@ -40,19 +61,18 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> Search | None
     One that is closer by no more than round-off does not take the place of an earlier one.
     """
     best: Search | None = None
-    same = goal.solver.starts.same_miss
     for ends in groups:
         least, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= goal.solver.closest.agreeing or (best is not None and goal.clock.over):
+            if agreeing >= AGREEING or (best is not None and goal.clock.over):
                 break
             found = approach(goal, end)
             if found is None:
                 continue
             miss = left(goal, found.posture)
-            agreeing = 0 if miss < least - same else agreeing + (miss < least + same)
+            agreeing = 0 if miss < least - SAME_MISS else agreeing + (miss < least + SAME_MISS)
             least = min(least, miss)
-            if best is None or miss < left(goal, best.posture) - goal.solver.closest.gain:
+            if best is None or miss < left(goal, best.posture) - GAIN:
                 best = found
     return best
 
@@ -61,7 +81,7 @@ def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
     """Postures without those that are one with an earlier one."""
     seen: list[Posture] = []
     for end in ends:
-        if all(np.abs((end.q - other.q) / goal.space.scale).max() > goal.solver.closest.same_end for other in seen):
+        if all(np.abs((end.q - other.q) / goal.space.scale).max() > SAME_END for other in seen):
             seen.append(end)
             yield end
 
@@ -79,7 +99,7 @@ def restored(goal: Goal, at: Posture, *, most: int) -> Posture | None:
         if goal.allowed(at, SLACK):
             return at
         model = Model(np.diag(1 / goal.space.scale), np.zeros(len(at.q)), *none, *goal.demands(at)[:2])
-        chosen = model.step(goal, goal.solver.descent.first_step)
+        chosen = model.step(goal, FIRST_STEP)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         if there is None:
             return None
@@ -109,8 +129,7 @@ class _Miss:
         return 0.5 * left(self.goal, at) ** 2
 
     def least(self, value: float) -> float:
-        promise = self.goal.solver.closest.promise
-        return float(promise * max(np.sqrt(2 * value), promise))
+        return float(PROMISE * max(np.sqrt(2 * value), PROMISE))
 
     def ended(self, at: Posture, values: Sequence[float]) -> bool:
         return False
@@ -121,7 +140,7 @@ class _Miss:
         residual, jacobian = goal.residual(at), goal.slope(at, side=side) * scale
         rows, bounds, names = goal.demands(at)
         rows, bounds = breakpoint_order(goal, at).kept(at.q, rows, np.minimum(bounds, 0.0))
-        least = (goal.solver.closest.curvature + 1e-3 * float(residual @ residual)) * np.eye(m)
+        least = (CURVATURE + 1e-3 * float(residual @ residual)) * np.eye(m)
         hessian, slope = jacobian.T @ jacobian + least, jacobian.T @ residual
         if last is not None and isinstance(last.model, _Lagrangian):
             hessian = self._updated(last, last.model, at, slope, (rows, names))
@@ -148,7 +167,7 @@ class _Miss:
             change = share * change + (1 - share) * bent
             own = float(step @ change)
         hessian = hessian - np.outer(bent, bent) / curved + np.outer(change, change) / own
-        return np.asarray(hessian + self.goal.solver.closest.curvature * np.eye(len(hessian)))
+        return np.asarray(hessian + CURVATURE * np.eye(len(hessian)))
 
     def back(self, here: Posture, x: Array) -> Back:
         there = here.to(self.goal.space.clip(here.q + x))

@@ -15,10 +15,26 @@ import scipy
 from ..files.units import TO_MM
 from ..typing import Array
 from .arm_surface import MOST_CONTACTS
-from .gauss_newton import SLACK, Back, Descent, Model, Search, Step
-from .goal import Goal
+from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step
+from .goal import DIRECTION_TOLERANCE, POSITION_TOLERANCE, Goal
 from .order import Order, breakpoint_order
 from .posture import Posture
+
+ON_TARGET = 1e-10
+"""Distance (m) and angle (rad) at which the descent stops: a hundredth of what an answer may miss by, so that solving
+again on a finer mesh leaves it an answer."""
+
+LEAST_PROMISE = 1e-7
+"""Relative decrease of what is left to the target that a step must promise."""
+
+PATIENCE, STAGNANT = 5, 0.97
+"""Steps in a row that together must bring the tip closer than this share of its distance."""
+
+IMPROVING_STEPS = 60
+"""Maximum number of steps that lower the cost of a solution on target."""
+
+TARGET_WEIGHT = 1e4
+"""Weight of the target relative to the cost, in an improving step."""
 
 SMALL_MARGIN = 0.01
 """Margin below which a smaller one is no advice."""
@@ -35,8 +51,7 @@ MOST_PULL = 1e6
 
 def reach(goal: Goal, start: Posture) -> Search:
     """From a stable posture towards the target, and out of any obstacle, by Levenberg's and Marquardt's damping."""
-    solver = goal.solver.descent
-    descent = Descent(_Target(goal), solver.first_step, solver.steps)
+    descent = Descent(_Target(goal), FIRST_STEP, goal.options.steps)
     end = descent.last(start)
     return Search(end, _done(goal, end, 1e-8), descent.steps, descent.solves)
 
@@ -56,13 +71,13 @@ class _Target:
         return 0.5 * float(left @ left)
 
     def least(self, value: float) -> float:
-        return 2 * self.goal.solver.descent.least_promise * value
+        return 2 * LEAST_PROMISE * value
 
     def ended(self, at: Posture, values: Sequence[float]) -> bool:
         """On target, or where the last steps together brought next to nothing."""
-        solver = self.goal.solver.descent
-        stagnant = len(values) > solver.patience and values[-1] > 0.97**2 * values[-1 - solver.patience]
-        return stagnant or _done(self.goal, at, solver.tolerance)
+        # Values are half the squares of distances.
+        stagnant = len(values) > PATIENCE and values[-1] > STAGNANT**2 * values[-1 - PATIENCE]
+        return stagnant or _done(self.goal, at, ON_TARGET)
 
     def model(self, at: Posture, side: int, last: Step | None) -> Model:
         short, across = self.goal.collisions(at)
@@ -94,8 +109,7 @@ def improve(goal: Goal, start: Posture) -> Search:
     """Lower the cost from a posture on target, without leaving it."""
     if not goal.ranked:
         return Search(start, True, 0, 0)
-    solver = goal.solver.descent
-    descent = Descent(_Cost(goal), 0.5 * solver.first_step, solver.improving_steps)
+    descent = Descent(_Cost(goal), 0.5 * FIRST_STEP, IMPROVING_STEPS)
     return Search(descent.last(start), True, descent.steps, descent.solves)
 
 
@@ -118,22 +132,20 @@ class _Cost:
         goal = self.goal
         cost, right = goal.cost_rows(at, 1e-3)
         right *= min(1.0, MOST_PULL / max(float(np.linalg.norm(right)), 1e-300))
-        target = on_target(goal, goal.slope(at, side=side), goal.residual(at))
+        target = on_target(goal.slope(at, side=side), goal.residual(at))
         return Model(cost, right, *target, *breakpoint_order(goal, at).kept(at.q, *goal.inequalities(at)))
 
     def back(self, here: Posture, x: Array) -> Back:
-        order, close = breakpoint_order(self.goal, here), self.goal.solver.descent.tolerance
-        return moved(self.goal, here, x, self.goal.slope(here), close=close, order=order)
+        order = breakpoint_order(self.goal, here)
+        return moved(self.goal, here, x, self.goal.slope(here), close=ON_TARGET, order=order)
 
     def beyond(self, past: Posture) -> Posture | None:
-        close = self.goal.solver.descent.tolerance
-        return correct(self.goal, past, self.goal.slope(past), close=close).posture
+        return correct(self.goal, past, self.goal.slope(past), close=ON_TARGET).posture
 
 
-def on_target(goal: Goal, slope: Array, residual: Array) -> tuple[Array, Array]:
+def on_target(slope: Array, residual: Array) -> tuple[Array, Array]:
     """Rows and right-hand sides of a step that ends on target whatever else it does."""
-    weight = goal.solver.descent.target_weight
-    return weight * slope, -weight * residual
+    return TARGET_WEIGHT * slope, -TARGET_WEIGHT * residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +187,7 @@ def correct(
         if order is not None:
             rows, bounds = order.kept(at.q, rows, bounds)
         model = Model(slope, -residual, *damping(goal, residual), rows, np.minimum(bounds, 0.0))
-        chosen = model.step(goal, goal.solver.descent.first_step)
+        chosen = model.step(goal, FIRST_STEP)
         there = None if chosen is None else at.to(goal.space.clip(at.q + chosen.x))
         solves += 1
         if there is None:
@@ -235,9 +247,9 @@ def missed_by(goal: Goal, at: Posture) -> str:
     """In words, by how much a posture misses the target."""
     position, direction = goal.position_error(at), goal.direction_error(at)
     words = []
-    if position > goal.solver.position_tolerance or not goal.pointed:
+    if position > POSITION_TOLERANCE or not goal.pointed:
         words.append(f"{millimetres(position)} short")
-    if goal.pointed and (direction > goal.solver.direction_tolerance or not words):
+    if goal.pointed and (direction > DIRECTION_TOLERANCE or not words):
         words.append(f"{np.degrees(direction):.3g} deg off the direction")
     return " and ".join(words)
 

@@ -20,11 +20,17 @@ import numpy as np
 from ..solvers.quadratic import LeastSquares, constrained_least_squares
 from ..typing import Array, Index
 from .goal import Goal
-from .order import crossings
+from .order import SHORT_SECTION, crossings
 from .posture import Posture
 
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
+
+FIRST_STEP = 0.6
+"""Largest change of a joint in the first step, and half of the largest later on, in units of the joints' scales."""
+
+SHORTEST_STEP = 1e-5
+"""Step, in units of the joints' scales, below which a descent ends: far above the round-off of an equilibrium, 1e-8."""
 
 ENOUGH, FAITHFUL, SHORTER = 0.05, 0.7, 0.35
 """Parts of the promised decrease from which a step is taken, and from which the next may be twice as long; by how much
@@ -133,14 +139,13 @@ class Descent:
 
     def last(self, start: Posture) -> Posture:
         """The last posture of the descent from a start."""
-        first = self.goal.solver.descent.first_step
         here, side, size = start, 1, self.size
         before: Step | None = None
         values = [self.question.value(here)]
         while not self._over and not self.question.ended(here, values):
             step = self._step(here, values[-1], size, side=side, last=before)
             if step is None and side > 0 and here.two_sided:
-                side, size, before = -1, 0.5 * first, None
+                side, size, before = -1, 0.5 * FIRST_STEP, None
                 continue
             before = step if side > 0 else None
             step = step or self._across(here, values[-1])
@@ -160,9 +165,9 @@ class Descent:
         self, here: Posture, value: float, size: float, *, side: int = 1, last: Step | None = None
     ) -> Step | None:
         """The longest step tried that gains enough of what its model promises; None without one."""
-        question, goal, solver = self.question, self.goal, self.goal.solver.descent
+        question, goal = self.question, self.goal
         model, touched, least = question.model(here, side, last), len(goal.touched), question.least(value)
-        while size > solver.shortest_step and not goal.clock.over:
+        while size > SHORTEST_STEP and not goal.clock.over:
             chosen = model.step(goal, size)
             promised = 0.0 if chosen is None else model.promised(chosen.x)
             if chosen is None or promised <= least:
@@ -171,7 +176,7 @@ class Descent:
             self.solves += back.solves
             there = np.inf if back.posture is None else question.value(back.posture)
             if back.posture is not None and value - there >= ENOUGH * promised:
-                size = min(2 * size, 2 * solver.first_step) if value - there >= FAITHFUL * promised else size
+                size = min(2 * size, 2 * FIRST_STEP) if value - there >= FAITHFUL * promised else size
                 return Step(model, chosen.x, chosen.active, back.posture, there, size)
             size = SHORTER * min(size, float(np.abs(chosen.x / goal.space.scale).max()))
             if len(goal.touched) > touched:  # bodies that the model did not know
@@ -180,12 +185,12 @@ class Descent:
 
     def _across(self, here: Posture, value: float) -> Step | None:
         """A step from beyond a change of the order of breakpoints to less than here; None without one."""
-        solver, least = self.goal.solver, self.question.least(value)
-        for past in crossings(self.goal, here, solver.order.short_section * self.goal.space.length):
+        least = self.question.least(value)
+        for past in crossings(self.goal, here, SHORT_SECTION * self.goal.space.length):
             back = self.question.beyond(past)
             if back is None:
                 continue
-            step = self._step(back, self.question.value(back), 0.1 * solver.descent.first_step)
+            step = self._step(back, self.question.value(back), 0.1 * FIRST_STEP)
             if step is not None and step.value < value - least:
                 return step
         return None

@@ -20,7 +20,20 @@ from .configurations import Configuration, configuration, scaled_weights, shift_
 from .custom_terms import NOTHING, Extras, extras
 from .joints import JointSpace, joint_space
 from .posture import Posture
-from .settings import DEFAULT_OPTIONS, InverseOptions, InverseSolver
+from .settings import DEFAULT_OPTIONS, InverseOptions
+
+POSITION_TOLERANCE, DIRECTION_TOLERANCE = 1e-8, 1e-7
+"""Distance, m, and angle, rad, at which an answer counts as on target: what forward kinematics is exact to."""
+
+MARGIN_ROOM, CLEARANCE_ROOM = 1e-6, 1e-5
+"""Margin, and clearance (m), that a search keeps beyond what is required: a finer mesh changes the margin by less than
+the first, and the arm leaves the line between its sample points by less than the second."""
+
+BODY_REACH = 0.1
+"""Distance from the arm, as a share of the robot's length, within which a step knows of obstacles."""
+
+BODIES_PER_STEP = 30
+"""Obstacles that a step knows of at least, the nearest first; others follow when a step comes too close to them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +66,6 @@ class Goal:
 
     direction_weight = Delegate[float | None]("options")
     clearance = Delegate[float]("options")
-    solver = Delegate[InverseSolver]("options")
 
     @property
     def pointed(self) -> bool:
@@ -78,17 +90,17 @@ class Goal:
 
     def met(self, at: Posture) -> bool:
         """Whether a posture counts as on target."""
-        return self.reached(at, self.solver.position_tolerance, self.solver.direction_tolerance)
+        return self.reached(at, POSITION_TOLERANCE, DIRECTION_TOLERANCE)
 
     @property
     def floor(self) -> float:
         """The margin that is kept."""
-        return self.min_margin + self.solver.margin_room
+        return self.min_margin + MARGIN_ROOM
 
     @property
     def gap(self) -> float:
         """The clearance that is kept, m."""
-        return self.clearance + self.solver.clearance_room
+        return self.clearance + CLEARANCE_ROOM
 
     def beyond_reach(self) -> float:
         """By how much the target is farther from the plate than the longest arm that the joints' ranges allow, m: the
@@ -135,7 +147,7 @@ class Goal:
         length; 0 without a violation."""
         missing = -float(self.extras.room(at).min(initial=0.0)) * self.space.length
         close = self.gap - at.outline.clearance(self.scene, self.gap)
-        if close > 0 and len(self.scene.bodies) > self.solver.descent.bodies:
+        if close > 0 and len(self.scene.bodies) > BODIES_PER_STEP:
             self.touched.update(self.contacts(at, self.gap).body.tolist())
         return max(0.0, close, missing)
 
@@ -159,8 +171,8 @@ class Goal:
 
     def ahead(self, at: Posture) -> Contacts:
         """Where the arm comes close to the bodies of which a step from `at` shall know."""
-        within = self.gap + self.solver.descent.body_reach * self.space.length
-        return at.outline.contacts(self.scene, within, self.solver.descent.bodies, frozenset(self.touched))
+        within = self.gap + BODY_REACH * self.space.length
+        return at.outline.contacts(self.scene, within, BODIES_PER_STEP, frozenset(self.touched))
 
     def demands(self, at: Posture) -> tuple[Array, Array, Index]:
         """Linearised constraints of a step, rows and bounds, and (c,) identifiers for comparing them between postures.

@@ -17,12 +17,33 @@ from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
 from .descent import held_by
 from .gauss_newton import SLACK
-from .goal import Goal, angle
+from .goal import MARGIN_ROOM, Goal, angle
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task
 from .tip_coordinates import TipCoordinates
+
+PATH_SECONDS, PATH_MARGIN = 10.0, 2e-3
+"""Longest search for a snap-free path to one solution, s, and the margin kept on it; half of the margin at its ends if
+that is less."""
+
+TURN_PER_MOVE, SHIFT_PER_MOVE = 20.0, 8.0
+"""Motion of a rotation, rad, and of a translation, in units of its scale, that is no jump: per motion of the tip in
+robot's lengths and, where it is pointed, rad. A carriage that moves more than four times as far as the tip changes the
+configuration."""
+
+TURN_PER_AZIMUTH = 2.0
+"""Additional rotation that is no jump, per angle that the tip moves about the axis of the plate."""
+
+LEAST_JUMP = 0.02
+"""Motion of a joint, in units of its scale, that is no jump in any case."""
+
+DEVIATION, LEAST_DEVIATION = 0.05, 1e-5
+"""Distance of the tip from the line between two targets that is no jump: as a share of their distance; least, m."""
+
+CHECKED_EVERY = 0.1
+"""Joint motion between two checked points of the path, in units of the joints' scales."""
 
 
 def snap_free_path(
@@ -138,10 +159,10 @@ def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> In
     """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
     if answer.path is not None:
         return answer
-    found, solver, seconds = None, goal.solver, min(goal.solver.path_seconds, goal.clock.left)
+    found, seconds = None, min(PATH_SECONDS, goal.clock.left)
     if begin is not None and seconds > 0:
         ends = begin.equilibrium, answer.equilibrium
-        found = snap_free_path(goal.space, *ends, seconds=seconds, least_margin=solver.path_margin)
+        found = snap_free_path(goal.space, *ends, seconds=seconds, least_margin=PATH_MARGIN)
     if found is None:
         return replace(answer, reachable=False)
     way = JointPath("home" if answer.straight_from_seed is None else "seed", *found)
@@ -155,8 +176,8 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
     No jump: the tip stays near the straight line, no joint moves farther than the motion of the tip explains, and
     margin and clearance are kept. Snaps are found as far as steps of ordinary length show them.
     """
-    words, solver = _far(goal, before, after), goal.solver
-    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / solver.jump.sampled))
+    words = _far(goal, before, after)
+    count = 1 + int(np.ceil(float(np.abs((after.q - before.q) / goal.space.scale).max()) / CHECKED_EVERY))
     deviation, margin, gap, here = 0.0, np.inf, 0.0, before
     for k in range(1, count + 1):
         there = here.to(before.q + (after.q - before.q) * (k / count) if k < count else after.q)
@@ -166,9 +187,9 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
         if k < count:
             deviation = max(deviation, _distance_from_line(here.tip, before.tip, after.tip))
             margin, gap = min(margin, here.margin), max(gap, goal.violation(here) if goal.hindered else 0.0)
-    if deviation > solver.jump.aside * float(np.linalg.norm(after.tip - before.tip)) + solver.jump.least_aside:
+    if deviation > DEVIATION * float(np.linalg.norm(after.tip - before.tip)) + LEAST_DEVIATION:
         words.append(f"the tip leaves the line between the targets by {deviation * 1e3:.3g} mm")
-    if margin < min(goal.floor, before.margin, after.margin) - solver.margin_room:
+    if margin < min(goal.floor, before.margin, after.margin) - MARGIN_ROOM:
         words.append(f"the margin falls to {margin:.4g}")
     if gap > SLACK + max(goal.gap - goal.clearance, 0.0):
         words.append(
@@ -179,14 +200,14 @@ def jump_between(goal: Goal, before: Posture, after: Posture) -> tuple[str, bool
 
 def _far(goal: Goal, before: Posture, after: Posture) -> list[str]:
     """In words, the joint that moves farthest beyond what the motion of the tip explains; empty if none does."""
-    n, solver = goal.space.robot.n_tubes, goal.solver
+    n = goal.space.robot.n_tubes
     moved = np.abs(after.q - before.q) / goal.space.scale
     size = float(np.linalg.norm(after.tip - before.tip)) / goal.space.length
     if goal.pointed:
         size += angle(before.direction, after.direction)
-    allowed = np.where(np.arange(len(moved)) < n, solver.jump.turn, solver.jump.shift) * size + solver.jump.least
+    allowed = np.where(np.arange(len(moved)) < n, TURN_PER_MOVE, SHIFT_PER_MOVE) * size + LEAST_JUMP
     turn = np.arctan2(after.tip[1], after.tip[0]) - np.arctan2(before.tip[1], before.tip[0])
-    allowed[:n] += solver.jump.azimuth * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
+    allowed[:n] += TURN_PER_AZIMUTH * abs(float(turn + np.pi) % (2 * np.pi) - np.pi)
     worst = int(np.argmax(moved - allowed))
     if moved[worst] <= allowed[worst]:
         return []

@@ -13,15 +13,40 @@ from ..errors import SolveError
 from .answer import InverseSolution, InverseStatistics, InverseStatus
 from .arm_surface import ArmSurface
 from .clock import Clock
-from .closest import closest_of
-from .descent import correct, held_most, improve, millimetres, missed_by, reach
+from .closest import SAME_MISS, closest_of
+from .descent import ON_TARGET, correct, held_most, improve, millimetres, missed_by, reach
 from .gauss_newton import SLACK, Search
 from .goal import Goal
 from .joint_path import answer_at, straight_way
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place, start_at
 from .program import programmable, solve_program
-from .table import StartTable, nearest_starts, spread_starts, start_table
+from .table import POOL, StartTable, nearest_starts, spread_starts, start_table
+
+NEAREST = 12
+"""Starts that are taken as they come, the most promising first; those after them are spread over all postures."""
+
+CLEAR_STARTS = 8
+"""Starts clear of the obstacles that are tried where all others ended in one."""
+
+COMPARED = 3
+"""Answers among which the best is taken where there is an objective and no start."""
+
+DOUBTED = 4
+"""Answers that a cold forward kinematics does not find, after which one of them is taken."""
+
+UNANIMOUS = 10
+"""Starts that end at the same distance from the target, after which it counts as out of reach."""
+
+HOPELESS, FAR = 24, 0.02
+"""Starts that all end farther from the target than this share of the robot's length, after which it counts as out of
+reach."""
+
+SAME_COST = 1e-7
+"""Relative improvement of the cost by which a later solution replaces an earlier one."""
+
+PROGRAM_STARTS = 4
+"""Starts of the nonlinear program."""
 
 
 def known_starts(space: JointSpace, clock: Clock | None = None) -> StartTable:
@@ -75,14 +100,14 @@ class Multistart:
     def one(self) -> list[InverseSolution]:
         """The answer from the seed; else the best of the first ones that a cold forward kinematics agrees with: one
         where any answer will do, several where one is to be the best."""
-        wanted = self.goal.solver.starts.compared if self.goal.ranked else 1
+        wanted = COMPARED if self.goal.ranked else 1
         good: list[InverseSolution] = []
         doubtful: list[InverseSolution] = []
         for answer in self._by_starts():
             if answer.statistics.start == "seed":
                 return [answer]
             (good if answer.cold_start_agrees else doubtful).append(answer)
-            if len(good) == wanted or len(doubtful) == self.goal.solver.starts.doubted:
+            if len(good) == wanted or len(doubtful) == DOUBTED:
                 break
         if self.goal.ranked or not good:
             for answer in self._by_programs():
@@ -98,7 +123,7 @@ class Multistart:
         least = np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
-            if cost < least - self.goal.solver.starts.same_cost * max(abs(cost), 1e-3):
+            if cost < least - SAME_COST * max(abs(cost), 1e-3):
                 best, least = [answer], cost
         return best
 
@@ -147,7 +172,7 @@ class Multistart:
         if self.goal.options.method != "auto" or not programmable(self.goal):
             return
         self.ends.append([])
-        for start in self.stalled[: self.goal.solver.program.starts]:
+        for start in self.stalled[:PROGRAM_STARTS]:
             if self.goal.clock.over:
                 return
             if (answer := self._finished(self._by_program(start), "table", "nlp")) is not None:
@@ -158,8 +183,8 @@ class Multistart:
         if not self.goal.hindered:
             return
         self.ends.append([])
-        clear = (start for start in self._starts(self.goal.solver.starts.pool) if self.goal.violation(start) == 0)
-        for start in islice(clear, self.goal.solver.starts.clear):
+        clear = (start for start in self._starts(POOL) if self.goal.violation(start) == 0)
+        for start in islice(clear, CLEAR_STARTS):
             if self.goal.clock.over:
                 return
             before = self.tries
@@ -174,10 +199,8 @@ class Multistart:
         reference = goal.reference if goal.named else None
         target = (goal.position, goal.direction)
         known = known_starts(goal.space, goal.clock)
-        solver = goal.solver.starts
-        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference, weights=solver)
-        first = 0 if self.everywhere else solver.nearest
-        for q in spread_starts(goal.space, near, most, first=first, pool=solver.pool):
+        near = nearest_starts(goal.space, known, target, min_margin=goal.floor, reference=reference)
+        for q in spread_starts(goal.space, near, most, first=0 if self.everywhere else NEAREST):
             start = start_at(goal.space, q)
             if start is not None and start.margin >= goal.floor:
                 yield start
@@ -223,10 +246,9 @@ class Multistart:
 
     def _hopeless(self) -> bool:
         """Whether the target is most likely out of reach: starts agree on the closest pose, or all end far off."""
-        if self.agreeing >= self.goal.solver.starts.unanimous:
+        if self.agreeing >= UNANIMOUS:
             return True
-        far = self.least > self.goal.solver.starts.far * self.goal.space.length
-        return far and self.tries >= self.goal.solver.starts.hopeless
+        return self.least > FAR * self.goal.space.length and self.tries >= HOPELESS
 
     def _count(self, search: Search) -> None:
         self.iterations += search.iterations
@@ -235,7 +257,7 @@ class Multistart:
             return
         length = self.goal.space.length
         miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
-        same = self.goal.solver.starts.same_miss * length
+        same = SAME_MISS * length
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -251,7 +273,7 @@ class Multistart:
             return None
         goal, at = self.goal, search.posture
         if not goal.met(at):
-            at = correct(goal, at, goal.slope(at), close=goal.solver.descent.tolerance).posture or at
+            at = correct(goal, at, goal.slope(at), close=ON_TARGET).posture or at
         good = goal.met(at) and goal.allowed(at, SLACK)
         return self._packed(at, InverseStatus.REACHED, (name, method)) if good else None
 

@@ -16,7 +16,25 @@ import numpy as np
 
 from ..typing import Array
 from .clock import Clock
-from .task import Task
+from .task import STEP_SHIFT, STEP_TURN, Task
+
+LEVELS = 9
+"""Checked sections between start and goal, of every coordinate."""
+
+SCREENED = 48
+"""Random states that screen a section; most sections have an allowed one."""
+
+GRID_STATES = 20_000
+"""Maximum number of grid states; larger sections are not decided."""
+
+DOUBT = 2e-3
+"""Margin that states must lack to count as not allowed: more than the integration is off."""
+
+POCKET_STATES, POCKET_APART = 60, 0.02
+"""Number of states at which a region counts as open, and distance of two states in units of the joints' scales."""
+
+FAILED_MOTIONS = 1500
+"""Successive failed motions at which a region counts as closed."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +75,7 @@ class _Section:
 def wall(task: Task, start: Array, goals: Sequence[Array], clock: Clock, *, seed: int = 0) -> Wall | None:
     """What keeps a start from all goals, points (m,); None where nothing was found before the clock was over. Of
     several goals the one is told of which least is proved."""
-    margin, space = task.min_margin - task.effort.walls.doubt, task.chart.space
+    margin, space = task.min_margin - DOUBT, task.chart.space
     if not task.obstacles:  # turned as a whole, the robot is as it was: its joints may be turned at will
         lower, upper, n = space.lower.copy(), space.upper.copy(), space.robot.n_tubes
         lower[:n], upper[:n] = -np.inf, np.inf
@@ -79,9 +97,9 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
         if clock.over:
             return
         k = len(section.free)
-        if k and _any(task, section.points(random.random((task.effort.walls.screened, k))), clock):
+        if k and _any(task, section.points(random.random((SCREENED, k))), clock):
             continue
-        grid = section.grid(task.effort.walls.states)
+        grid = section.grid(GRID_STATES)
         if grid is None or _any(task, grid, clock) or clock.over:
             continue
         what = "margin and clearance" if task.obstacles else "the margin"
@@ -117,8 +135,7 @@ def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
     moved = np.flatnonzero(space.upper[n:] - space.lower[n:] > 1e-9) + n
     low = np.append(np.minimum(space.lower[:n], np.minimum(start, goal)[:n]) - np.pi, space.lower[n:])
     high = np.append(np.maximum(space.upper[:n], np.maximum(start, goal)[:n]) + np.pi, space.upper[n:])
-    levels = task.effort.walls.levels
-    shares = np.arange(1, levels + 1) / (levels + 1)
+    shares = np.arange(1, LEVELS + 1) / (LEVELS + 1)
     for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
         base = start + share * (goal - start)
         for row, name in rows:
@@ -144,7 +161,7 @@ def _section(name: str, base: Array, free: Array, box: tuple[Array, Array], task
         whole = turns and not task.obstacles
         low.append(0.0 if whole else box[0][i] - base[i])
         high.append(2 * np.pi if whole else box[1][i] - base[i])
-        step.append(task.effort.steps.turn if turns else task.effort.steps.shift * task.chart.space.length)
+        step.append(STEP_TURN if turns else STEP_SHIFT * task.chart.space.length)
     return _Section(name, base, free, np.array(low), np.array(high), np.array(step))
 
 
@@ -153,15 +170,15 @@ def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | No
     clock is over. Evidence, and no proof: motions of random length and direction are tried."""
     random = np.random.default_rng(seed)
     states, failed = [point], 0
-    while failed < task.effort.pockets.motions:
-        if clock.over or len(states) >= task.effort.pockets.states:
+    while failed < FAILED_MOTIONS:
+        if clock.over or len(states) >= POCKET_STATES:
             return None
         at = states[random.integers(len(states))]
         way = random.normal(size=len(point))
         there = at + 10 ** random.uniform(-2.5, 0.0) * way / np.linalg.norm(way) * task.scale
         apart = np.linalg.norm((np.array(states) - there) / task.scale, axis=1).min()
         if task.motion(at, there):
-            if apart > task.effort.pockets.apart:
+            if apart > POCKET_APART:
                 states, failed = [*states, there], 0
         else:
             failed += 1

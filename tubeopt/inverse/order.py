@@ -12,6 +12,15 @@ from ..typing import Array
 from .goal import Goal
 from .posture import Posture
 
+CLOSED_SECTION = 1e-7
+"""Length, m, of a section between breakpoints that counts as none."""
+
+SHORT_SECTION = 1e-4
+"""Length of a section, as a share of the robot's length, that may block a step like a closed one."""
+
+MOVED_PAST = 1e-5
+"""Distance that breakpoints are moved past each other, as a share of the robot's length."""
+
 
 @dataclass(frozen=True, eq=False)
 class Order:
@@ -87,9 +96,9 @@ def apart(goal: Goal, at: Posture) -> Posture:
     """The posture with breakpoints that coincide moved apart a little, where the limits allow."""
     space = goal.space
     n = space.robot.n_tubes
-    step = goal.solver.order.shift * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
+    step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
     place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
-    if (np.diff(place) > goal.solver.order.closed_section).all():
+    if (np.diff(place) > CLOSED_SECTION).all():
         return at
     for sign in (1.0, -1.0):
         q = at.q.copy()
@@ -113,7 +122,7 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> I
     n = space.robot.n_tubes
     for row, bound in crossed:
         q = at.q.copy()
-        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * goal.solver.order.shift * space.length
+        past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * MOVED_PAST * space.length
         q[n:] -= past * row / float(row @ row)
         q = space.clip(q)
         if not space.admissible(q):

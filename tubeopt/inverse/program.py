@@ -25,8 +25,20 @@ from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program
 from .gauss_newton import Search
 from .goal import Goal
-from .order import Order, apart, beyond, breakpoint_order
+from .order import CLOSED_SECTION, Order, apart, beyond, breakpoint_order
 from .posture import Posture
+
+ORDERS = 6
+"""Changes of the order of breakpoints that a solution goes through at most."""
+
+MOST_BODIES = 16
+"""Obstacles for which a program is built: every one costs as much as all of the arm."""
+
+BUILDING = 0.025
+"""Seconds that building it may take, per cube of the number of tubes, and per obstacle and one."""
+
+MARGIN_BEYOND = 1e-4
+"""Margin that it keeps beyond the bound: its Jacobi fields take coarser steps than forward kinematics."""
 
 
 def programmable(goal: Goal) -> bool:
@@ -35,7 +47,7 @@ def programmable(goal: Goal) -> bool:
     if goal.extras.constraints or goal.extras.cost is not None:
         return False
     bodies = goal.scene.bodies
-    few = len(bodies) <= goal.solver.program.bodies
+    few = len(bodies) <= MOST_BODIES
     return few and not goal.overdetermined and all(has_formula(body) for body in bodies)
 
 
@@ -43,7 +55,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
     """The program's solution from an allowed posture, on target or not, and through changes of order."""
     here, iterations = apart(goal, start), 0
     best, least = here, (np.inf, np.inf)
-    for _ in range(goal.solver.program.orders + 1):
+    for _ in range(ORDERS + 1):
         if goal.clock.left < building(goal):
             break
         found, count, crossed = _solve_order(goal, here)
@@ -63,7 +75,7 @@ def solve_program(goal: Goal, start: Posture) -> Search:
 
 def building(goal: Goal) -> float:
     """Seconds that it may take to build the program and to begin to solve it, which nothing can cut short."""
-    return goal.solver.program.building * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
+    return BUILDING * goal.space.robot.n_tubes**3 * (1 + len(goal.scene.bodies))
 
 
 def _score(goal: Goal, at: Posture) -> tuple[float, float]:
@@ -96,7 +108,7 @@ def _solve_order(goal: Goal, at: Posture) -> tuple[Posture | None, int, list[tup
         return None, found.statistics.iterations, []
     gap = order.rows @ found.values["translations"] - order.bound
     force = found.multipliers.get("order of breakpoints", np.zeros(0)) * goal.space.length
-    pressed = ((gap <= 10 * goal.solver.order.closed_section) & (np.abs(force) > 1e-7))[: order.changeable]
+    pressed = ((gap <= 10 * CLOSED_SECTION) & (np.abs(force) > 1e-7))[: order.changeable]
     crossed = [(order.rows[k], float(order.bound[k])) for k in np.flatnonzero(pressed)]
     return posture, found.statistics.iterations, crossed
 
@@ -143,7 +155,7 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
         "position": goal.position,
         "direction": np.zeros(3) if goal.direction is None else goal.direction,
         "direction weight": np.array(goal.direction_weight or 0.0),
-        "least margin": np.array(goal.min_margin + goal.solver.program.margin_room),
+        "least margin": np.array(goal.min_margin + MARGIN_BEYOND),
         "clearance": np.array(goal.gap),
         "radius": at.outline.radius(mesh.start + 0.5 * mesh.length),
         "reference": at.q if goal.objective is None else goal.reference,

@@ -22,6 +22,25 @@ SEARCHES = ("auto", "rrt_connect", "optimal")
 """Ways of searching."""
 
 
+WALL_SECONDS, WALL_SHARE = 5.0, 0.15
+"""Maximum duration of the search for obstructions, s, and share of the remaining time."""
+
+DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
+"""The same of paths by translations that exclude snaps."""
+
+DETOUR_SAMPLES, MOST_DETOURS = 160, 24
+"""Translations among which such are searched for, and paths that are tried, shortest first."""
+
+LONG_MOTION = 1.2
+"""Longest motion that RRT-Connect tries at once, in units of the joints' scales; short ones have a quarter of it."""
+
+LONG_SHARE, REASON_SHARE = 0.5, 0.3
+"""Share of the remaining time for long motions; short ones get the rest. The second if an obstruction is known."""
+
+POCKET_SHARE = 0.3
+"""Share of the time that long motions leave for the test whether start or goal lie in a closed region."""
+
+
 @dataclass(frozen=True, eq=False)
 class Way:
     """What was found between points of the chart."""
@@ -57,14 +76,14 @@ def find_way(
         tried += 1
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
-    effort, seconds = task.effort, improving if how == "optimal" else None
-    between = wall(task, start, goals, Clock(min(effort.walls.seconds, effort.walls.share * clock.left)), seed=seed)
+    seconds = improving if how == "optimal" else None
+    between = wall(task, start, goals, Clock(min(WALL_SECONDS, WALL_SHARE * clock.left)), seed=seed)
     if between is not None and between.proved:
         return Way(None, "search", tried, None, between.words, True)
     if how != "rrt_connect" and between is None:
-        share = Clock(min(effort.detours.seconds, effort.detours.share * clock.left))
+        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * clock.left))
         for goal in goals:
-            for shift in islice(certified_translations(task, start, goal, share), effort.detours.most):
+            for shift in islice(certified_translations(task, start, goal, share), MOST_DETOURS):
                 # Translations change, tips turn where nothing can snap, and translations go on from there.
                 points = [start, np.append(start[:n], shift), np.append(goal[:n], shift), goal]
                 tried += len(points) - 1
@@ -93,7 +112,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
     space = task.chart.space
     n = space.robot.n_tubes
     ends = start[n:], goal[n:]
-    drawn = space.sample(task.effort.detours.samples)[:, n:]
+    drawn = space.sample(DETOUR_SAMPLES)[:, n:]
     # On the way from an end to a sample the certificate usually grows: the first point that has it is the nearest.
     table = np.concatenate([end + x * (drawn - end) for end in ends for x in (0.25, 0.5, 0.75, 1.0)])
     far = sum(np.linalg.norm((table - end) / task.scale[n:], axis=1) for end in ends)
@@ -138,7 +157,7 @@ def by_sampling(
         raise InputError("planning needs OMPL: pip install 'tubeopt[planning]'") from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(seed + 1)
-    scale, count, long = task.scale, [tried], task.effort.trees.motion
+    scale, count = task.scale, [tried]
 
     def moves(one: Array, other: Array) -> bool:
         if clock.over:
@@ -153,18 +172,17 @@ def by_sampling(
         planner = geometric.BITstar(information)
     else:
         planner = geometric.RRTConnect(information)
-        planner.setRange(long)
+        planner.setRange(LONG_MOTION)
     planner.setProblemDefinition(problem)
     planner.setup()
-    share = task.effort.trees.reason_share if reason else task.effort.trees.long_share
-    first = clock if seconds is not None else clock.part(share)
+    first = clock if seconds is not None else clock.part(REASON_SHARE if reason else LONG_SHARE)
     planner.solve(base.PlannerTerminationCondition(lambda: first.over))
     if first is not clock and not problem.hasExactSolution():
-        reason = reason or closed_off(task, start, goals, clock.part(task.effort.pockets.share), seed=seed)
+        reason = reason or closed_off(task, start, goals, clock.part(POCKET_SHARE), seed=seed)
         if reason:
             return replace(_way(problem, scale, (start, goals), count[0]), why=reason)
         # Where long motions do not lead on, short ones may.
-        planner.setRange(long / 4)
+        planner.setRange(LONG_MOTION / 4)
         planner.solve(base.PlannerTerminationCondition(lambda: clock.over))
     data = base.PlannerData(information)
     planner.getPlannerData(data)

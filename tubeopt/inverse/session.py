@@ -20,7 +20,7 @@ from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
 from .configurations import Configuration
 from .descent import held_by, missed_by, moved, on_target, reach
-from .gauss_newton import Model
+from .gauss_newton import FIRST_STEP, Model
 from .goal import Goal, pose_question, unit_vector
 from .joint_path import answer_at, joint_path_of, jump_between
 from .order import Order, breakpoint_order, crossings
@@ -28,6 +28,30 @@ from .posture import Posture, posture_of, same_place, start_posture
 from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import answers_of
+
+STEP_TOLERANCE = 2e-9
+"""Distance, m, and angle, rad, at which a step ends."""
+
+MOVE = 0.02
+"""Share of the robot's length; farther targets are approached in so long parts on a straight line."""
+
+LEAST_PART = 1 / 16
+"""Smallest part, as a share of the longest, into which a step is divided to avoid a jump."""
+
+PUSH = 0.5
+"""Length of the motion towards larger margin, over that of the motion towards the target."""
+
+CAREFUL = 0.15
+"""Margin above its bound below which derivatives are computed anew for every step."""
+
+CLEARANCE_PER_MOVE, LEAST_CLEARANCE = 4.0, 2e-4
+"""Spare clearance of a step that ignores obstacles: per distance that the tip moves, and besides, m."""
+
+STALE_SOLVES, STALE_STEPS = 4, 8
+"""Equilibria of a step, and steps, after which derivatives are computed anew."""
+
+CLOSING_SECTION = 1e-3
+"""Length, m, of a section that a step may close."""
 
 LAST = "last target"
 """Where the way to an answer begins."""
@@ -156,7 +180,7 @@ class IkSession:
             part = goal if end == 1 else _between(goal, first, end)
             there, near, solves = self._step((part, goal), here, self._near)
             words, safe = jump_between(goal, here, there)
-            if words and share > most * goal.solver.session.part and self._finer(goal, (first, here), done + share / 2):
+            if words and share > most * LEAST_PART and self._finer(goal, (first, here), done + share / 2):
                 share /= 2
                 continue
             answers.append(self._keep(part, (here, there), near, (words, safe, solves, began)))
@@ -204,15 +228,14 @@ class IkSession:
         """The posture on the first of two goals, which lies on the way to the other; derivatives for the next step, and
         the equilibria solved."""
         goal, last = goals
-        solver = goal.solver
-        if here.margin < goal.floor + solver.session.careful or (near is not None and near.age >= solver.session.age):
+        if here.margin < goal.floor + CAREFUL or (near is not None and near.age >= STALE_STEPS):
             near = None
         solves = 0
         for start, slopes, order, guarded in _attempts(goal, here, near):
             moved, after, count = _servo(goal, start, slopes, order, guarded=guarded)
             solves += count
             if moved is not None:
-                return moved, after if count <= solver.session.solves else None, solves
+                return moved, after if count <= STALE_SOLVES else None, solves
         search = reach(goal, here)
         if search.reached:
             return search.posture, None, solves + search.solves
@@ -251,10 +274,9 @@ def _summed(parts: Sequence[InverseStatistics]) -> InverseStatistics:
 
 def _parts(goal: Goal, here: Posture) -> int:
     """Parts in which a target is approached on a straight line: one, unless it is far."""
-    longest = goal.solver.session.move
-    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (longest * goal.space.length)))
+    count = int(np.ceil(float(np.linalg.norm(goal.position - here.tip)) / (MOVE * goal.space.length)))
     turned = goal.direction_error(here) if goal.pointed else 0.0
-    return max(1, count, int(np.ceil(turned / (10 * longest))))
+    return max(1, count, int(np.ceil(turned / (10 * MOVE))))
 
 
 def _between(goal: Goal, first: Posture, share: float) -> Goal:
@@ -279,7 +301,7 @@ def _attempts(goal: Goal, here: Posture, near: _Slopes | None) -> Iterator[tuple
     if goal.hindered:
         yield here, fresh, None, True
     yield here, fresh, breakpoint_order(goal, here), True
-    for other in crossings(goal, here, goal.solver.session.section):
+    for other in crossings(goal, here, CLOSING_SECTION):
         yield other, _Slopes(goal.slope(other), other.margin_slope(), 0), breakpoint_order(goal, other), True
 
 
@@ -287,7 +309,7 @@ def _roomy(goal: Goal, here: Posture) -> bool:
     """Whether the arm is so far from all bodies that a step to the target will not bring it to them, as a rule."""
     if goal.extras.constraints:
         return False
-    enough = goal.gap + goal.solver.session.least_room + goal.solver.session.room * goal.position_error(here)
+    enough = goal.gap + LEAST_CLEARANCE + CLEARANCE_PER_MOVE * goal.position_error(here)
     return here.outline.clearance(goal.scene, enough) >= enough
 
 
@@ -296,11 +318,11 @@ def _servo(
 ) -> tuple[Posture | None, _Slopes, int]:
     """One step towards the target and, in what it leaves free, towards larger margin; then corrections. The posture is
     None where it is not allowed."""
-    residual, solver = goal.residual(here), goal.solver
-    if goal.reached(here, solver.session.tolerance, solver.session.tolerance):
+    residual = goal.residual(here)
+    if goal.reached(here, STEP_TOLERANCE, STEP_TOLERANCE):
         return here, near, 0
     rows, bounds = goal.space.inequalities(here.q)
-    if here.margin < goal.floor + solver.session.careful or (guarded and goal.hindered):
+    if here.margin < goal.floor + CAREFUL or (guarded and goal.hindered):
         rows, bounds = goal.inequalities(here)
     if order is not None:
         rows, bounds = order.kept(here.q, rows, bounds)
@@ -309,15 +331,13 @@ def _servo(
     size = float(np.linalg.norm(np.linalg.pinv(near.target * scale) @ residual))
     push = near.margin * scale if here.margin < 1 - 1e-6 else np.zeros(len(scale))
     steep = float(np.linalg.norm(push))
-    aside = push * (solver.session.push * size * min(1.0, 1.0 / steep)) if steep > 0 else push
-    target = on_target(goal, near.target, residual)
-    chosen = Model(np.diag(1 / scale), aside, *target, rows, np.minimum(bounds, 0.0)).step(
-        goal, solver.descent.first_step
-    )
+    aside = push * (PUSH * size * min(1.0, 1.0 / steep)) if steep > 0 else push
+    target = on_target(near.target, residual)
+    chosen = Model(np.diag(1 / scale), aside, *target, rows, np.minimum(bounds, 0.0)).step(goal, FIRST_STEP)
     if chosen is None:
         return None, near, 1
     most = 4 if order is None else 8
-    back = moved(goal, here, chosen.x, near.target, close=solver.session.tolerance, most=most, order=order)
+    back = moved(goal, here, chosen.x, near.target, close=STEP_TOLERANCE, most=most, order=order)
     return back.posture, _Slopes(back.slope, near.margin, near.age + 1), back.solves
 
 

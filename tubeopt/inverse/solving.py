@@ -35,6 +35,19 @@ from .multistart import Multistart, known_home
 from .posture import posture_of, start_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions
 
+SHOTS = 40
+"""Solutions without load, and rounds of corrections of margin and clearance, in search of one under a load."""
+
+AIM_TOLERANCE, STALLED = 2e-9, 1e-7
+"""Distance, m, and angle, rad, at which the aim is good; and the miss, as a share of the arm or as an angle, below
+which round-off ends the iteration."""
+
+AIM_GAIN, POOR_SHOTS = 0.9, 4
+"""Largest ratio of successive misses of a converging iteration, and shots above it after which it does not converge."""
+
+AIM_ROOM = 1e-3
+"""Margin, and share of the arm's length as clearance, that are required beyond what was found missing."""
+
 
 class Asked(TypedDict, total=False):
     """What `inverse_kinematics` may be asked besides, with one answer or all."""
@@ -181,16 +194,16 @@ def _under_load(goal: Goal, start: Configuration | None, load: Load, *, held: bo
     """
     if goal.direction_weight is not None:
         raise InputError("direction_weight is given; under load a direction is a constraint or free")
-    wanted, last, room = goal, start, goal.solver.aim.room
-    for _ in range(goal.solver.aim.shots):
+    wanted, last = goal, start
+    for _ in range(SHOTS):
         last, e = _aim(wanted, last, load, held=held)
         answer = _loaded_answer(last, e, goal)
         short = goal.min_margin - e.margin
         near = goal.clearance - ArmSurface(e).clearance(goal.scene) if goal.scene.bodies else -1.0
         if short <= 0 and near <= 0:
             return answer
-        floor = wanted.min_margin + max(short, 0.0) + (room if short > 0 else 0.0)
-        clearance = wanted.clearance + max(near, 0.0) + (room * float(e.arc_length[-1]) if near > 0 else 0.0)
+        floor = wanted.min_margin + max(short, 0.0) + (AIM_ROOM if short > 0 else 0.0)
+        clearance = wanted.clearance + max(near, 0.0) + (AIM_ROOM * float(e.arc_length[-1]) if near > 0 else 0.0)
         if floor >= 1:
             break
         wanted = replace(wanted, min_margin=floor, options=replace(wanted.options, clearance=clearance))
@@ -212,11 +225,11 @@ def _without_load(start: Configuration | None) -> Configuration | None:
 def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> tuple[InverseSolution, Equilibrium]:
     """An answer without load whose loaded equilibrium is on target: by Broyden's method in where the unloaded tip is
     and, where it is wanted, in its direction, from as if the load moved all tips alike."""
-    at, missed, poor, solver = goal, np.inf, 0, goal.solver.aim
+    at, missed, poor = goal, np.inf, 0
     slope: Array = np.eye(3 if goal.direction is None else 6)
     before: Array | None = None
     step = slope[0]
-    for _ in range(solver.shots):
+    for _ in range(SHOTS):
         if isinstance(last, InverseSolution) and not held:
             here = goal.space.join(last.rotations, last.translations)
             at = replace(at, named=True, objective=at.objective or "nearest", reference=here)
@@ -227,12 +240,12 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
         gap = goal.position - e.tip_position
         turn = 0.0 if goal.direction is None else angle(e.tip_rotation[:, 2], goal.direction)
         last_miss, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
-        if max(float(np.linalg.norm(gap)), turn) <= solver.tolerance:
+        if max(float(np.linalg.norm(gap)), turn) <= AIM_TOLERANCE:
             return last, e
-        poor += missed > solver.gain * last_miss
-        if poor and missed <= solver.stalled:
+        poor += missed > AIM_GAIN * last_miss
+        if poor and missed <= STALLED:
             return last, e
-        if poor > solver.poor:
+        if poor > POOR_SHOTS:
             break
         length, off = float(e.arc_length[-1]), gap
         if goal.direction is not None:

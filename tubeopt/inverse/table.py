@@ -24,7 +24,6 @@ from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .clock import Clock
 from .joints import JointSpace
-from .settings import DEFAULT_SOLVER, Starts
 
 VERSION = 4
 """Of what the table holds: a change of it makes old files unread."""
@@ -36,6 +35,13 @@ MANY = 8
 
 WIDEST = np.pi / 2
 """Largest separation of the tubes of an eccentric segment in the table; 120 deg is straight."""
+
+POOL = 400
+"""Configurations, the most promising, among which starts are spread."""
+
+DIRECTION_WEIGHT, NEARNESS_WEIGHT = 0.35, 0.02
+"""Weights, in the ranking of starts, of the direction error and of the distance from a reference (in units of the
+joints' scales), relative to the position error over the robot's length."""
 
 LEAST_MARGIN = 0.01
 """Margin from which on a configuration is worth keeping."""
@@ -166,7 +172,6 @@ def nearest_starts(
     *,
     min_margin: float,
     reference: Array | None,
-    weights: Starts = DEFAULT_SOLVER.starts,
 ) -> Array:
     """(k, m) configurations of a table, turned towards a target (position, direction or None), most promising first.
 
@@ -195,22 +200,20 @@ def nearest_starts(
     turn = np.where(outside, part, turn)
     cost = np.linalg.norm(_turned(tip, turn) - position, axis=1) / space.length
     if direction is not None:
-        cost = cost + weights.direction_weight * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
+        cost = cost + DIRECTION_WEIGHT * np.linalg.norm(_turned(pointing, turn) - direction, axis=1)
     if reference is not None:
-        cost = cost + weights.nearness_weight * np.linalg.norm((turned - reference) / space.scale, axis=1)
+        cost = cost + NEARNESS_WEIGHT * np.linalg.norm((turned - reference) / space.scale, axis=1)
     # Rounded, so that round-off does not choose among mirror images.
     return space.clip(turned[np.argsort(np.round(cost, 9), kind="stable")])
 
 
-def spread_starts(
-    space: JointSpace, q: Array, count: int, *, first: int, pool: int = DEFAULT_SOLVER.starts.pool
-) -> Iterator[Array]:
+def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Iterator[Array]:
     """At most `count` of joint values (k, m) sorted by promise: the `first` of them, then such as differ most from all
-    chosen before, among the `pool` most promising; each is looked for when it is asked for."""
+    chosen before, among the `POOL` most promising; each is looked for when it is asked for."""
     if len(q) <= first:
         yield from q
         return
-    q = q[: max(pool, first + 1)]
+    q = q[: max(POOL, first + 1)]
     yield from q[: max(first, 1)]
     n = space.robot.n_tubes
     relative = q[:, :n] - q[:, n - 1 : n]

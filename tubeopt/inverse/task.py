@@ -16,8 +16,21 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Scene, scene_of
 from ..typing import Array, Mask
 from .clock import Clock, LateError
-from .joint_path_settings import DEFAULT_WAY, PathSearch
 from .tip_coordinates import BATCH, Arms, TipCoordinates
+
+STEP_TURN, STEP_JOINT, STEP_SHIFT = 0.15, 0.35, 0.02
+"""Largest changes between two checked points of a motion: of a tip rotation and of a joint rotation, rad, and of a
+translation, as a share of the longest tube."""
+
+HALVINGS = 4
+"""Maximum number of bisections where the reserve is small."""
+
+CLEARANCE_SLOPE, MARGIN_SLOPE = 3e-4, 0.02
+"""Required reserves of the clearance, m, and of the margin, per distance from an end in units of the joints' scales, up
+to those of full steps. No reserve is needed at the end itself."""
+
+WINDOWS, WINDOW_POINTS = 12, 9
+"""Intervals along an arm that are checked with finer points, and points of each."""
 
 SAME = 1e-9
 """Distance (joints' scales) of points that are one."""
@@ -44,8 +57,6 @@ class Task:
     """Clearance (m) to spare at least, but for the neighbourhood of `ends`."""
     ends: Array | None = None
     """(k, m) points of the chart that were found to be allowed by other code."""
-    effort: PathSearch = DEFAULT_WAY
-    """How hard a way is searched for."""
     clock: Clock = field(default_factory=lambda: Clock(math.inf))
     """When it is over, looking at points raises LateError, and no further motion is found to hold."""
     _held: dict[tuple[bytes, bytes], int] = field(default_factory=dict, init=False, repr=False)
@@ -97,14 +108,14 @@ class Task:
         if not len(rows):
             return np.asarray(least)
         step = step[rows, None, None]
-        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, : self.effort.steps.windows], axis=1)
+        middle = np.take_along_axis(s[rows], np.argsort(gap[rows], axis=1)[:, :WINDOWS], axis=1)
         for _ in range(2):
-            near = middle[..., None] + np.linspace(-1, 1, self.effort.steps.window_points) * step
+            near = middle[..., None] + np.linspace(-1, 1, WINDOW_POINTS) * step
             near = np.clip(near, 0.0, s[rows, -1, None, None]).reshape(len(rows), -1)
             gap = self._gap(arms, near, arms.at(near, rows), rows)
             least[rows] = np.minimum(least[rows], gap.min(1))
             middle = np.take_along_axis(near, gap.argmin(1)[:, None], axis=1)
-            step = step * 2 / (self.effort.steps.window_points - 1)
+            step = step * 2 / (WINDOW_POINTS - 1)
         return np.asarray(least)
 
     def _gap(self, arms: Arms, s: Array, points: Array, rows: NDArray[np.intp], within: float = np.inf) -> Array:
@@ -117,7 +128,7 @@ class Task:
 
     def arms(self, z: Array) -> Arms:
         """The equilibria of points (N, m), `stable` by the margin to keep and its room."""
-        floor = self.min_margin + np.minimum(self.margin_room, self.effort.steps.margin_slope * self._away(z))
+        floor = self.min_margin + np.minimum(self.margin_room, MARGIN_SLOPE * self._away(z))
         return self.chart.arms(z, floor, self.clock)
 
     def _away(self, z: Array) -> Array:
@@ -128,7 +139,7 @@ class Task:
 
     def needed(self, z: Array) -> Array:
         """(N,) clearance (m) that points must have to spare."""
-        return np.minimum(self.floor, self.effort.steps.clearance_slope * self._away(z))
+        return np.minimum(self.floor, CLEARANCE_SLOPE * self._away(z))
 
     def spare(self, z: Array, *, arms: Arms | None = None) -> Array:
         """(N,) what points have to spare of margin and clearance, as a share of the room; negative where they do not
@@ -141,7 +152,7 @@ class Task:
         away = self._away(z)
         known = away < SAME
         allowed = inside & (arms.stable | known)
-        spare = np.minimum(1.0, self.effort.steps.margin_slope * away / self.margin_room)
+        spare = np.minimum(1.0, MARGIN_SLOPE * away / self.margin_room)
         if self.obstacles and allowed.any():
             rows = np.flatnonzero(allowed)
             left = self.clearances(arms.some(rows), self.clearance + self.clearance_room) - self.clearance
@@ -190,9 +201,9 @@ class Task:
 
     def _halved(self, line: Array, spare: Array) -> int | None:
         """`fineness` of a motion whose points (k, m) have something to spare."""
-        for halvings in range(self.effort.steps.halvings + 1):
+        for halvings in range(HALVINGS + 1):
             tight = np.flatnonzero(np.minimum(spare[:-1], spare[1:]) < 0.25**halvings)
-            if not len(tight) or halvings == self.effort.steps.halvings:
+            if not len(tight) or halvings == HALVINGS:
                 return halvings
             middle = (line[tight] + line[tight + 1]) / 2
             found = self.spare(middle)
@@ -203,12 +214,12 @@ class Task:
 
     def line(self, start: Array, end: Array, rotations: Array | None = None) -> Array:
         """(k, m) points of a motion that are to be checked, from end to end, whose `rotations` (2, n) may be known."""
-        n, steps = self.chart.space.robot.n_tubes, self.effort.steps
+        n = self.chart.space.robot.n_tubes
         change = np.abs(end - start)
         turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
         joint = np.abs(turned[1] - turned[0]).max()
-        shift = change[n:].max(initial=0.0) / (steps.shift * self.chart.space.length)
-        count = int(np.ceil(max(change[:n].max() / steps.turn, joint / steps.joint, shift, 1.0)))
+        shift = change[n:].max(initial=0.0) / (STEP_SHIFT * self.chart.space.length)
+        count = int(np.ceil(max(change[:n].max() / STEP_TURN, joint / STEP_JOINT, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
         return np.concatenate([start[None], start + x * (end - start), end[None]])
 

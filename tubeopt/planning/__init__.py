@@ -3,10 +3,9 @@
 from .arm_distance_bound import PairProof
 from .arms import ArmsProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
-from .effort import PlanEffort, ProofSearch
 from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
-from .leader import LeaderSolver, follow_the_leader
+from .leader import follow_the_leader
 from .motion import RateLimits
 from .pair_reach import PairReach, PairShare
 from .plan import plan_trajectory
@@ -14,7 +13,7 @@ from .proof import Proof, verify_trajectory
 from .question import PlanOptions
 from .reach_share import ReachShare, RegionReach, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
-from .tip_path import TipPathSolver, follow_tip_path
+from .tip_path import follow_tip_path
 from .trajectory import Entry, PlanStatistics, Trajectory
 
 __all__ = [
@@ -22,22 +21,18 @@ __all__ = [
     "ArmsProof",
     "Entry",
     "EntryRegion",
-    "LeaderSolver",
     "PairProof",
     "PairReach",
     "PairShare",
     "PlacedRobot",
-    "PlanEffort",
     "PlanOptions",
     "PlanStatistics",
     "Proof",
-    "ProofSearch",
     "RateLimits",
     "ReachShare",
     "RegionReach",
     "Roadmap",
     "TipGoal",
-    "TipPathSolver",
     "Trajectory",
     "build_roadmap",
     "evaluate_reach",

@@ -28,6 +28,9 @@ from .clearance_bound import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .sections import Intervals
 
+MOST_ROUNDS = 12
+"""Times that intervals in which nothing sharp is shown of two arms are halved."""
+
 SHORT = 1e-12
 """Length (m) of a section that is none."""
 
@@ -195,7 +198,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
     something that does not move is `most` apart, m."""
     one, other = tracks
     measured, when = np.inf, 0.0
-    for _ in range(one.follower.effort.arms_rounds):
+    for _ in range(MOST_ROUNDS):
         times = np.union1d(one.times, other.times)
         times = times if len(times) > 1 else np.repeat(times, 2)
         bound, sides, closest, then = _bounds((one, other), times, wanted, measured)

@@ -29,12 +29,17 @@ from ..typing import Array
 from .arm_distance_bound import PairProof, apart, tracked
 from .clearance_bound import Table, Wanted
 from .cross_sections import Constants
-from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import RateLimits
 from .passage import Follower
 from .proof import Proof, ProofStatus, verify_trajectory
 
 PLATE = Frame()
+
+ACCURACY = 5e-5
+"""Largest distance of the bound of the distance of two arms below the smallest measured one, m."""
+
+MOST_CELLS = 4_000_000
+"""Maximum number of space-time cells of two arms. With too few the bound is less sharp, but still valid."""
 
 CLOSE = "come as close as about"
 """How a fault of two arms begins that is one, not only nothing that is shown."""
@@ -166,7 +171,7 @@ def called(arms: Sequence[PlacedRobot], k: int) -> str:
 
 
 @typed
-def verify_arms(  # noqa: PLR0913
+def verify_arms(
     arms: Sequence[PlacedRobot],
     motions: Sequence[TimedMotion],
     *,
@@ -176,7 +181,6 @@ def verify_arms(  # noqa: PLR0913
     clearance: float = 0.0,
     rate_limits: RateLimits | None = None,
     time_limit: float = LONG_TIME_LIMIT,
-    effort: ProofSearch = DEFAULT_PROOF,
 ) -> ArmsProof:
     """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
 
@@ -186,7 +190,7 @@ def verify_arms(  # noqa: PLR0913
     Args:
         motions: one for each arm, their times on one clock.   starts: stable equilibria at the first samples.
         obstacles: in the frame that the arms share; each arm keeps `clearance` (m) from them and from all other arms.
-        min_margin, rate_limits, effort: as in `verify_trajectory`, of every arm.
+        min_margin, rate_limits: as in `verify_trajectory`, of every arm.
         time_limit: s, for all arms together.
 
     Raises:
@@ -226,16 +230,15 @@ def verify_arms(  # noqa: PLR0913
                     clearance=clearance,
                     rate_limits=rate_limits,
                     time_limit=max(clock.left, LEAST_SECONDS),
-                    effort=effort,
                 )
             )
-        wanted = Wanted(0.0, effort.arms_accuracy, effort.cells)
-        follower = Follower(arm.robot, scene_of(()), wanted, clock, effort)
+        wanted = Wanted(0.0, ACCURACY, MOST_CELLS)
+        follower = Follower(arm.robot, scene_of(()), wanted, clock)
         tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        wanted = Wanted(clearance, effort.arms_accuracy, effort.arms_cells)
+        wanted = Wanted(clearance, ACCURACY, MOST_CELLS)
         most = between_plates(known[i], known[j])
         pairs.append(apart((i, j), (tracks[i], tracks[j]), wanted, most))
         faults += _between(known, pairs[-1], clearance)

@@ -42,12 +42,23 @@ from .arms import (
     plate_of,
     verify_arms,
 )
-from .effort import DEFAULT_EFFORT, ArmsSearch
 from .goals import check_goal, goal_seen, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits
 from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions
 from .trajectory import Trajectory
+
+DELAYS = 41
+"""Delays tried for a robot, from none to the rest of all earlier ones."""
+
+INSTANTS, POINTS = 80, 64
+"""Instants of a motion, and points per arm, that determine delays."""
+
+ROOM = 3e-4
+"""Reserve of the distance between moving arms, m, for the error between instants and points."""
+
+REST_CHORD = 2e-3
+"""Longest piece of an arm at rest that is taken as straight, m."""
 
 Move = tuple[int, Trajectory]
 """Of an arm, from time 0."""
@@ -106,10 +117,7 @@ class ArmsPlan(Displayed):
     def clearance(self, times: ArrayLike) -> Array:
         """Required clearance, m."""
         t = np.asarray(times, dtype=float)
-        lines = [
-            _moving(arm, each, DEFAULT_EFFORT.arms.points).at_times(t)
-            for arm, each in zip(self.arms, self.trajectories, strict=True)
-        ]
+        lines = [_moving(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
         return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
 
 
@@ -161,7 +169,7 @@ def plan_arms(
         with of_arm(known, k):
             space = joint_space(known[k].robot, None, options.carriage_gap, options.section_length)
             first.append(start_equilibrium(space.holding(*shift_of(known[k].robot, start)), start))
-    _check_starts(known, first, options.clearance, options.effort.arms.points)
+    _check_starts(known, first, options.clearance)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
     for k, goal in enumerate(goals):
         with of_arm(known, k):
@@ -172,7 +180,7 @@ def plan_arms(
         others: list[Obstacle] = []
         for j, end in enumerate(ends):
             if j != k:
-                others += [plate_of(known[j]), *at_rest(end, known[j].base, options.effort.arms.rest_chord)]
+                others += [plate_of(known[j]), *at_rest(end, known[j].base, REST_CHORD)]
         asked: dict[str, Any] = {
             "obstacles": seen_from(arm.base, [*bodies, *others]),
             "min_margin": min_margin,
@@ -185,8 +193,8 @@ def plan_arms(
 
     order, moves = _one_by_one(known, first, planned, clock)
     asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
-    asks |= {"min_margin": min_margin - 1e-6, "effort": options.effort.proof}
-    for motions in _sooner(known, first, moves, options.clearance, options.effort.arms):
+    asks["min_margin"] = min_margin - 1e-6
+    for motions in _sooner(known, first, moves, options.clearance):
         proof = verify_arms(known, motions, time_limit=max(clock.left, LEAST_SECONDS), **asks)
         if proof.holds or clock.over:
             break
@@ -197,9 +205,9 @@ def plan_arms(
     return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 
 
-def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float, points: int) -> None:
+def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:
     """Raise SolveError where two arms are too close before they move."""
-    lines = [Lines.of([e], points, arm.base) for arm, e in zip(arms, first, strict=True)]
+    lines = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
         gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
         if gap < clearance:
@@ -279,36 +287,35 @@ def _sooner(
     first: Sequence[Equilibrium],
     moves: Sequence[Move],
     clearance: float,
-    effort: ArmsSearch,
 ) -> Iterator[tuple[Trajectory, ...]]:
     """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
     after the other."""
-    lines = [_moving(arms[k], motion, effort.points) for k, motion in moves]
-    for room in (effort.room, 4 * effort.room, np.inf):
-        whole = [Lines.of([e], effort.points, arm.base) for arm, e in zip(arms, first, strict=True)]
+    lines = [_moving(arms[k], motion) for k, motion in moves]
+    for room in (ROOM, 4 * ROOM, np.inf):
+        whole = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
-            delays = np.linspace(earliest, latest, effort.delays)[:-1].tolist() if np.isfinite(room) else []
+            delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(room) else []
             others = [each for j, each in enumerate(whole) if j != k]
-            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room, effort))
+            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room))
             at = next(moved, latest)
             whole[k] = Lines.joined([whole[k], line.later(at)])  # with rest in between
             parts[k].append(replace(motion, time=motion.time + at))
         yield tuple(_joined(each) for each in parts)
 
 
-def _moving(arm: PlacedRobot, motion: Trajectory, count: int) -> Lines:
+def _moving(arm: PlacedRobot, motion: Trajectory) -> Lines:
     """An arm at all samples of its motion, in the frame that arms share."""
-    return replace(Lines.of(motion.arms, count, arm.base), time=motion.time)
+    return replace(Lines.of(motion.arms, POINTS, arm.base), time=motion.time)
 
 
-def _clear(line: Lines, others: Sequence[Lines], since: float, room: float, effort: ArmsSearch) -> bool:
+def _clear(line: Lines, others: Sequence[Lines], since: float, room: float) -> bool:
     """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
     it was planned for."""
     for other in others:
         if other.time[-1] > since:
-            times = np.linspace(since, other.time[-1], effort.instants)
+            times = np.linspace(since, other.time[-1], INSTANTS)
             if line.at_times(times).gaps(other.at_times(times)).min() < room:
                 return False
     return True

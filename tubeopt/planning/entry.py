@@ -32,6 +32,12 @@ from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .trajectory import Entry, Trajectory
 
+ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
+"""Random arms that rank poses of the plate, those considered per goal position (nearest first), and points of each."""
+
+SPLIT = 4
+"""While more than so many poses of the plate remain, each gets this fraction of the remaining time."""
+
 MOST = 16384
 """Places of the plate that can be looked at."""
 
@@ -155,7 +161,7 @@ def plan_from_region(
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:
-        limit = max(task.clock.left / min(left, options.effort.shares.entry), 1e-3)
+        limit = max(task.clock.left / min(left, SPLIT), 1e-3)
         bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
         return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
@@ -187,9 +193,9 @@ def plan_from_region(
 def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
     """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
     infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
-    points, of_tip = task.effort.entry.points, of_the_tip(goal)
-    at_start = Lines.of([first], points)
-    arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], points)
+    of_tip = of_the_tip(goal)
+    at_start = Lines.of([first], POINTS)
+    arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], POINTS)
     half, found = task.clock.part(0.5), list[float]()
     for frame in frames:
         if found and half.over:
@@ -206,9 +212,9 @@ def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Fram
 def _random(task: PlanTask) -> Lines:
     """Stable arms of random joint values."""
     chart = task.chart
-    arms = chart.arms(chart.space.sample(task.effort.entry.arms), task.min_margin)
+    arms = chart.arms(chart.space.sample(ARMS), task.min_margin)
     kept = np.flatnonzero(arms.stable)
-    s = np.linspace(0.0, 1.0, task.effort.entry.points) * arms.arc_length[kept, -1:]
+    s = np.linspace(0.0, 1.0, POINTS) * arms.arc_length[kept, -1:]
     shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
     return Lines(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
 
@@ -226,7 +232,7 @@ def _missed(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
-        near = np.argsort(miss)[: task.effort.entry.nearest]
+        near = np.argsort(miss)[:NEAREST_ARMS]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         turned = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])

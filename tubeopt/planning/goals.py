@@ -45,6 +45,29 @@ LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
 
 
+MOST_ENDS = 12
+"""Maximum number of equilibria at which a plan may end, nearest to the start first."""
+
+MOST_TURNS = 3
+"""Maximum number of full turns of one tube that are tried, nearest to the start first."""
+
+PLACES = 2
+"""Number of points of a region for which other configurations are searched."""
+
+SAME_END = 1e-3
+"""Ends closer than this in every coordinate, in units of the joints' scales, are one."""
+
+SEARCHED_TUBES, SEARCH_SECONDS = 3, 30.0
+"""Largest number of tubes for which all equilibria at joint values are searched in any case. For more, so many seconds
+must be left, because that cannot be interrupted; otherwise that of forward kinematics is tried."""
+
+NEAR_POINTS, ENOUGH_ENDS = 8, 2
+"""Roadmap nodes, nearest tip first, that start the inverse kinematics of the goal; and solutions that suffice."""
+
+GOALS_SHARE = 0.6
+"""Share of the remaining time after which no further starts are tried for joint values of a tip goal."""
+
+
 def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
     """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
     try:
@@ -166,8 +189,8 @@ def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> li
     """The equilibria at which a plan may end, as its options ask for them; for a goal of the tip first `enough` of
     those beside a roadmap."""
     known = task.options.roadmap
-    near = None if known is None else partial(known.near, task, count=task.effort.goals.points)
-    share = Clock(task.effort.shares.goals * task.clock.left)
+    near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
+    share = Clock(GOALS_SHARE * task.clock.left)
     return ends(task, start, goal, share, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
 
 
@@ -175,7 +198,7 @@ def _nearest(task: PlanTask, start: Equilibrium, found: list[End]) -> list[End]:
     """Some of them, those nearest to the start first."""
     here = task.chart.of(start)
     by_distance = sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
-    return by_distance[: task.effort.goals.most]
+    return by_distance[:MOST_ENDS]
 
 
 def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
@@ -203,7 +226,7 @@ def other_ends(
     if wanted is None or task.chart.load is not None:
         return []
     postures: list[Equilibrium] = []
-    for place in wanted.places()[: task.effort.goals.places]:
+    for place in wanted.places()[:PLACES]:
         asked = _asked(task, start, place, clock)
         with suppress(SolveError):  # none in so short a time
             answers = inverse_kinematics(task.chart.space.robot, place.position, all_solutions=True, **asked)
@@ -213,7 +236,7 @@ def other_ends(
         end
         for e in good
         for end in _turned(task, e, start.rotations, modulo_turns)
-        if all(np.abs((end.point - other.point) / task.scale).max() > task.effort.goals.apart for other in known)
+        if all(np.abs((end.point - other.point) / task.scale).max() > SAME_END for other in known)
     ]
     return _nearest(task, start, found)
 
@@ -262,10 +285,10 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         return _somewhere(task, start, wanted.places(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
     found: list[Equilibrium] = []
-    if task.chart.eccentric or space.robot.n_tubes <= task.effort.goals.tubes or clock.left > task.effort.goals.seconds:
+    if task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
         with suppress(SolveError):
             found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= task.effort.goals.tubes)
+    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
     if not found:
         found = [forward_kinematics(space.robot, rotations, shift)]
     # The margin tells best whether the branch is the one that the robot can be brought to.
@@ -396,7 +419,7 @@ def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[E
     near = []
     for each, gap in zip(ranges, (here - e.rotations) / (2 * np.pi), strict=True):
         whole = np.array(each)
-        near.append(whole[np.argsort(np.abs(whole - gap))][: task.effort.goals.turns].tolist())
+        near.append(whole[np.argsort(np.abs(whole - gap))][:MOST_TURNS].tolist())
     return [_end(task, e, turns) for turns in product(*near)]
 
 

@@ -8,7 +8,7 @@ curve of that length. Forth in time, that is the deployment. How far the arm is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, finite, instance
+from ..errors import InputError, SolveError, finite
 from ..robots.limits import JointLimits
 from ..robots.order import last_tube
 from ..robots.robot import Robot
@@ -33,35 +33,25 @@ from .tip_path import distance_from
 from .trajectory import Trajectory
 from .trajectory_building import passing
 
+LENGTHS = 60
+"""Number of arm lengths at which the arm is fitted to the one at the goal."""
 
-@dataclass(frozen=True)
-class LeaderSolver(Settings):
-    """Settings of the search for a deployment along the path of the tip.
+ITERATIONS, LAST_STEP = 6, 1e-3
+"""Maximum number of Gauss-Newton steps per length, and the step, in units of the scales, that ends them."""
 
-    Raises:
-        InputError: a count that is no whole number of at least 1, another number that is not positive.
-    """
+DIFFERENCE = 1e-5
+"""Step of the differences, in units of the scales of the joints."""
 
-    lengths: int = 60
-    """Number of arm lengths at which the arm is fitted to the one at the goal."""
-    iterations: int = 6
-    """Most Gauss-Newton steps per length."""
-    difference: float = 1e-5
-    """Step of the differences, in units of the scales of the joints."""
-    damping: float = 2e-3
-    """Weight of a change of the joints beside the distance over the robot's length: what the shape does not decide."""
-    longest_step: float = 0.15
-    """Largest change of a coordinate per step, in units of the scales."""
-    last_step: float = 1e-3
-    """One below this, in units of the scales, is the last."""
+DAMPING = 2e-3
+"""Weight of a change of the joints relative to the distance over the robot's length: what the shape does not decide."""
 
-
-DEFAULT_SOLVER = LeaderSolver()
+LONGEST_STEP = 0.15
+"""Largest change of a coordinate per step, in units of the scales."""
 
 
 @typed
 @small
-def follow_the_leader(  # noqa: PLR0913
+def follow_the_leader(
     robot: Robot,
     goal: Any,
     *,
@@ -71,7 +61,6 @@ def follow_the_leader(  # noqa: PLR0913
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
-    solver: LeaderSolver = DEFAULT_SOLVER,
 ) -> Trajectory:
     """Deployment to a goal in which the arm stays close to the path of its own tip.
 
@@ -79,7 +68,6 @@ def follow_the_leader(  # noqa: PLR0913
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
         begin: initial length of the arm as a fraction of its length at the goal, in (0, 1).
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
-        solver: settings of the search.
 
     Returns:
         The trajectory. `.deviation` (T,) is the largest distance of a point of the arm from the path of the tip, m.
@@ -98,15 +86,14 @@ def follow_the_leader(  # noqa: PLR0913
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
-    instance("solver", solver, LeaderSolver)
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
     with task.in_time():
         last = _goal(task, goal)
         if not float(last.arc_length[-1]) > 0:
             raise InputError("goal has no tube in front of the plate; deployment needs an arm there")
         path = [task.chart.of(last)]
-        for share in np.linspace(1.0, begin, solver.lengths + 1)[1:]:
-            path.append(_fit(task, path[-1], last, share * float(last.arc_length[-1]), solver))
+        for share in np.linspace(1.0, begin, LENGTHS + 1)[1:]:
+            path.append(_fit(task, path[-1], last, share * float(last.arc_length[-1])))
         q = task.chart.joints(np.array(path))
     q[0] = task.chart.space.join(last.rotations, last.translations)
     withdrawn = track(task, last, q)
@@ -135,20 +122,20 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
     return found
 
 
-def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float, solver: LeaderSolver) -> Array:
+def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
     """The point of the chart of an arm of a given length that lies closest to the arm at the goal."""
     space = task.chart.space
     m = len(z)
     z = _withdrawn(task, z, length)
-    for _ in range(solver.iterations):
-        moves = np.vstack([np.zeros(m), solver.difference * np.diag(task.scale)])
+    for _ in range(ITERATIONS):
+        moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(task.scale)])
         arms = task.arms(z + moves)
         s, line = arms.fine()
         target = np.column_stack([np.interp(s[0], last.arc_length, last.position[:, k]) for k in range(3)])
         gap = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
-        rotation = ((arms.rotations[1:] - arms.rotations[0]) / solver.difference).T
-        constraints = _constraints(task, z, arms.rotations[0], rotation, solver.longest_step)
-        chosen = damped_step(gap, solver.difference, solver.damping, constraints)
+        rotation = ((arms.rotations[1:] - arms.rotations[0]) / DIFFERENCE).T
+        constraints = _constraints(task, z, arms.rotations[0], rotation, LONGEST_STEP)
+        chosen = damped_step(gap, DIFFERENCE, DAMPING, constraints)
         if chosen is None:
             break
         step, share = chosen * task.scale, 1.0
@@ -157,7 +144,7 @@ def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float, solver: Lea
         if share <= 0.05:
             break
         z = z + share * step
-        if np.abs(chosen).max() < solver.last_step:
+        if np.abs(chosen).max() < LAST_STEP:
             break
     return z
 

@@ -18,7 +18,6 @@ from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import MOST_TURN, JointLimits, default_limits
 from ..robots.robot import Robot
 from ..typing import Array
-from .effort import Timing
 
 INSTANT = 1e-9
 """Duration (s) of a motion that goes nowhere."""
@@ -26,6 +25,12 @@ INSTANT = 1e-9
 OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_acceleration")
 """Limits that are one number for all tubes, or one per tube."""
 
+
+MIN_SAMPLES, MIN_SAMPLES_OF_TIP, MAX_SAMPLES = 100, 300, 4000
+"""Bounds of the number of samples of a motion; the second applies where the speed of the tip is limited."""
+
+SAMPLE_STEP = 0.04
+"""Largest change of a joint between samples, in units of its scale."""
 
 SLACK = 1e-6
 """Of a rate, and of a range, that is round-off."""
@@ -121,18 +126,18 @@ class Motion:
         order = np.arange(len(self.curve.c) - 1, -1, -1)[:, None, None]
         return replace(self, curve=PPoly(self.curve.c / factor**order, self.time * factor))
 
-    def length(self, scale: Array, timing: Timing) -> float:
+    def length(self, scale: Array) -> float:
         """Of the path in joint space, in units of the joints' scales."""
-        return float(np.linalg.norm(np.diff(self.sampled(scale, timing)[1] / scale, axis=0), axis=1).sum())
+        return float(np.linalg.norm(np.diff(self.sampled(scale)[1] / scale, axis=0), axis=1).sum())
 
-    def sampled(self, scale: Array, timing: Timing) -> tuple[Array, Array]:
+    def sampled(self, scale: Array) -> tuple[Array, Array]:
         """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
         if self.duration < INSTANT:  # from joint values to the same, but for round-off
             return np.zeros(1), self.curve(np.zeros(1))
         coarse = self.curve(np.linspace(0, self.duration, 40 * len(self.time)))
         change = np.abs(np.diff(coarse / scale, axis=0)).max() * len(coarse)
-        least = timing.samples_of_tip if self.tip_limited else timing.samples
-        count = int(np.clip(np.ceil(change / timing.sample_step), least, timing.most_samples))
+        least = MIN_SAMPLES_OF_TIP if self.tip_limited else MIN_SAMPLES
+        count = int(np.clip(np.ceil(change / SAMPLE_STEP), least, MAX_SAMPLES))
         time = np.linspace(0, self.duration, count + 1)
         return time, self.curve(time)
 

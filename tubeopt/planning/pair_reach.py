@@ -26,6 +26,9 @@ from .goals import checked_places
 from .question import DEFAULT_PLAN, PlanOptions
 from .reach_share import ReachShare, RegionReach, check_asked, score
 
+REST_POINTS = 100
+"""Points along an arm at rest, between which its distance from another is bounded."""
+
 
 @dataclass(frozen=True, eq=False)
 class PairShare(Displayed):
@@ -132,7 +135,7 @@ class PairReach(Displayed):
         numbers = np.split(np.asarray(own, dtype=float), 2)
         sides = [side.evaluate(robot, x) for side, robot, x in zip(self.sides, (one, other), numbers, strict=True)]
         arms = [
-            _at_rest(robot, found, base, self.options.effort.arms.rest_points)
+            _at_rest(robot, found, base)
             for robot, found, base in zip((one, other), sides, self.plates(own), strict=True)
         ]
         apart = np.full((len(self.targets),) * 2, np.nan)
@@ -144,7 +147,7 @@ class PairReach(Displayed):
     def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
         found = self.evaluate(one, other, own)
-        return score(found.reached, found.share, self.options.effort.reach.close)
+        return score(found.reached, found.share)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
         """Numbers of proved and of tried motions to pairs that are held; at most `most`, evenly picked."""
@@ -166,7 +169,7 @@ _Arm = tuple[Array, Array, float, float]
 pieces, and how far it bends off them, m."""
 
 
-def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[int, _Arm]:
+def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
     """Arms at the places that are reached."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(found.reached).tolist():
@@ -174,11 +177,11 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame, points: int) -> dict[
         if e is None:
             continue
         outline = ArmSurface(e)
-        line, radius = outline.line(points)
+        line, radius = outline.line(REST_POINTS)
         # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]
         thick[1:] = np.maximum(thick[1:], thick[:-1])
-        square = (float(e.arc_length[-1]) / (points - 1)) ** 2
+        square = (float(e.arc_length[-1]) / (REST_POINTS - 1)) ** 2
         arms[k] = base.placed(line), thick, square, outline.bend * square / 8
     return arms
 

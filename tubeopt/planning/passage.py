@@ -28,10 +28,18 @@ from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearance_bound import Wanted, cleared
 from .cross_sections import Constants
-from .effort import ProofSearch
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import Arms, Intervals
+
+LARGEST_TURN, LARGEST_SHIFT = 0.04, 0.004
+"""Largest changes of joints between two equilibria, to begin with: rad, and as a share of the longest tube."""
+
+MOST_EQUILIBRIA = 20_000
+"""Maximum number of equilibria of a proof."""
+
+MOST_HALVINGS = 4
+"""Maximum number of bisections of an interval without a bound on the rotation between arm samples."""
 
 SHORTEST = 1e-9
 """Share of the time below which nothing is put between two equilibria."""
@@ -107,7 +115,6 @@ class Follower:
     scene: Scene
     wanted: Wanted
     clock: Clock
-    effort: ProofSearch
     load: Load | None = None
     count: int = 0
     flutters: bool = False
@@ -141,12 +148,12 @@ class Follower:
     @property
     def halvings(self) -> int:
         """Of an interval in which nothing bounds how tubes turn, before it is given up; none where nothing does."""
-        return 0 if self.says else self.effort.halvings
+        return 0 if self.says else MOST_HALVINGS
 
     @property
     def over(self) -> bool:
         """Whether there is no more time, or no more equilibria to spend."""
-        return self.count >= self.effort.equilibria or self.clock.over
+        return self.count >= MOST_EQUILIBRIA or self.clock.over
 
     def step(self, here: Step, at: float, joints: Array) -> Step | None:
         """The stable equilibrium at joint values (2n,) next to a step; None where there is none that is found."""
@@ -262,7 +269,7 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
     """Steps all along, and the fraction of the time where the branch ends."""
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
-    size = np.array([follower.effort.turn] * n + [follower.effort.shift * follower.length] * n)
+    size = np.array([LARGEST_TURN] * n + [LARGEST_SHIFT * follower.length] * n)
     meetings = _meetings(follower.cuts(joints[:, n:]))
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]

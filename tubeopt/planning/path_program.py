@@ -36,7 +36,15 @@ from ..errors import InputError
 from ..inverse.arm_surface import cubic
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
-from .effort import PathSolver
+
+SHARPNESS = 400.0
+"""Sharpness of the smooth minimum distance, over the length of the robot: it is at most log(points) / 400 too small."""
+
+SPLITS = 4
+"""Points per step of the arm at which its distance from bodies is measured."""
+
+TIP_WEIGHT = 0.05
+"""Weight of the motion of the tip rotations relative to that of the joints, in the length."""
 
 MOST_NODES = 1_000_000
 """Of a table of distances: its splines and their derivatives take 32 bytes for each."""
@@ -86,7 +94,6 @@ class PathQuestion:
     obstacles: tuple[Obstacle, ...]
     length: float
     """Of the robot, m."""
-    solver: PathSolver
     extra: tuple[Expression, float] | None = None
     """Custom cost: an expression of the quantities of one pose, and its weight; negative if it is maximised."""
 
@@ -166,7 +173,7 @@ def _program(question: PathQuestion) -> PathProgram:
     if question.obstacles:
         parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
-    w, along = p["weights"], question.solver.tips * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
+    w, along = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
     moved, effort = _squares(joints, rates, h), ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
     objective = w[0] * (moved + along) + w[1] * square + w[2] * effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
@@ -285,16 +292,16 @@ def _distance(question: PathQuestion) -> ca.Function:
     """(rows,) smooth least distances of one arm, never larger than they are but by what a table blurs: one from every
     body with a formula, one in every step of the arm from a table, which as a rule is all around."""
     n = question.kind.n
-    count, splits = explicit_arm(question.kind).size2_out(2), question.solver.splits
+    count = explicit_arm(question.kind).size2_out(2)
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
     inputs += [ca.MX.sym("d", n), ca.MX.sym("robot", question.kind.size), ca.MX.sym("r", n)]
-    places, thick = _places(question.kind, count, splits)(*inputs)
-    sharp = question.solver.sharpness / question.length
+    places, thick = _places(question.kind, count)(*inputs)
+    sharp = SHARPNESS / question.length
     x, y, z = (ca.SX.sym(axis) for axis in "xyz")
     least = []
     for k, obstacle in enumerate(question.obstacles):
         if isinstance(obstacle, TABLES):
-            room = ca.reshape(_tabulated(obstacle, places) - thick, splits, count - 1)
+            room = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
         else:
             body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
             room = (body(places[0, :], places[1, :], places[2, :]) - thick).T
@@ -338,15 +345,15 @@ def table_function(body: MeshObstacle | DistanceField) -> ca.Function:
     return ca.Function.bspline("table", knots, values.ravel(order="F"), [3, 3, 3], 1)
 
 
-def _places(kind: Kind, count: int, splits: int) -> ca.Function:
-    """Points along an arm (3, a), `splits` per step, and its radius there (1, a)."""
+def _places(kind: Kind, count: int) -> ca.Function:
+    """Points along an arm (3, a), `SPLITS` per step, and its radius there (1, a)."""
     points, tangents, s = ca.SX.sym("p", 3, count), ca.SX.sym("t", 3, count), ca.SX.sym("s", count)
     shift, robot, radius = ca.SX.sym("d", kind.n), ca.SX.sym("robot", kind.size), ca.SX.sym("r", kind.n)
     end = shift + kind.reach(robot)
     places, thick = [], []
     for k in range(count - 1):
         h = s[k + 1] - s[k]
-        for x in np.arange(1, splits + 1) / splits:
+        for x in np.arange(1, SPLITS + 1) / SPLITS:
             places.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
             # A tube shows on all of a section: steps do not reach across its end.
             thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))

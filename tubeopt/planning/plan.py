@@ -21,12 +21,44 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.parallel.blas import small
 from ..typing import Array
-from .goals import End, asked_ends, check_goal, check_start, of_the_tip, other_ends, start_equilibrium
+from .goals import (
+    ENOUGH_ENDS,
+    MOST_ENDS,
+    End,
+    asked_ends,
+    check_goal,
+    check_start,
+    of_the_tip,
+    other_ends,
+    start_equilibrium,
+)
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
 from .timing import Limits, actuators, joint_curves, stopping_at
 from .trajectory import PlanStatistics, Trajectory
 from .trajectory_building import Faults, build, motions_near, no_time
+
+ATTEMPTS = 3
+"""Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
+
+SEARCH_SHARE = 0.9
+"""Share of the time limit after which the search ends, so that the result can be reported in time."""
+
+REPORT_SECONDS, REPORT_SHARE = 2.0, 0.35
+"""Time reserved for the report: so many seconds, at most a share of the time limit."""
+
+POSTURES_SECONDS, NEAREST_SHARE = 15.0, 0.4
+"""Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
+follow."""
+
+ROADMAP_SHARE = 0.3
+"""Share of the search time for a roadmap, which comes first."""
+
+SHORTEN_SECONDS, SHORTEN_SHARE = 2.0, 0.3
+"""Maximum duration of cutting corners of the path, s, and share of the remaining time."""
+
+PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
+"""Typical upper limits of the time of a proof, s: in any case, and per sample of the motion."""
 
 
 @typed
@@ -81,17 +113,17 @@ def plan_trajectory(  # noqa: PLR0913
 
 def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     """The plan; raises as `plan_trajectory` does, and LateError."""
-    chart, options, effort = task.chart, task.options, task.effort
+    chart, options = task.chart, task.options
     first = start_equilibrium(chart.space, start, chart.load)
     task = bearing(task, first.translations)
     check_start(task, first)
     hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = asked_ends(task, first, goal, 1 if hasty else effort.goals.answers)
+    goals = asked_ends(task, first, goal, 1 if hasty else ENOUGH_ENDS)
     n = len(first.translations)
     task = bearing(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
-    for attempt in range(effort.attempts):
+    for attempt in range(ATTEMPTS):
         task, goals, way = _way(task, first, goal, goals, options.seed + attempt)
         if way.points is None:
             raise _not_found(task, first, goals, way)
@@ -113,28 +145,25 @@ def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTa
 
 def _way(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> tuple[PlanTask, list[End], Way]:
     """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
-    options, clock, effort = task.options, task.clock, task.effort
-    until = options.time_limit - min(effort.shares.report_seconds, effort.shares.report * options.time_limit)
-    left = max(0.0, min(effort.shares.search * options.time_limit, until) - clock.seconds)
-    postures = of_the_tip(goal) and left > effort.shares.postures_seconds
+    options, clock = task.options, task.clock
+    until = options.time_limit - min(REPORT_SECONDS, REPORT_SHARE * options.time_limit)
+    left = max(0.0, min(SEARCH_SHARE * options.time_limit, until) - clock.seconds)
+    postures = of_the_tip(goal) and left > POSTURES_SECONDS
     begin = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.shortest_path(
-            task, begin, [end.point for end in goals], Clock(effort.shares.roadmap * left)
-        )
-        enough = effort.goals.answers
-        if way.points is None and len(goals) < enough and of_the_tip(goal):
-            goals = asked_ends(task, first, goal, enough)
+        way = options.roadmap.shortest_path(task, begin, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
+        if way.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
+            goals = asked_ends(task, first, goal, ENOUGH_ENDS)
             task = _between(task, first, goals)
-            rest = Clock(effort.shares.roadmap * max(0.0, left - clock.seconds))
+            rest = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
             way = options.roadmap.shortest_path(task, begin, [end.point for end in goals], rest)
         if way.points is not None:
             return task, goals, way
         left = max(0.0, until - clock.seconds)
-    search = Clock(effort.shares.nearest * left if postures else left)
+    search = Clock(NEAREST_SHARE * left if postures else left)
     find = partial(find_way, how=options.search, improving=options.search_seconds)
     way = find(task, begin, [end.point for end in goals], search, seed=seed)
-    if way.impossible and (of_the_tip(goal) or len(goals) == effort.goals.most or task.chart.load is not None):
+    if way.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
         way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
     if way.points is not None or not postures:
         return task, goals, way
@@ -174,7 +203,7 @@ def _shorter(task: PlanTask, way: Way) -> Array:
     assert way.points is not None
     if way.how == "roadmap" and task.options.objective == "none":
         return without_corners(task, way.points)
-    clock = Clock(min(2.0, 0.3 * task.clock.left))
+    clock = Clock(min(SHORTEN_SECONDS, SHORTEN_SHARE * task.clock.left))
     return shorten(task, way.points, clock, seed=task.options.seed)
 
 
@@ -204,8 +233,8 @@ def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> t
     """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
-        samples = len(motion.sampled(task.scale, task.effort.timing)[0])
-        needed = task.effort.proof.seconds + task.effort.proof.sample_seconds * samples
+        samples = len(motion.sampled(task.scale)[0])
+        needed = PROOF_SECONDS + PROOF_SECONDS_PER_SAMPLE * samples
         if needed <= left:
             return points, motion
         points = points[: min(len(points) - 1, int(len(points) * left / needed))]

@@ -37,10 +37,19 @@ from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Delegate, StatusEnum
 from .clearance_bound import Wanted
-from .effort import DEFAULT_PROOF, ProofSearch
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
 from .passage import SHORTEST, Follower, Passage, Step, follow
 from .speed import Pace, paced
+
+ACCURACY = 1.2e-5
+"""Largest distance of the clearance bound below the smallest measured distance, m."""
+
+MOST_CELLS = 3_000_000
+"""Maximum number of space-time cells of the arm. With too few the bound is less sharp, but still valid."""
+
+VERIFIED, AGREEMENT = 5, 1e-6
+"""Equilibria that are integrated once more, and the largest difference of a tip from its re-integration, over the
+length of the robot."""
 
 
 class ProofStatus(StatusEnum):
@@ -188,7 +197,6 @@ def verify_trajectory(  # noqa: PLR0913
     time_limit: float = LONG_TIME_LIMIT,
     max_force: float = 0.0,
     load: Load | None = None,
-    effort: ProofSearch = DEFAULT_PROOF,
 ) -> Proof:
     """Proof or faults of any trajectory, which is followed from its start. Joint values are linear between samples.
 
@@ -203,7 +211,6 @@ def verify_trajectory(  # noqa: PLR0913
         load: constant external load; a start without it is first loaded. The proof is that of the loaded robot, for
             weight and for forces and moments at the tip, at points and on stretches, in fixed axes. For other loads the
             equilibria are computed, and the parts between them are reported as not proved.
-        effort: spacing and maximum number of equilibria.
 
     Raises:
         InputError: tables of wrong shape or with numbers that are not finite, times that do not increase, or an
@@ -225,7 +232,6 @@ def verify_trajectory(  # noqa: PLR0913
     instance("limits", limits, JointLimits, optional=True)
     instance("rate_limits", rate_limits, RateLimits, optional=True)
     instance("start", start, Equilibrium, optional=True)
-    instance("effort", effort, ProofSearch)
     alpha, shift = checked_waypoints(robot, rotations, translations)
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
@@ -234,17 +240,17 @@ def verify_trajectory(  # noqa: PLR0913
     positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
     kept = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)
-    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock, effort)
+    return proved(first, t, np.concatenate([alpha, shift], axis=1), kept, clock)
 
 
-def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock, effort: ProofSearch) -> Proof:
+def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock) -> Proof:
     """What is found on a trajectory through joint values (T, 2n) at times t (T,), s, which begins with an equilibrium
     at the first of them."""
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
     forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    wanted = Wanted(kept.clearance + moved, effort.accuracy, effort.cells)
-    follower = Follower(robot, scene_of(kept.bodies), wanted, clock, effort, load)
+    wanted = Wanted(kept.clearance + moved, ACCURACY, MOST_CELLS)
+    follower = Follower(robot, scene_of(kept.bodies), wanted, clock, load)
     rate_limits = kept.rate_limits
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
     passage = follow(follower, first, t, joints)
@@ -387,11 +393,11 @@ def _judge(
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     tip_step = float(moved.max(initial=0.0))
-    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, follower.effort.verified).astype(int))]
+    picked = [steps[k] for k in np.unique(np.linspace(0, len(steps) - 1, VERIFIED).astype(int))]
     again = _again(picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
     turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
-    if again > follower.effort.agreement * follower.length:
+    if again > AGREEMENT * follower.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:

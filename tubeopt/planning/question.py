@@ -13,7 +13,7 @@ from ..block.custom import CustomObjective
 from ..block.quantities import Expression
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
-from ..errors import InputError, SolveError, finite, instance, positive
+from ..errors import InputError, SolveError, finite, instance, positive, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
 from ..inverse.clock import Clock, LateError
 from ..inverse.configurations import shift_of
@@ -26,11 +26,13 @@ from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
 from ..typing import Array
-from .effort import DEFAULT_EFFORT, PlanEffort
 from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
 from .path_program import WEIGHTS, path_cost
+
+FORCE_ROOM = 1.05
+"""Safety factor on the displacement of the arm by a force, known at the ends of a motion."""
 
 
 class PathSource(Protocol):
@@ -86,8 +88,10 @@ class PlanOptions(Displayed):
     """Custom objective of smoothing: an expression of the joint values and the tip of one pose, `q.poses[0]`. Its mean
     along the path, times its weight, is added to the objective. There the length of the path found counts 1.
     """
-    effort: PlanEffort = DEFAULT_EFFORT
-    """Settings of the search, smoothing, timing and proof."""
+    smoothing_seconds: float = 20.0
+    """Maximum duration of the smoothing, s; at most half of the remaining time."""
+    smoothing_intervals: int = 24
+    """Initial number of intervals between knots of the smoothing; more give a better motion, and take longer."""
     roadmap: PathSource | None = field(default=None, repr=False)
     """Roadmap that is searched first, see `build_roadmap`."""
 
@@ -98,8 +102,9 @@ class PlanOptions(Displayed):
             raise InputError("extra_cost is a cost of smoothing, and objective is 'none'; it must be another one")
         if self.roadmap is not None and not hasattr(self.roadmap, "shortest_path"):
             raise InputError(f"roadmap is {self.roadmap!r}; it must be a Roadmap")
-        instance("effort", self.effort, PlanEffort)
         positive("search_seconds", self.search_seconds)
+        positive("smoothing_seconds", self.smoothing_seconds)
+        whole("smoothing_intervals", self.smoothing_intervals, 1)
         for name in ("carriage_gap", "section_length"):
             positive(name, getattr(self, name), zero=True)
             check_size(name, getattr(self, name), Typical(1e-6, 0.5), "mm")
@@ -115,7 +120,6 @@ class PlanTask(Task):
     The clock, of the time limit, runs from when it was asked.
     """
 
-    effort: PlanEffort = DEFAULT_EFFORT
     max_force: float = 0.0
     """On the tip, N, up to which margin and clearance shall hold."""
     reserve: float = 0.0
@@ -174,7 +178,6 @@ def asked(
         bodies,
         floor,
         options.clearance,
-        effort=options.effort,
         clock=clock,
         max_force=options.max_force,
         rates=rate_limits,
@@ -215,5 +218,5 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
             )
         alone.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection
-    reserve = task.effort.force_room * (between if np.isfinite(between) else max(alone))
+    reserve = FORCE_ROOM * (between if np.isfinite(between) else max(alone))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)

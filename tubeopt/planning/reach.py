@@ -19,6 +19,16 @@ from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .question import PlanTask
 
+STARTS, STEPS = 8, 20
+"""Starts of the test for unreachable places, half of them nearest in the table, half spread; and Gauss-Newton steps
+from each."""
+
+LONGEST_STEP = 0.4
+"""Largest change of a coordinate, in units of the joints' scales."""
+
+NEAR = 0.02
+"""Miss, as a share of the robot's length, below which a place is left to inverse kinematics."""
+
 DIFFERENCE = 1e-5
 """Step of the differences, in units of the scales."""
 
@@ -75,30 +85,30 @@ def way_around(box: Box, position: Array) -> float:
 def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> float:
     """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near, and
     where the clock is over before all of them ended."""
-    space, effort = task.chart.space, task.effort
+    space = task.chart.space
     target = (position, None)
     known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
     least = np.inf
-    for q in spread_starts(space, known, effort.reach.starts, first=effort.reach.starts // 2):
+    for q in spread_starts(space, known, STARTS, first=STARTS // 2):
         if clock is not None and clock.over:
             return 0.0
         least = min(least, _closest(task, q, position))
-        if least <= effort.reach.near * space.length:
+        if least <= NEAR * space.length:
             return 0.0
     return float(least) if np.isfinite(least) else 0.0
 
 
 def _closest(task: PlanTask, start: Array, position: Array) -> float:
     """Distance at which Gauss-Newton from joint values (m,), taken for tip rotations, ends, m."""
-    length, effort, z = task.chart.space.length, task.effort, start
+    length, z = task.chart.space.length, start
     miss = np.inf
-    for _ in range(effort.reach.steps):
+    for _ in range(STEPS):
         tips = tips_about(task, z)
         here = float(np.linalg.norm(tips[0] - position))
         if here > (1 - 1e-3) * miss:
             break
         miss = here
-        step = None if miss <= effort.reach.near * length else step_towards(task, z, tips, position)
+        step = None if miss <= NEAR * length else step_towards(task, z, tips, position)
         if step is None:
             break
         z = z + step
@@ -113,7 +123,7 @@ def tips_about(task: PlanTask, z: Array) -> Array:
 def step_towards(task: PlanTask, z: Array, tips: Array, position: Array) -> Array | None:
     """(m,) the damped step of Gauss-Newton by which tips `tips_about` a point come closer to a place; None for none."""
     gap = (tips - position) / task.chart.space.length
-    constraints = step_constraints(task, z, task.effort.reach.longest_step)
+    constraints = step_constraints(task, z, LONGEST_STEP)
     step = damped_step(gap, DIFFERENCE, 1e-3, constraints)
     return None if step is None else np.asarray(step * task.scale)
 

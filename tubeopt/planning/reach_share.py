@@ -37,6 +37,15 @@ from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .reach import step_towards, tips_about
 from .roadmap import Roadmap, roadmap_of
 
+POINTS, CONNECTED_POINTS = 30, 4
+"""Roadmap nodes with the nearest tips that are considered per place, and reachable ones that approach it."""
+
+STEPS = 15
+"""Maximum number of Gauss-Newton steps from each of these."""
+
+FAR_MISS = 0.01
+"""Miss, m, beyond which a place counts nothing in the score of a region."""
+
 SAME = 0.05
 """Difference of tip rotations (rad) up to which two equilibria at the same joint values are one."""
 
@@ -162,9 +171,9 @@ class _Search:
 
     def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
         """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
-        effort, ends = self.task.effort, list[tuple[float, Array]]()
-        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[: effort.reach.share_points].tolist():
-            if self.task.clock.over or len(ends) == effort.reach.share_ways:
+        ends = list[tuple[float, Array]]()
+        for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[:POINTS].tolist():
+            if self.task.clock.over or len(ends) == CONNECTED_POINTS:
                 break
             if j not in self.joined:
                 self.joined[j] = self.leads(self.roadmap.points[j])
@@ -179,7 +188,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
     """How close (m) Gauss-Newton comes to a place by points at which the robot may be, and the last of them."""
     z, tips = start, tips_about(task, start)
     miss = float(np.linalg.norm(tips[0] - place))
-    for _ in range(task.effort.reach.share_steps):
+    for _ in range(STEPS):
         step = None if miss <= enough else step_towards(task, z, tips, place)
         if step is None:
             break
@@ -278,7 +287,7 @@ class RegionReach(Displayed):
     def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
         """Score, from 0 where all places are reached to 1, and the share."""
         found = self.evaluate(robot, own)
-        return score([found], found.share, self.options.effort.reach.close)
+        return score([found], found.share)
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
         """Numbers of proved and of tried plans to the first reached places, at most `most`."""
@@ -292,7 +301,7 @@ class RegionReach(Displayed):
         return proved, len(some)
 
 
-def score(found: Sequence[ReachShare], share: float, close: float) -> tuple[float, float]:
-    """From 0 where all is reached to 1, by a share and how far places are missed, up to `close`, m; and the share."""
-    missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / close, 1.0) for each in found]
+def score(found: Sequence[ReachShare], share: float) -> tuple[float, float]:
+    """From 0 where all is reached to 1, by a share and how far places are missed, up to `FAR_MISS`; and the share."""
+    missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / FAR_MISS, 1.0) for each in found]
     return float(np.mean(missed) + 1 - share) / 2, share

@@ -30,6 +30,12 @@ from ..typing import Array, Index
 from .motion import DEFAULT_RATES
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 
+NEIGHBOURS = 10
+"""Nearest points that each point is joined with; start and goals with twice as many."""
+
+DRAWN = 512
+"""Points that are drawn at once."""
+
 
 @dataclass(eq=False)
 class Roadmap(Displayed):
@@ -60,7 +66,7 @@ class Roadmap(Displayed):
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
         near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
-        near = near[:, : 2 * task.effort.roadmap.neighbours]
+        near = near[:, : 2 * NEIGHBOURS]
         to_ends = np.column_stack([np.repeat(np.arange(count, len(places)), near.shape[1]), near.ravel()])
         straight = np.column_stack([np.full(len(goals), count), count + 1 + np.arange(len(goals))])
         edges = np.concatenate([self.edges, to_ends, straight])
@@ -168,10 +174,9 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
     options, n = task.options, task.chart.space.robot.n_tubes
     random = np.random.default_rng(options.seed)
     space, found, total = task.chart.space, [], 0
-    drawn = task.effort.roadmap.drawn
-    shifts = space.sample(16 * drawn)[:, n:]
+    shifts = space.sample(16 * DRAWN)[:, n:]
     while total < count and not task.clock.over:
-        z = np.column_stack([random.uniform(-np.pi, np.pi, (drawn, n)), random.choice(shifts, drawn)])
+        z = np.column_stack([random.uniform(-np.pi, np.pi, (DRAWN, n)), random.choice(shifts, DRAWN)])
         try:
             kept = z[task.holds(z)]
         except LateError:
@@ -184,7 +189,7 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
             f"no roadmap was found within {options.time_limit:g} s: {len(points)} free configurations were found"
         )
     places = points / task.scale
-    _, near = scipy.spatial.cKDTree(places).query(places, k=min(task.effort.roadmap.neighbours + 1, len(points)))
+    _, near = scipy.spatial.cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(points)))
     edges = np.column_stack([np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].ravel()])
     return Roadmap(points, task.chart.parameters, np.unique(np.sort(edges, axis=1), axis=0))
 

@@ -26,6 +26,28 @@ from .timing import Limits, violated
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
+REFINEMENTS = 3
+"""Times that knots are added where the motion between them is not allowed."""
+
+TWIST = 0.3
+"""Change of a tip rotation between knots that is always allowed, rad."""
+
+MARGIN_RESERVE = 3e-3
+"""Margin beyond that of the search that knots keep at first, for what is between them."""
+
+BODY_REACH = 0.1
+"""Distance of knots from obstacles, as a share of the longest tube, within which these count."""
+
+MOST_OPERATIONS = 150_000
+"""Operations of one equilibrium, about those of six tubes, beyond which derivatives take too long."""
+
+BUILD_PER_OPERATION, BUILD_PER_BODY, BUILD_PER_NODE = 5e-5, 5e-2, 1e-6
+"""Upper limits on most machines, s, of the time to build the program, which nothing can cut short, and to begin to
+solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
+
+LEAST_FIELDS = 1e-3
+"""Least determinant of the Jacobi fields, which begin as 1."""
+
 ROUND_OFF = 1e-9
 """Excess over ranges that is none, in units of the scales."""
 
@@ -42,8 +64,7 @@ class Smoothed:
 def building(task: PlanTask) -> float:
     """Seconds of work that it may take to build the program of a task and to begin to solve it."""
     nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
-    own, bodies = task.effort.program.build * task.chart.size, task.effort.program.build_body * len(task.obstacles)
-    return own + bodies + task.effort.program.build_node * nodes
+    return BUILD_PER_OPERATION * task.chart.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
 
 
 def resample(task: PlanTask, points: Array, count: int) -> Array:
@@ -64,12 +85,12 @@ def smooth(
 ) -> Smoothed | None:
     """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
     the clock is over. How long it takes is told by objectives of time and effort only."""
-    intervals, iterations = task.effort.smoothing.intervals, 0
+    intervals, iterations = task.options.smoothing_intervals, 0
     z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
-    room = np.array([task.margin_room + task.effort.smoothing.margin, task.clearance_room])
-    if task.chart.size > task.effort.program.operations:
+    room = np.array([task.margin_room + MARGIN_RESERVE, task.clearance_room])
+    if task.chart.size > MOST_OPERATIONS:
         return None
-    for _ in range(task.effort.smoothing.refinements + 1):
+    for _ in range(REFINEMENTS + 1):
         arms = task.chart.arms(z, 0.0)
         near = _near(task, arms)
         if clock.left < clock.parallel_slowdown * building(near):
@@ -92,7 +113,7 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
     """The same with the bodies alone that the arm may meet near knots."""
     if not task.obstacles:
         return task
-    reach = task.effort.smoothing.reach * task.chart.space.length + task.clearance + float(task.chart.radius.max())
+    reach = BODY_REACH * task.chart.space.length + task.clearance + float(task.chart.radius.max())
     points = arms.fine()[1]
     near = task.scene.close(points.reshape(-1, 3), reach)
     return replace(task, obstacles=tuple(task.obstacles[k] for k in near))
@@ -113,7 +134,6 @@ def _solve(
         len(space.least),
         task.obstacles,
         space.length,
-        task.effort.program,
         task.cost,
     )
     program = path_program(question)
@@ -131,7 +151,7 @@ def _solve(
         weights=weights,
         order=space.rows,
         step=share,
-        twist=np.maximum(task.effort.smoothing.twist, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
+        twist=np.maximum(TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
     floor = min(task.min_margin + float(room[0]), 0.998)
@@ -209,7 +229,7 @@ def _bounds(
     ends = q[[0, -1]] / task.scale
     lower["ranges"] = np.tile(np.minimum(space.lower / task.scale, ends.min(0)) - ROUND_OFF, 2 * (knots - 1))
     upper["ranges"] = np.tile(np.maximum(space.upper / task.scale, ends.max(0)) + ROUND_OFF, 2 * (knots - 1))
-    limits: dict[str, float | Array] = {"fields": task.effort.program.fields, "clearance": least / space.length}
+    limits: dict[str, float | Array] = {"fields": LEAST_FIELDS, "clearance": least / space.length}
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()

@@ -31,9 +31,24 @@ from ..errors import SolveError
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..typing import Array, Index, Mask
-from .effort import DEFAULT_EFFORT, Timing
-from .motion import INSTANT, Motion
+from .motion import INSTANT, MIN_SAMPLES_OF_TIP, SAMPLE_STEP, Motion
 from .question import PlanTask
+
+CELLS, FINE_CELLS = 100, 500
+"""Cells of the first grid of a curve, evenly spaced, and of the second, of equal durations."""
+
+RATE_SAFETY_FACTOR = 0.9995
+"""Safety factor on the rate limits: tip speed is only checked on a grid, and the ends of a motion are made exact."""
+
+MOST_HALVINGS, MOST_BEND = 4, 0.02
+"""Times that points of a path are set twice as close at most, and the second difference of joint values, in units of
+their scales, at which rounded curves stay close enough to the points."""
+
+RESERVE = 1e-5
+"""Reserve of the margin (and of the clearance, m) at the largest sample distance."""
+
+OTHER_BRANCH = 0.1
+"""Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
 
 SAME = 1e-9
 """Share of a curve below which two points of the grid are one."""
@@ -53,7 +68,7 @@ Tips = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """How fast joints and tip may be, and how a curve is timed."""
+    """How fast joints and tip may be."""
 
     rate: Array
     """(m,) of the joints."""
@@ -61,7 +76,6 @@ class Limits:
     """(m,) of the joints."""
     tip: tuple[float, Tips] | None = None
     """Greatest speed of the tip, m/s, and where it is."""
-    timing: Timing = DEFAULT_EFFORT.timing
 
 
 def at_full_speed(motion: Motion, limits: Limits) -> Motion:
@@ -109,10 +123,10 @@ def rounded(table: Array) -> PPoly:
 
 def _along(curves: Sequence[PPoly], limits: Limits) -> list[Motion]:
     """The fastest motions along cubic curves, each of which begins where the one before ends."""
-    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], limits.timing.cells)) for curve in curves]
+    grids = [_grid(curve, np.linspace(curve.x[0], curve.x[-1], CELLS)) for curve in curves]
     for k, (curve, s, b) in enumerate(zip(curves, grids, _largest(curves, grids, limits), strict=True)):
         time = _time(s, b)
-        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], limits.timing.fine_cells), time, s))
+        grids[k] = _grid(curve, np.interp(np.linspace(0, time[-1], FINE_CELLS), time, s))
     found = zip(curves, grids, _largest(curves, grids, limits), strict=True)
     motions = [_motion(curve, s, b) for curve, s, b in found]
     motions = [each.slower(max(1.0, SHORTEST / each.duration)) for each in motions]
@@ -172,19 +186,19 @@ class _Program:
         """That of a curve on a grid s (N + 1,), with tips (N + 1, 3) where their speed is limited."""
         h = np.diff(s)
         c1, c2, c3 = _terms(curve, s)
-        long, force = h[:, None], limits.timing.rate_safety_factor * limits.acceleration
+        long, force = h[:, None], RATE_SAFETY_FACTOR * limits.acceleration
         # Where s has grown by x, b has by 2 x u.
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
-        pace = (along / (limits.timing.rate_safety_factor * limits.rate)).max(1)
+        pace = (along / (RATE_SAFETY_FACTOR * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
             speed = scipy.interpolate.CubicSpline(s, tip)(np.stack([s[:-1], (s[:-1] + s[1:]) / 2, s[1:]]), 1)
             # Samples are joined by straight lines: what the joints do at one time they do at those beside it.
-            beside = 1 + 2 * math.ceil(len(h) / limits.timing.samples_of_tip)
+            beside = 1 + 2 * math.ceil(len(h) / MIN_SAMPLES_OF_TIP)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), beside)
-            pace = np.maximum(pace, fastest / (limits.timing.rate_safety_factor * limits.tip[0]))
+            pace = np.maximum(pace, fastest / (RATE_SAFETY_FACTOR * limits.tip[0]))
         most = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # What does not move there is at rest however fast s is.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(most[[0, -1]]) > 1e-6
@@ -266,9 +280,9 @@ def joint_curves(task: PlanTask, points: Array) -> list[Array]:
     out = []
     for a, b in pairwise(points):
         pieces = (len(task.line(a, b)) - 1) * 2 ** (task.fineness(a, b) or 0)
-        for halvings in range(task.effort.rounding.halvings + 1):
+        for halvings in range(MOST_HALVINGS + 1):
             q = task.chart.joints(a + np.linspace(0, 1, 2**halvings * pieces + 1)[:, None] * (b - a))
-            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= task.effort.rounding.bend:
+            if np.abs(np.diff(q / task.scale, 2, axis=0)).max(initial=0.0) <= MOST_BEND:
                 break
         out.append(q)
     return out
@@ -284,7 +298,7 @@ def actuators(task: PlanTask, first: Equilibrium) -> Limits:
         return np.concatenate([found, np.repeat(found[-1:], len(q) - len(found), axis=0)])
 
     tip = None if rates.tip is None else (rates.tip, tips)
-    return Limits(*rates.of(task.chart.space), tip, task.effort.timing)
+    return Limits(*rates.of(task.chart.space), tip)
 
 
 def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = None) -> tuple[Equilibrium, ...]:
@@ -309,7 +323,7 @@ def violated(
     """(intervals,) where the motion between knots loses the branch, margin, or clearance; and by how much (2,) margin
     and clearance (m) fall short. `places`: times (P,) at which it has to be at points (P, m) of the chart: the same
     joint values may be led to on several branches, by ways around a fold on one side and on the other."""
-    time, q = motion.sampled(task.scale, task.effort.timing)
+    time, q = motion.sampled(task.scale)
     found = track(task, start, q, clock)
     bad = np.zeros(len(motion.time) - 1, dtype=bool)
     short = _short(task, found)
@@ -330,10 +344,9 @@ def _short(task: PlanTask, found: Sequence[Equilibrium]) -> Array:
     joints = [task.chart.space.join(e.rotations, e.translations) for e in found]
     q = np.reshape(joints, (-1, len(task.scale))) / task.scale
     step = np.append(np.abs(np.diff(q, axis=0)).max(1), 0.0)[: len(q)]
-    most = task.effort.smoothing.left
-    left = most * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / task.effort.timing.sample_step) ** 2
+    left = RESERVE * np.minimum(1.0, np.maximum(step, np.roll(step, 1)) / SAMPLE_STEP) ** 2
     margin = np.array([e.margin for e in found])
-    clear = np.array([ArmSurface(e).clearance(task.scene, task.clearance + most) for e in found])
+    clear = np.array([ArmSurface(e).clearance(task.scene, task.clearance + RESERVE) for e in found])
     out = np.array([task.min_margin + left - margin, task.clearance + left - clear])
     for end in {0, len(q) - 1} if len(q) else ():
         out[:, end] = np.minimum(out[:, end], 0.0)
@@ -344,4 +357,4 @@ def _apart(task: PlanTask, time: Array, found: Sequence[Equilibrium], places: tu
     """(P,) at which of some places a motion that was followed at times (T,) is on another branch."""
     points = np.array([task.chart.of(each) for each in found])
     there = np.column_stack([np.interp(places[0], time, column) for column in points.T])
-    return np.asarray((np.abs(there - places[1]) / task.scale).max(1) > task.effort.smoothing.apart)
+    return np.asarray((np.abs(there - places[1]) / task.scale).max(1) > OTHER_BRANCH)

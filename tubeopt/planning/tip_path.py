@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError, instance
+from ..errors import InputError, SolveError
 from ..files.field_metadata import TOLERATED, usual_length
 from ..inverse import IkSession, inverse_kinematics
 from ..robots.limits import JointLimits, check_target
@@ -33,30 +33,15 @@ LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
 
 
-@dataclass(frozen=True)
-class TipPathSolver(Settings):
-    """Settings of the search for a motion of the tip along a curve.
+SPACING, REFINEMENTS = 0.008, 3
+"""Initial spacing of the solved points, as a share of the robot's length, and times that it is halved where the tip
+leaves the curve in between."""
 
-    Raises:
-        InputError: a count that is no whole number of at least 1 (0 for `refinements`), another number that is not
-            positive.
-    """
+DENSE = 40
+"""Points per piece of a spline at which it is sampled."""
 
-    spacing: float = 0.008
-    """Initial spacing of the solved points, as a fraction of the robot's length."""
-    refinements: int = 3
-    """Times that the spacing is halved where the tip leaves the curve in between."""
-    dense: int = 40
-    """Points per piece of a spline at which it is sampled."""
-    starts: int = 8
-    """Maximum number of starting configurations."""
-    starts_share: float = 0.3
-    """Fraction of the time limit for finding starting configurations."""
-
-    _none: ClassVar[tuple[str, ...]] = ("refinements",)
-
-
-DEFAULT_SOLVER = TipPathSolver()
+STARTS, STARTS_SHARE = 8, 0.3
+"""Maximum number of starting configurations, and share of the remaining time for finding them."""
 
 
 @typed
@@ -73,7 +58,6 @@ def follow_tip_path(  # noqa: PLR0913
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
-    solver: TipPathSolver = DEFAULT_SOLVER,
 ) -> Trajectory:
     """A motion in which the tip moves along a curve; the null space raises the margin.
 
@@ -83,7 +67,6 @@ def follow_tip_path(  # noqa: PLR0913
             configurations until the whole curve can be followed from one.
         tolerance: largest distance of the tip from the curve, m.
         obstacles, min_margin, rate_limits, limits, options: as for `plan_trajectory`.
-        solver: settings of the search.
 
     Returns:
         The trajectory; `.deviation` (T,) is the distance of the tip from the curve, m.
@@ -102,10 +85,9 @@ def follow_tip_path(  # noqa: PLR0913
         (True, True)
     """
     usual_length("tolerance", tolerance, TOLERATED)
-    instance("solver", solver, TipPathSolver)
     task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock
-    curve = _curve(path, spline, solver.dense)
+    curve = _curve(path, spline)
     check_target(robot.tubes, "path", checked_places(path, "path"))
     length = float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
     longest = LONGEST * max(tube.length for tube in robot.tubes)
@@ -114,9 +96,9 @@ def follow_tip_path(  # noqa: PLR0913
             f"path is {length:.6g} m long; it must be at most {longest:g} m, {LONGEST} times the longest tube"
         )
     furthest, reason = 0.0, "the first point is out of reach"
-    for first in _starts(task, curve, start, tolerance, solver):
-        spacing = solver.spacing * task.chart.space.length
-        for _ in range(solver.refinements + 1):
+    for first in _starts(task, curve, start, tolerance):
+        spacing = SPACING * task.chart.space.length
+        for _ in range(REFINEMENTS + 1):
             places = _spaced(curve, spacing)
             equilibria, why = _track(task, first, places)
             share = len(equilibria) / len(places)
@@ -141,7 +123,7 @@ def follow_tip_path(  # noqa: PLR0913
     raise SolveError(f"the tip can follow {100 * furthest:.1f} % of the curve: {reason}")
 
 
-def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
+def _curve(path: ArrayLike, spline: bool) -> Array:
     """(k, 3) dense points of the curve."""
     points = checked_places(path, "path")
     if len(points) < 2:
@@ -152,7 +134,7 @@ def _curve(path: ArrayLike, spline: bool, dense: int) -> Array:
     if not spline or len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(step)])
-    fine = np.interp(np.linspace(0, len(points) - 1, dense * (len(points) - 1) + 1), np.arange(len(points)), along)
+    fine = np.interp(np.linspace(0, len(points) - 1, DENSE * (len(points) - 1) + 1), np.arange(len(points)), along)
     fine_points: Array = scipy.interpolate.CubicSpline(along, points)(fine)
     return fine_points
 
@@ -166,7 +148,7 @@ def _spaced(curve: Array, spacing: float) -> Array:
     return np.concatenate(out)
 
 
-def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float, solver: TipPathSolver) -> Iterator[Equilibrium]:
+def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Iterator[Equilibrium]:
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
         check_start(task, first)
@@ -185,8 +167,8 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float, solver: 
             "the tip can follow 0 % of the curve: the searches did not reach its first "
             f"point; the smallest distance of the tip is {miss * 1e3:.4g} mm"
         )
-    asks = kept(task, task.min_margin, solver.starts_share * task.clock.left)
-    for answer in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **asks)[: solver.starts]:
+    asks = kept(task, task.min_margin, STARTS_SHARE * task.clock.left)
+    for answer in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **asks)[:STARTS]:
         yield answer.equilibrium
 
 

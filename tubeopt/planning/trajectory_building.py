@@ -22,6 +22,32 @@ from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
 
+SMOOTHING_SHARE, LEAST_SMOOTHING = 0.5, 1.0
+"""Maximum share of the remaining time for smoothing, since the proof needs the rest; and time, s, below which it is
+skipped."""
+
+SCANNED_SECONDS = 2.5
+"""Maximum duration of smoothing for length among scanned obstacles, s."""
+
+WORTH, WORTH_AMONG_BODIES = 0.02, 0.1
+"""Relative excess of a path over the straight line that justifies smoothing for length, in free space and among
+obstacles, where it takes twice as long."""
+
+SAME_LENGTH = 2e-3
+"""Largest relative difference of equal lengths and durations."""
+
+ROUNDING_SECONDS, ROUNDING_SHARE = 5.0, 0.3
+"""Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
+
+SPACINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
+"""Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
+
+MAX_OVERSPEED = 1.1
+"""Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
+
+LATE_SECONDS = 0.25
+"""Largest overrun of the time limit for following an unproved motion to its end, s."""
+
 SHORT = 1e-9
 """Length of a way (joints' scales) on which nothing is smoothed."""
 
@@ -36,22 +62,22 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
     clock, limits, aim, extra = task.clock, actuators(task, first), task.options.objective, task.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    effort, found = task.effort, []
+    found = []
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
-    most = effort.smoothing.scanned_seconds * clock.parallel_slowdown if scanned else effort.smoothing.seconds
-    own = Clock(min(most, effort.smoothing.share * clock.left), clock)
+    most = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
+    own = Clock(min(most, SMOOTHING_SHARE * clock.left), clock)
     for name in ("length", "time") if aim == "time" else (aim,):
-        if aim == "none" or own.left < effort.smoothing.least_seconds or not _worth_smoothing(task, curves):
+        if aim == "none" or own.left < LEAST_SMOOTHING or not _worth_smoothing(task, curves):
             break
         best = smooth(task, first, points, limits, name, own)
         if best is not None:
             exact = name == "margin" or extra is not None
-            way = best.motion.sampled(task.scale, effort.timing)[1], best.points[-1]
+            way = best.motion.sampled(task.scale)[1], best.points[-1]
             rounder = None if exact else _rounded(task, first, way, limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
             found.append((motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
-        rest = Clock(min(effort.rounding.seconds * clock.parallel_slowdown, effort.rounding.share * clock.left), clock)
+        rest = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_SHARE * clock.left), clock)
         way = np.concatenate(curves), points[-1]
         if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
             found.append((corners, "corners", 0, len(points)))
@@ -59,9 +85,8 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
             found = [each for each in found if each[0].duration <= resting.duration]
             found.sort(key=lambda each: each[0].duration)
         else:
-            same = 1 + effort.smoothing.same_length
-            longest, slowest = resting.length(task.scale, effort.timing) * same, resting.duration * same
-            short = [(each[0].length(task.scale, effort.timing), each) for each in found if each[0].duration <= slowest]
+            longest, slowest = (x * (1 + SAME_LENGTH) for x in (resting.length(task.scale), resting.duration))
+            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
             found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
     return [*found, (resting, "", 0, len(points))]
 
@@ -76,8 +101,7 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     if length < SHORT or options.objective != "length" or options.extra_cost is not None:
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
-    effort = task.effort.smoothing
-    return 1 - straight / length > (effort.worth_among_bodies if task.obstacles else effort.worth)
+    return 1 - straight / length > (WORTH_AMONG_BODIES if task.obstacles else WORTH)
 
 
 def _rounded(
@@ -86,7 +110,7 @@ def _rounded(
     """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
     the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
     q, end = way
-    for spacing in task.effort.rounding.spacings:
+    for spacing in SPACINGS:
         if clock.over:
             return None
         motion = through(q, task.scale, limits, spacing)
@@ -102,7 +126,7 @@ def build(
     """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
     `found` before is told with the length of what is made of it and the seconds of the proof."""
     rates, clock, space = task.rates, task.clock, task.chart.space
-    t, q = motion.sampled(task.scale, task.effort.timing)
+    t, q = motion.sampled(task.scale)
     begin = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
     x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
@@ -115,15 +139,15 @@ def build(
     n = space.robot.n_tubes
     least, clearance = task.min_margin - 1e-6, task.clearance - task.reserve
     kept = Kept(task.obstacles, least, clearance, rates, space.limits, task.max_force)
-    proof = proved(first, t, table, kept, clock, task.effort.proof)
+    proof = proved(first, t, table, kept, clock)
     if not (proof.holds or proof.open):
         overspeed = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
-        if 1 < overspeed < task.effort.timing.max_overspeed and len(proof.faults) == 1:
+        if 1 < overspeed < MAX_OVERSPEED and len(proof.faults) == 1:
             slower = motion.slower(overspeed)
             return build(task, first, end, slower, found)
         return proof.faults
     # A proof that time ended may not have come to the last of them.
-    late = Clock(task.effort.shares.late_seconds)
+    late = Clock(LATE_SECONDS)
     arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
     if len(arms) < len(q):
         return (no_time(clock),)

@@ -14,7 +14,7 @@ from ...files.units import TO_MM
 from ...inverse.descent import held_by, reach
 from ...inverse.goal import Goal, pose_question
 from ...inverse.posture import Posture, start_posture
-from ...inverse.settings import Descent, InverseOptions, InverseSolver
+from ...inverse.settings import InverseOptions
 from ...typing import Array
 from .session import Session, moved_to
 
@@ -24,7 +24,7 @@ LONGEST_PULL = 0.05
 CLOSE_ENOUGH = 1e-6
 """Distance (m) at which a target counts as reached."""
 
-QUICK = InverseOptions(solver=InverseSolver(descent=Descent(steps=20)))
+QUICK = InverseOptions(steps=20)
 """A step towards the target follows the hand, and there will be another one."""
 
 
