@@ -10,8 +10,8 @@ import argparse
 from pathlib import Path
 
 from tubeopt.design import choose_from_stock
+from tubeopt.runs.design_parts import load_stock
 from tubeopt.runs.design_study import DesignStudy
-from tubeopt.runs.stock_file import load_stock
 from tubeopt.runs.study_file import load_study
 from tubeopt.show.plots.design import plot_stock
 

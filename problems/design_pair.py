@@ -13,7 +13,7 @@ import argparse
 from decimal import Decimal
 from pathlib import Path
 
-from tubeopt.runs.pair_study import PairStudy
+from tubeopt.runs.design_study import PairStudy
 from tubeopt.runs.study_file import load_study
 from tubeopt.show.plots.design import plot_pair_shares
 

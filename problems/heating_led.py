@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.runs.firmware_study import LedHeating
+from tubeopt.runs.heating_study import LedHeating
 from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.plots.heating import plot_feedback
 

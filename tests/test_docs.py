@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import tubeopt
-from tubeopt.runs.load_file import load_entry
+from tubeopt.runs.robot_keys import load_entry
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = re.compile(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL)

@@ -10,7 +10,7 @@ import pytest
 from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, Load, forward_kinematics, load_robot
 from tubeopt.robots.load import PointLoad, Stretch
-from tubeopt.runs.load_file import load_entry
+from tubeopt.runs.robot_keys import load_entry
 from tubeopt.runs.study_file import load_study
 
 TWO_TUBE = str(ROOT / "configs" / "robots" / "two_tube.yaml")

@@ -9,8 +9,8 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
 from tubeopt import load_robot, snap_free_certificate
+from tubeopt.runs.design_parts import load_stock
 from tubeopt.runs.design_study import DesignStudy
-from tubeopt.runs.stock_file import load_stock
 from tubeopt.runs.study_file import load_study
 
 STUDIES = ROOT / "configs" / "studies"

@@ -14,7 +14,7 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import ConcentricRobot, InputError, Load, Piece, Tube, forward_kinematics
 from tubeopt.errors import ImplausibleWarning, TimeLimitError
-from tubeopt.runs.load_file import load_entry
+from tubeopt.runs.robot_keys import load_entry
 
 JOINTS = (0.0, 1.0, 2.0)
 PUSH = (0.01, 0.0, 0.0)

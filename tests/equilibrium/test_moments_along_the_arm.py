@@ -25,7 +25,7 @@ from tubeopt import (
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.robots.load import between
 from tubeopt.robots.pieces import Piece
-from tubeopt.runs.load_file import load_entry
+from tubeopt.runs.robot_keys import load_entry
 from tubeopt.typing import Array
 
 ROTATIONS = (0.0, 1.0, 2.0)

@@ -11,7 +11,7 @@ import pytest
 import tubeopt
 from tubeopt.errors import InputError
 from tubeopt.files.shipped import ENDINGS, FOLDER, NAME, about, resolved, shipped
-from tubeopt.runs.load_file import load_entry
+from tubeopt.runs.robot_keys import load_entry
 from tubeopt.runs.study_file import load_study
 from tubeopt.runs.sweep_file import load_sweep
 

@@ -15,10 +15,10 @@ from tubeopt.bodies.corridors import load_points
 from tubeopt.files.csv_file import read_csv
 from tubeopt.robots.path_file import load_waypoints
 from tubeopt.runs.anatomy_file import load_landmarks
+from tubeopt.runs.inverse_study import load_targets
 from tubeopt.runs.measurement_file import load_measurements
 from tubeopt.runs.mold_file import load_trials
 from tubeopt.runs.rig_file import load_heating_log
-from tubeopt.runs.target_file import load_targets
 
 PLAIN = "x_mm,y_mm,z_mm\n10.5,-20.25,150\n0,1e1,140.125\n"
 MM = np.array([[10.5, -20.25, 150.0], [0.0, 10.0, 140.125]])

@@ -17,7 +17,7 @@ from tubeopt.inverse.goal import pose_question
 from tubeopt.inverse.joint_path import jump_between
 from tubeopt.inverse.posture import posture_of
 from tubeopt.robots.robot import Robot
-from tubeopt.runs.target_file import load_targets
+from tubeopt.runs.inverse_study import load_targets
 from tubeopt.typing import Array
 
 

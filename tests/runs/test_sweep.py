@@ -25,7 +25,7 @@ from tests.solvers.parallel.functions import echo, slow_parabola
 from tubeopt import InputError, Tube, find_snap, forward_kinematics, sweep, workspace
 from tubeopt.robots.concentric import ConcentricRobot
 from tubeopt.runs.sweep_file import _fingerprint, load_sweep
-from tubeopt.runs.sweep_points import Axis, Points
+from tubeopt.runs.sweeping import Axis, Points
 from tubeopt.workspaces import voxels
 
 MM = 1e-3

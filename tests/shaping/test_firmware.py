@@ -19,8 +19,8 @@ import pytest
 
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple, load_rig
 from tubeopt.constants import ZERO_CELSIUS
-from tubeopt.runs.firmware_study import LedHeating
 from tubeopt.runs.heating_run import HeatingRun, run_heating
+from tubeopt.runs.heating_study import LedHeating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, parts_list, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import (

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tubeopt import InputError
 from tubeopt.files.csv_file import to_csv
 from tubeopt.runs.measurement_file import load_measurements, save_measurements
-from tubeopt.runs.tracker_file import read_recorded
+from tubeopt.runs.recorded_table import read_recorded
 from tubeopt.validation import Measurements, validate
 
 from .drives import driven, joints, robot, trivial

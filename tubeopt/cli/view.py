@@ -12,10 +12,9 @@ from pydantic import Field
 from ..errors import InputError
 from ..files.checked import Whole, in_file
 from ..runs.inverse_study import InverseStudy
-from ..runs.load_file import Loaded
 from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
-from ..runs.robot_keys import Posed, RobotPath, joints_of
+from ..runs.robot_keys import Loaded, Posed, RobotPath, joints_of
 from ..runs.stability_studies import SnapStudy
 from ..runs.study_file import Study, load_study
 from ..show.served_report import Viewed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,7 +22,7 @@ from ..bodies.frames import Frame, base_frame, ras, register
 from ..bodies.images import LabelImage, read_image
 from ..bodies.labels import field_of_image
 from ..bodies.solids import field_of_mesh, field_of_points, field_of_surface
-from ..errors import InputError
+from ..errors import InputError, triple
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file
 from ..files.csv_file import read_csv
 from ..files.field_metadata import Typical
@@ -29,7 +30,73 @@ from ..files.files import read_text
 from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..typing import Array, Mask
-from .markups_file import markups
+
+# --- points that 3D Slicer saves: .fcsv, a table below comments, and .mrk.json ----------------------------------------
+
+COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+"""Of a .fcsv file that does not name them."""
+
+NOWHERE = ("undefined", "missing")
+"""States of a point of a .mrk.json file that has no place."""
+
+UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "um": 1e-6}
+"""Units of length in files, m."""
+
+
+def markups(path: str | PathLike[str]) -> dict[str, Array]:
+    """Places (3,), m, by their labels, in the axes of the file.
+
+    Raises:
+        InputError: no such file, no points in it, a label that is empty or stands twice, a place that is no three
+            finite numbers.
+    """
+    rows = _of_json(path) if Path(path).suffix.lower() == ".json" else _of_table(path)
+    found: dict[str, Array] = {}
+    for k, (label, place) in enumerate(rows, start=1):
+        name = str(label or "").strip()
+        if not name or name in found:
+            raise InputError(f"{path}: label of point {k} is {name!r}; every landmark must have a name of its own")
+        found[name] = np.array(triple(f"{path}: place of {name!r}", place))
+    if not found:
+        raise InputError(f"{path}: it has no points")
+    return found
+
+
+def _of_table(path: str | PathLike[str]) -> list[tuple[str, Any]]:
+    columns, rows = COLUMNS.split(","), []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if line.lstrip().startswith("#"):
+            key, _, words = line.lstrip("# ").partition("=")
+            columns = [each.strip() for each in words.split(",")] if key.strip() == "columns" else columns
+        elif line.strip():
+            cells = dict(zip(columns, (cell.strip() for cell in line.split(",")), strict=False))
+            try:
+                place = [float(cells[axis]) * UNITS["mm"] for axis in "xyz"]
+            except (KeyError, ValueError):
+                raise InputError(f"{path}: line {number} has no x, y and z that are numbers") from None
+            rows.append((cells.get("label", ""), place))
+    return rows
+
+
+def _of_json(path: str | PathLike[str]) -> list[tuple[str, Any]]:
+    try:
+        lists = json.loads(read_text(path))["markups"]
+        rows = []
+        for each in lists:
+            unit = each.get("coordinateUnits", "mm")
+            scale = UNITS[str(unit[0] if isinstance(unit, list) else unit)]
+            points = [p for p in each.get("controlPoints", ()) if p.get("positionStatus") not in NOWHERE]
+            rows += [(p["label"], np.array(p["position"], dtype=float) * scale) for p in points]
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError):
+        raise InputError(
+            f"{path}: not a markups file of 3D Slicer; it must have a list markups of "
+            "controlPoints, each with label and position, and coordinateUnits "
+            f"{', '.join(UNITS)}"
+        ) from None
+    return rows
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
 
 LOGGER = logging.getLogger(__name__)
 
@@ -40,8 +107,6 @@ Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 SQUARE = 1e-3
 """How far the axes of a pose may be from those of a frame."""
-
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[str, Array]:

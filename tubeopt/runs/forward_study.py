@@ -7,8 +7,7 @@ from typing import Annotated
 
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
-from .load_file import ExternalLoad
-from .robot_keys import Joints, RobotPath
+from .robot_keys import ExternalLoad, Joints, RobotPath
 from .study_file import Arguments, Options, question
 
 LOGGER = logging.getLogger(__name__)

@@ -1,20 +1,27 @@
-"""The study of a heating: the schedule that sets the shape of a tube on a rig."""
+"""Studies of heatings: the schedule, its feedback control, the calibration of the rig, and all tubes of a robot."""
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from ..display import Displayed
 from ..errors import InputError, choice
-from ..files.checked import NotNegative, Positive, Whole, in_file
+from ..files.checked import NotNegative, Number, Positive, Whole, in_file
 from ..files.fields import asking, made
+from ..robots.robot import Robot
 from ..robots.tubes import Tube
-from ..shaping.heating.controller import wilson
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
+from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
+from ..shaping.heating.controller import Feedback, wilson
 from ..shaping.heating.feedback_design import design_feedback
 from ..shaping.heating.files import slot_milliseconds
+from ..shaping.heating.logged import HeatingLog
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
@@ -23,8 +30,13 @@ from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
-from ..typing import Progress
-from .rig_file import load_rig
+from ..shaping.mold.heat import heating_for
+from ..shaping.mold.robot import RobotMold, chosen_tubes
+from ..shaping.mold.spec import MoldSpec
+from ..shaping.tube_fabrication import TubeFabrication, plan_tube
+from ..typing import Array, Progress
+from .mold_study import MoldPath
+from .rig_file import load_camera, load_heating_log, load_rig
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Timed
 
@@ -249,3 +261,211 @@ class HeatingStudy(HeatedTube):
             scaled=self.robust,
             sensor=sensor_of(self.sensor),
         )
+
+
+# --- feedback control and firmware ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LedHeating(Displayed):
+    """A heating that a sensor leads, and the board that runs it."""
+
+    plan: HeatingPlan
+    """The schedule."""
+    feedback: Feedback
+    """The law that leads it, and what it keeps."""
+    wiring: Wiring
+    """Board, pins and parts."""
+    frequency: float
+    """Hz, of the board's pulses."""
+
+
+@asking(HeatingSpec)
+class LedHeatingStudy(HeatedTube):
+    """Feedback control of a heating: gains, success probability on uncertain rigs, and firmware."""
+
+    doing = "planning the heating and its law"
+
+    kind: Literal["led_heating"]
+    sensor: str = Field("thermocouple", description=f"temperature sensor: {', '.join(READS)}")
+    bias_K: NotNegative | None = Field(
+        None, description="half-width of the constant error of the sensor; by default a typical value of its kind"
+    )
+    board: str = Field("uno", description=f"board to run the sketch: {', '.join(BOARDS)}")
+    converter: str | None = Field(
+        None,
+        description=f"converter of the sensor signal: {', '.join(CONVERTERS)}; by default the usual one of the sensor",
+    )
+    pwm_Hz: Positive | None = Field(
+        None,
+        description="PWM frequency; the nearest one of the board is used. Default: "
+        "the lowest, with the smallest switching loss",
+    )
+    samples: Annotated[Whole, Field(ge=20)] = Field(
+        200, description="number of random rigs to test the controller on, at least 20"
+    )
+
+    @model_validator(mode="after")
+    def _buildable(self) -> Self:
+        self._sensor()
+        rig = self.set_up()
+        pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
+        hall_slope(self._wiring(), rig.circuit)
+        return self
+
+    def _sensor(self) -> Sensor:
+        kind = SENSORS[choice("sensor", self.sensor, READS)]
+        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"))
+
+    def _wiring(self) -> Wiring:
+        return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
+
+    def run(self, progress: Progress | None = None) -> LedHeating:
+        """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
+        tell = progress or (lambda done, total: None)
+        tell(0, 2)
+        rig, wiring = self.set_up(), self._wiring()
+        frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
+        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+        plan = plan_heating(self.heated(), rig, self.spec())
+        tell(1, 2)
+        feedback = design_feedback(plan, self._sensor(), samples=self.samples)
+        tell(2, 2)
+        return LedHeating(plan, feedback, wiring, frequency)
+
+
+# --- calibration of a rig ---------------------------------------------------------------------------------------------
+
+CameraView = tuple[Array, Array, Array]
+"""Times, places and temperatures that a camera saw."""
+
+
+class HeatingCalibrationStudy(TubeOnRig):
+    """Heat loss and contacts of a rig, from a heating log."""
+
+    doing = "calibrating the rig"
+
+    kind: Literal["heating_calibration"]
+    log: Annotated[Path, in_file(Path, "a CSV file")] = Field(
+        description="path of a CSV file with the columns time_s, duty and any of temperature_degC, voltage_V, current_A"
+    )
+    fit: list[str] = Field(
+        ["loss", "gap", "contact_resistance", "resistivity"],
+        description=f"parameters to estimate, from {', '.join((*FACTORS, BIAS))}",
+        examples=["NAME,.."],
+    )
+    camera: Annotated[CameraView, in_file(load_camera, "a CSV file")] | None = Field(
+        None,
+        description="CSV file of a thermal camera, recorded with the log: time_s, and "
+        "temperatures in degC at points of the tube. The name of a column is "
+        "its distance from the middle of the curved part, mm",
+        examples=["FILE.csv"],
+    )
+    noise_K: Positive | None = Field(None, description="stated noise of the thermometers, compared with the residuals")
+    noise_V: Positive | None = Field(None, description="stated noise of the voltage")
+    noise_A: Positive | None = Field(None, description="stated noise of the current")
+    position_mm: Number = Field(
+        Decimal(0), description="position of the thermometer, from the middle of the curved part"
+    )
+    lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
+
+    @functools.cached_property
+    def _read(self) -> HeatingLog:
+        log = load_heating_log(self.log, **self.in_si("position_mm", "lag_s"))
+        return log if self.camera is None else log.with_camera(*self.camera)
+
+    @model_validator(mode="after")
+    def _can_be_read(self) -> Self:
+        _ = self._read
+        return self
+
+    def run(self, progress: Progress | None = None) -> RigFit:
+        """The calibrated rig; raises InputError for a factor that is not known."""
+        stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
+        noise = {name: float(value) for name, value in stated.items() if value is not None}
+        return calibrate(self.heated(), self.rig, self._read, self.fit, noise=noise)
+
+
+# --- molds and heatings of all tubes of a robot -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class TubeParts:
+    """Mold and schedules of one tube."""
+
+    number: int
+    """Of the tube, from 1."""
+    made: TubeFabrication
+    """The two as planned together."""
+    mold: RobotMold
+    """As the command for molds says it."""
+    heating: Heating
+    """As the command for heatings says it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fabrication(Displayed):
+    """Everything that it takes to make a robot's tubes."""
+
+    robot: Robot
+    parts: tuple[TubeParts, ...]
+    """One for each tube that is made."""
+    left_out: tuple[str, ...]
+    """Tubes that are not made, in words."""
+
+    @property
+    def success(self) -> Success | None:
+        """That of the least likely tube; None where it is not known of one."""
+        found = [part.heating.success for part in self.parts]
+        known = [one for one in found if one is not None]
+        return min(known, key=lambda one: one.probability) if len(known) == len(found) else None
+
+
+class FabricationStudy(Timed):
+    """Molds and heating schedules for every tube of a robot."""
+
+    doing = "planning molds and schedules"
+
+    kind: Literal["fabrication"]
+    robot: RobotPath
+    rig: RigPath = Field(examples=["RIG.yaml"])
+    mold: MoldPath = None
+    hold_s: Positive | None = Field(
+        None, ge=1, le=1800, description="hold time, 1 to 1800 s; by default that of the mold file, or 60"
+    )
+    objective: Literal["time", "energy", "margin"] = Field(
+        "time", description="objective: time (shortest), energy (least charge) or margin (to the window and the limit)"
+    )
+    charges_percent: list[Charge] = Field(
+        [],
+        description="additional states of charge for tables of the duty cycle, percent; as a flag, none for no tables",
+    )
+    samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
+    sensor: SensorName | None = SENSOR
+
+    @model_validator(mode="after")
+    def _tried_enough(self) -> Self:
+        enough(self.samples, self.sensor)
+        return self
+
+    def run(self, progress: Progress | None = None) -> Fabrication:
+        """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
+
+        Raises:
+            InputError: no tube of the robot is curved, or as `plan_tube`.
+        """
+        asked = self.mold or MoldSpec()
+        spec = replace(heating_for(asked.heat), objective=self.objective)
+        spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
+        charges = self.si("charges_percent")
+        chosen, left_out = chosen_tubes(self.robot)
+        parts = []
+        for k, number in enumerate(chosen):
+            if progress is not None:
+                progress(k, len(chosen))
+            # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
+            made = plan_tube(self.robot.tubes[number - 1], self.rig, asked, spec, number=number)
+            drawn = RobotMold(made.mold, self.robot.name, ())
+            heating = heating_of(made.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor))
+            parts.append(TubeParts(number, made, drawn, heating))
+        return Fabrication(self.robot, tuple(parts), tuple(left_out))

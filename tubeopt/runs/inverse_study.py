@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -11,19 +12,85 @@ from pydantic import Field, field_validator, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import NotNegative, Positive, Triple, in_file, require_one
+from ..files.checked import Entry, NotNegative, Number, Positive, Triple, check, in_file, require_one
+from ..files.csv_file import read_csv, refuse
 from ..files.fields import asking, values
+from ..files.units import MM, RAD
+from ..files.yaml_file import load_yaml
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
 from ..inverse.clock import Clock
 from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
-from .load_file import Loaded
 from .obstacle_file import Surrounded, TipPlace
-from .robot_keys import OnePerTube, RobotPath, joints_of
+from .robot_keys import HOME, Loaded, OnePerTube, RobotPath, joints_of
 from .study_file import Study
-from .target_file import POSITION, Targets, load_joints, load_targets
+
+# --- files of targets and of joint values -----------------------------------------------------------------------------
+
+POSITION = ("x_mm", "y_mm", "z_mm")
+DIRECTION = ("direction_x", "direction_y", "direction_z")
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """T targets."""
+
+    position: Array
+    """(T, 3) m."""
+    direction: Array | None
+    """(T, 3), of any length."""
+    path: str = ""
+    """Of the file."""
+
+
+def load_targets(path: str | PathLike[str]) -> Targets:
+    """The targets in a CSV file with the columns x_mm, y_mm, z_mm and, where the tip shall point, direction_x, ...
+
+    Raises:
+        InputError: no such file, a column that is unknown or missing, a cell that is no number, a direction without
+            length: one line for each problem.
+    """
+    table = read_csv(path, (*POSITION, *DIRECTION))
+    given = table.expect(POSITION, together=DIRECTION)
+    position = table.numbers(POSITION, MM)
+    direction = table.numbers(DIRECTION, RAD) if given else None
+    if direction is not None:
+        for k in np.flatnonzero(~direction.any(1)):
+            table.complain(int(k), DIRECTION[0], "is 0, as are the other two; a direction must have a length")
+    table.check()
+    return Targets(position, direction, str(path))
+
+
+class JointsFile(Entry):
+    """One configuration of a robot."""
+
+    rotations_deg: list[Number] = Field(description="rotation of every tube, inner to outer")
+    translations_mm: list[Number] | None = Field(
+        None, description=f"translation of every tube, inner to outer; default {HOME}"
+    )
+
+
+def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
+    """Rotations (n,) rad and translations (n,) m of the model where drives read what a YAML file says.
+
+    Raises:
+        InputError: no such file, not YAML, an unknown key, not as many numbers as there are tubes.
+    """
+    joints = check(JointsFile, load_yaml(path), path)
+    n = robot.n_tubes
+    given = {key: joints.si(key) for key in JointsFile.model_fields}
+    problems = [
+        f"{key} has {len(values)} numbers; it must be {n} (one per tube)"
+        for key, values in given.items()
+        if values is not None and len(values) != n
+    ]
+    refuse(path, problems)
+    return joints_of(robot, *given.values())
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
 
 Joints = Annotated[
     tuple[Array, Array], in_file(load_joints, "a YAML file with rotations_deg, translations_mm", of="robot")

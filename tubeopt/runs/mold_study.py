@@ -1,4 +1,4 @@
-"""Studies of molds: the grooves or the mandrel that set the shape of tubes, and what they are made of."""
+"""Studies of molds: grooves or mandrel that set the shape of tubes, their material, and spring-back."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ..shaping.mold.mandrel import Mandrel, plan_mandrel
 from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
-from ..shaping.mold.springback import Springback
+from ..shaping.mold.springback import Calibration, Springback, calibrate_springback
 from ..typing import Progress
-from .mold_file import load_mold_spec, load_springback
+from .mold_file import Trials, load_mold_spec, load_springback, load_trials
 from .rig_file import load_rig
 from .robot_keys import RobotPath, TubeNumber
-from .study_file import Study, Timed, question
+from .study_file import Arguments, Options, Study, Timed, question
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,3 +152,18 @@ class MaterialsStudy(Timed):
         """The materials, best first."""
         rig = self.rig or Rig()
         return Ranking(rank_mold_materials(self._tube(), self._heat(), rig=rig), self._tube(), self._heat())
+
+
+TrialsPath = Annotated[
+    Trials,
+    in_file(load_trials, "a CSV file"),
+    Field(description="path of a CSV file with the columns mold_radius_mm and obtained_radius_mm"),
+]
+
+
+@question("running the study", timed=False)
+def calibrate_mold(
+    trials: TrialsPath, options: Annotated[Options, Arguments(calibrate_springback, "model")]
+) -> Calibration:
+    """Spring-back of tubes, from trials."""
+    return calibrate_springback(trials.mold_radius, trials.obtained_radius, **options)

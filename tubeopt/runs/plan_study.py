@@ -1,28 +1,49 @@
-"""The study of a plan: a motion to a goal, along a curve of the tip, or a deployment."""
+"""Studies of motions: the plan of one robot, of several, and the check of any trajectory."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from decimal import Decimal
+from os import PathLike
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
+from ..bodies.frames import Frame
+from ..bodies.obstacles import Obstacle
 from ..bodies.plane import Plane
-from ..files.checked import Entry, NotNegative, Positive, Triple, Whole
+from ..display import Displayed
+from ..errors import undoubted
+from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, asking, values
-from ..planning import EntryRegion, PlanOptions, RateLimits, TipGoal, Trajectory, plan_from_region, plan_trajectory
+from ..files.yaml_file import load_yaml
+from ..planning import (
+    ArmsPlan,
+    EntryRegion,
+    PlacedRobot,
+    PlanOptions,
+    Proof,
+    RateLimits,
+    TipGoal,
+    Trajectory,
+    plan_arms,
+    plan_from_region,
+    plan_trajectory,
+    verify_trajectory,
+)
+from ..planning.file import TimedJoints, load_trajectory
 from ..planning.leader import follow_the_leader
+from ..planning.motion import ANY_RATES
 from ..planning.tip_path import follow_tip_path
 from ..robots.robot import Robot
 from ..typing import Array, Progress
-from .load_file import Loaded
-from .obstacle_file import Place, Surrounded, TipPlace
-from .robot_keys import OnePerTube, Started, check_within, joints_of, said_of
-from .study_file import Study
+from .anatomy_file import BasePart
+from .obstacle_file import Bodies, Place, Surrounded, TipPlace
+from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, said_of
+from .study_file import Study, Timed
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -213,3 +234,180 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
             # Where the plate stands in the patient, in whom it stood at the base.
             return replace(plan, entry=replace(plan.entry, base=self.anatomy.base.inverse.of(plan.entry.frame)))
         return plan_trajectory(robot, start, goal, load=self.external_load, **common)
+
+
+# --- several robots ---------------------------------------------------------------------------------------------------
+
+
+class PlacedPart(Started):
+    """One of several robots: where it stands, and from where it begins."""
+
+    name: str = Field("", description="name in messages and plots; default the name of the robot")
+    base: BasePart | None = Field(None, description="base plate in the common frame")
+
+    def placed(self, anatomy: Anatomy) -> PlacedRobot:
+        """The robot where it stands; landmarks are those of an anatomy."""
+        base = Frame() if self.base is None else self.base.frame(anatomy.landmarks)
+        return PlacedRobot(self.robot, base, self.name)
+
+
+def shared(anatomy: Anatomy | None) -> Anatomy:
+    """What is around all arms; raises ValueError where it says where a plate stands, as that of one robot does."""
+    found = Anatomy() if anatomy is None else anatomy
+    if not (np.array_equal(found.base.axes, np.eye(3)) and np.array_equal(found.base.origin, np.zeros(3))):
+        raise ValueError("anatomy has a base or a registration; give the base of every arm instead")
+    return found
+
+
+class ArmPart(Aimed, PlacedPart):
+    """One of the robots and its goal; without a goal it does not move."""
+
+    tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
+
+    @model_validator(mode="after")
+    def _one_goal(self) -> Self:
+        joints = self.goal_deg is not None or self.goal_mm is not None
+        if joints + (self.tip_mm is not None) + (self.tip_at is not None) > 1:
+            raise ValueError("has several goals; it must have one: goal_deg and goal_mm, tip_mm, or tip_at")
+        return self
+
+
+@asking(PlanOptions, "objective", "seed")
+class ArmsStudy(Surrounded, Study):
+    """Motions of several robots on one plate or endoscope, without snap and without contact between them."""
+
+    doing = "planning"
+    assuming = "Results assume no friction, load or weight."
+
+    kind: Literal["plan_arms"]
+    arms: Annotated[list[ArmPart], Field(min_length=2)] = Field(description="the robots, at least two")
+    obstacles: Bodies = Field(
+        (), description="obstacles for all arms, in the common frame: a YAML file or a list of bodies"
+    )
+    clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
+        Decimal("0.5"), description="smallest allowed distance of every arm from obstacles and other arms"
+    )
+    min_margin: NotNegative = Field(
+        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
+    )
+    rates: RatesEntry = Field(default_factory=RatesEntry, description="rate and acceleration limits of the actuators")
+    time_limit_s: Positive = Field(Decimal(120), description="time limit of the command")
+
+    @model_validator(mode="after")
+    def _landmarks(self) -> Self:
+        check_rates(self.rates, *(arm.robot for arm in self.arms))
+        around = shared(self.anatomy)
+        for arm in self.arms:
+            arm.placed(around)
+            arm.goal(around)
+        return self
+
+    def run(self, progress: Progress | None = None) -> ArmsPlan:
+        """The motions; raises SolveError where there are none, or none were found in time."""
+        return plan_arms(
+            [arm.placed(self.around) for arm in self.arms],
+            [arm.start for arm in self.arms],
+            [arm.goal(self.around) for arm in self.arms],
+            obstacles=self.bodies,
+            min_margin=self.si("min_margin"),
+            rate_limits=self.rates.build(),
+            options=PlanOptions(**values(PlanOptions, self)),
+        )
+
+
+# --- check of a trajectory --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Checked(Displayed):
+    """A trajectory of whatever origin, and what was found on it."""
+
+    file: str
+    """That it was read from."""
+    joints: TimedJoints
+    """Joint values over time."""
+    proof: Proof
+    """What was found."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """That the arm was to keep away from."""
+
+
+def _plan_study(path: str | PathLike[str]) -> PlanStudy:
+    return check_kind({"plan": PlanStudy}, load_yaml(path), path)
+
+
+class VerifyStudy(Surrounded, Loaded, Timed):
+    """Check of any trajectory for snaps, collisions and rates."""
+
+    doing = "following the trajectory"
+    assuming = "Results assume no friction, and no load or weight except the given ones."
+
+    kind: Literal["verify"]
+    robot: RobotPath | None = Field(
+        None, description="robot file; default the one named in the trajectory", examples=["ROBOT.yaml"]
+    )
+    trajectory: Annotated[tuple[str, TimedJoints], in_file(load_trajectory, "a CSV file", of="robot", named=True)] = (
+        Field(
+            description="path of a CSV file with columns time_s, rotation_1_deg, ... and, "
+            "if tubes translate, translation_1_mm, ..."
+        )
+    )
+    min_margin: NotNegative | None = Field(
+        None, lt=1, description="smallest allowed stability margin, below 1; default 0", examples=["MU"]
+    )
+    clearance_mm: Annotated[NotNegative | None, Typical(1e-5, 0.1)] = Field(
+        None, description="smallest allowed distance between arm and obstacles; default 0"
+    )
+    max_tip_force_mN: Annotated[NotNegative | None, Typical(1e-4, 20.0)] = Field(
+        None,
+        description="check margin and clearance under any tip force up to this size, in any direction; default 0",
+        examples=["F"],
+    )
+    rates: RatesEntry | None = Field(
+        None, description="rate and acceleration limits of the actuators; default not checked"
+    )
+    tip_mm_per_s: Annotated[Positive | None, Typical(1e-4, 2.0)] = Field(
+        None, description="largest tip speed; overrides the rates of the study; default no limit", examples=["V"]
+    )
+    study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
+        None,
+        description="study of kind plan that supplies margin, obstacles, clearance, force, "
+        "load and rates not given here",
+        examples=["STUDY.yaml"],
+    )
+
+    @model_validator(mode="after")
+    def _rates_of_the_robot(self) -> Self:
+        check_rates(self._asked().rates, self.trajectory[1].robot)
+        return self
+
+    def _asked(self) -> VerifyStudy | PlanStudy:
+        """What is asked: of the plan study where there is one, but for the keys that are given beside it."""
+        if self.study is None:
+            return self
+        shared = (VerifyStudy.model_fields.keys() & PlanStudy.model_fields) - {"kind", "robot"}
+        given = {key: getattr(self, key) for key in self.model_fields_set & shared}
+        return self.study.model_copy(update={key: value for key, value in given.items() if value is not None})
+
+    def run(self, progress: Progress | None = None) -> Checked:
+        """What is found on the trajectory; raises SolveError where it cannot be followed."""
+        asked = self._asked()
+        file, joints = self.trajectory
+        rates, tip = None if asked.rates is None else asked.rates.build(), self.si("tip_mm_per_s")
+        if tip is not None:
+            with undoubted():
+                rates = replace(rates or ANY_RATES, tip=tip)
+        proof = verify_trajectory(
+            joints.robot,
+            joints.time,
+            joints.rotations,
+            joints.translations,
+            start=joints.start(asked.external_load),
+            obstacles=asked.bodies,
+            min_margin=asked.si("min_margin") or 0.0,
+            clearance=asked.si("clearance_mm") or 0.0,
+            rate_limits=rates,
+            max_force=asked.si("max_tip_force_mN") or 0.0,
+            load=asked.external_load,
+        )
+        return Checked(file, joints, proof, asked.bodies)

@@ -1,4 +1,4 @@
-"""Keys that say which robot a study is about, and at which joint values."""
+"""Keys that say which robot a study is about, at which joint values, and under which load."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from decimal import Decimal
-from typing import Annotated
+from os import PathLike
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo
 
 from ..equilibrium.readings import to_model
 from ..errors import InputError
-from ..files.checked import Count, Entry, Number, in_file
+from ..files.checked import Count, Entry, Number, Triple, check, in_file
+from ..files.fields import EntryOf, Part, asking, described, extended, values
+from ..files.shipped import resolved
 from ..files.units import TO_MM
+from ..files.yaml_file import load_yaml
 from ..robots.file import AnyRobot, load_robot
 from ..robots.limits import reading_fault
+from ..robots.load import Load, Stretch
 from ..robots.robot import Robot
 from ..typing import Array
 from .study_file import Keys
@@ -70,11 +75,11 @@ TubeNumber = Annotated[
 
 def check_within(robot: Robot, name: str, rotations: Array, translations: Array) -> None:
     """Raise InputError for a joint value (n,) beyond the limits of a robot, before anything is solved there."""
-    for kind, unit, by, values, limits in (
+    for kind, unit, by, joint_values, limits in (
         ("rotation", "deg", math.degrees(1), rotations, robot.limits.rotations),
         ("translation", "mm", TO_MM, translations, robot.limits.translations),
     ):
-        for i, (value, (low, high)) in enumerate(zip(values.tolist(), limits, strict=True), start=1):
+        for i, (value, (low, high)) in enumerate(zip(joint_values.tolist(), limits, strict=True), start=1):
             if not low - SLACK <= value <= high + SLACK:
                 allowed = f"it must be from {low * by:.6g} to {high * by:.6g} {unit}"
                 raise InputError(f"{name} is out of range: {kind} of tube {i} is {value * by:.6g} {unit}; {allowed}")
@@ -173,3 +178,75 @@ def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[fl
         return to_model(robot, rotations, np.array(shifted))
     own = robot.calibration
     return rotations if own is None else own.to_model(rotations, 0.0)[0], robot.home_translations
+
+
+# --- loads, in a study or in a file of their own: forces in mN, moments in mN m, lengths in mm ------------------------
+
+
+@asking(Load)
+class LoadEntry(Part):
+    """External load on the robot."""
+
+    distributed_mN_per_m: Triple | list[EntryOf[Stretch]] | None = Field(
+        None, description="load per length in the base frame, along the whole arm or on parts of it"
+    )
+
+    def build(self) -> Load:
+        """The load in SI; raises InputError where it makes no sense."""
+        along: Any = self.distributed_mN_per_m
+        stretches = along if along and isinstance(along[0], Part) else []
+        points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `asking` adds
+        for name, parts in (("points", points), ("distributed_mN_per_m", stretches)):
+            for k, part in enumerate(parts):
+                own = [key for key in type(part).model_fields if key.startswith(("force", "moment"))]
+                if not part.model_fields_set & set(own):
+                    raise InputError(f"{name}[{k}] has no load; it must have {' or '.join(own)}")
+        if along and isinstance(along[0], Part):
+            along = tuple(part.build() for part in along)
+        elif along is not None:
+            along = self.si("distributed_mN_per_m") or None
+        return Load(**values(Load, self), distributed=along)
+
+
+def load_entry(path: str | PathLike[str]) -> LoadEntry:
+    """What a load file says; raises InputError with one line for every problem."""
+    return check(LoadEntry, load_yaml(path), path)
+
+
+def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
+    if value is None or isinstance(value, LoadEntry):
+        return value
+    if isinstance(value, str):
+        return load_entry(resolved(value, info.context["directory"]) if info.context else resolved(value))
+    return check(LoadEntry, value, "")
+
+
+LOAD_KEYS = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
+"""Keys of a load that a study may have beside it."""
+
+
+@extended(
+    {key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in LOAD_KEYS.items()}
+)
+class Loaded(Entry):
+    """A robot that may have a load; the keys of its own replace those of the load."""
+
+    load: Annotated[
+        LoadEntry | None,
+        PlainValidator(_entry, json_schema_input_type=str | LoadEntry | None),
+        Field(
+            description="external load: path of a load file, or its keys as {tip_force_mN: [20, 0, 0]}; default no load"
+        ),
+    ] = None
+
+    @property
+    def external_load(self) -> Load | None:
+        """The load, None without one."""
+        own = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
+        if self.load is None and not own:
+            return None
+        return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
+
+
+ExternalLoad = Annotated[Load | None, Keys(Loaded, "external_load")]
+"""Parameter of a question: the external load, None without one."""

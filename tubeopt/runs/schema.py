@@ -19,13 +19,13 @@ from pydantic_core import core_schema
 from ..files.checked import Entry
 from ..files.files import write_text
 from ..robots.file import ROBOT_KINDS
+from .design_parts import STOCK_KINDS
+from .inverse_study import JointsFile
 from .mold_file import MOLD_KINDS
 from .obstacle_file import ObstacleFile
 from .rig_file import RIG_KINDS
-from .stock_file import STOCK_KINDS
 from .study_file import STUDY_KINDS
 from .sweep_file import SweepEntry
-from .target_file import JointsFile
 
 
 class _Numbers(GenerateJsonSchema):

@@ -39,8 +39,18 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array, Progress
-from .load_file import ExternalLoad, Loaded
-from .robot_keys import HOME, SHIFTED, Joints, OnePerTube, Posed, RobotPath, Translations, joints_of
+from .robot_keys import (
+    HOME,
+    SHIFTED,
+    ExternalLoad,
+    Joints,
+    Loaded,
+    OnePerTube,
+    Posed,
+    RobotPath,
+    Translations,
+    joints_of,
+)
 from .study_file import Arguments, Options, Timed, question
 
 

@@ -34,8 +34,7 @@ from ..robots.file import robot_from_dict
 from .mold_file import mold_spec_from_dict
 from .rig_file import rig_from_dict
 from .study_file import STUDY_KINDS, Study
-from .sweep_points import Axis, Points, Value
-from .sweep_table import NOT_A_RESULT, flatten
+from .sweeping import NOT_A_RESULT, Axis, Points, Value, flatten
 
 Data = dict[str, Any]
 

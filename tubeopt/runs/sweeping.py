@@ -1,4 +1,4 @@
-"""Sweeps: a function at many points, each saved as it is done, that go on where a killed run stopped.
+"""Sweeps: a function at many points, each saved as it is done, that continue where a killed run stopped.
 
 `tubeopt sweep` runs studies this way; `sweep` takes any function of a point that returns numbers and text.
 """
@@ -6,21 +6,220 @@
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
+import math
 import pickle
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+import scipy
+
 from ..display import Displayed
-from ..errors import InputError, TimeLimitError, positive
+from ..errors import InputError, TimeLimitError, choice, positive
+from ..files.files import atomic_write, save_arrays
 from ..files.journal import Journal
 from ..solvers.parallel.executors import Failure, Outcome, each
-from .sweep_points import Points
-from .sweep_table import flatten, why_failed, write_table
+from ..solvers.sampling import sobol
+
+# --- points: what varies, over a grid or a sample of its values -------------------------------------------------------
+
+METHODS = ("grid", "random", "sobol", "latin_hypercube")
+
+MOST_POINTS = 10**7
+
+Value = float | str | bool
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys that take the same values."""
+
+    keys: tuple[str, ...]
+    values: tuple[Value, ...] | None = None
+    """Of a list; None for the range from `low` to `high`."""
+    low: float = 0.0
+    high: float = 0.0
+    count: int = 0
+    """Values of the range on a grid."""
+
+    @property
+    def places(self) -> int:
+        """How many values it has on a grid."""
+        return self.count if self.values is None else len(self.values)
+
+    def on_grid(self, place: int) -> Value:
+        """The value at a place on a grid, from 0; those of a range to 15 digits, ends included."""
+        if self.values is not None:
+            return self.values[place]
+        return self.at(place / (self.count - 1) if self.count > 1 else 0.0)
+
+    def at(self, unit: float) -> Value:
+        """The value at a number from 0 to 1."""
+        if self.values is not None:
+            return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+        return float(f"{(1 - unit) * self.low + unit * self.high:.15g}")
+
+
+@dataclass(frozen=True)
+class Points(Sequence[dict[str, Value]]):
+    """All points of a sweep, in a fixed order; each gives every key its value.
+
+    Raises:
+        InputError: unknown method, no axis, a key on two axes, a sample without count, more than ten million points.
+    """
+
+    axes: tuple[Axis, ...]
+    method: str = "grid"
+    """One of `METHODS`."""
+    total: int = 0
+    """Of a sample; a grid has its own number."""
+    seed: int = 0
+    """Of a sample."""
+
+    def __post_init__(self) -> None:
+        choice("sample.method", self.method, METHODS)
+        if not self.axes:
+            raise InputError("vary is empty; it must name at least one key")
+        for key in self.keys:
+            if self.keys.count(key) > 1:
+                raise InputError(f"vary {key}: it is given {self.keys.count(key)} times; it must be given once")
+        if self.method == "grid":
+            object.__setattr__(self, "total", math.prod(axis.places for axis in self.axes))
+        if not 1 <= self.total <= MOST_POINTS:
+            raise InputError(f"the sweep has {self.total} points; there must be 1 to {MOST_POINTS}")
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All keys that vary."""
+        return tuple(key for axis in self.axes for key in axis.keys)
+
+    def __len__(self) -> int:
+        return self.total
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        """The value of every key at a point, from 0, or a list of points. On a grid the last axis runs fastest."""
+        if isinstance(index, slice):
+            return [self[k] for k in range(self.total)[index]]
+        index = range(self.total)[index]
+        if self.method == "grid":
+            places = np.unravel_index(index, [axis.places for axis in self.axes])
+            chosen = [axis.on_grid(int(k)) for axis, k in zip(self.axes, places, strict=True)]
+        else:
+            units = _sample(self.method, len(self.axes), self.total, self.seed)[index]
+            chosen = [axis.at(float(unit)) for axis, unit in zip(self.axes, units, strict=True)]
+        return {key: value for axis, value in zip(self.axes, chosen, strict=True) for key in axis.keys}
+
+
+@functools.lru_cache(maxsize=4)
+def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
+    """(count, dimension) numbers from 0 to 1."""
+    if method == "random":
+        return np.random.default_rng(seed).random((count, dimension))
+    if method == "latin_hypercube":
+        return np.asarray(scipy.stats.qmc.LatinHypercube(dimension, rng=seed).random(count))
+    return sobol(dimension, count, seed)
+
+
+# --- table: a row per point, in CSV to read and in npz to compute with ------------------------------------------------
+
+LONGEST_LIST = 16
+"""Longer lists of an answer, curves and maps, are left out of the table."""
+
+NOT_A_RESULT = ("statistics", "files", "seconds")
+"""Keys of a study's answer, at any depth, that say how it was found, which differs from run to run."""
+
+FIXED = ("point", "status", "reason")
+"""Columns of every table: the number of the point, from 1; done or failed; why it failed."""
+
+Entries = Callable[[], Iterable[Mapping[str, Any]]]
+"""Lines of a journal by index, as often as they are asked for."""
+
+
+def flatten(record: Mapping[str, Any], leave: Sequence[str] = ()) -> dict[str, float | str | bool | None]:
+    """An answer as one row: `snap.before.margin`, `tip_position_mm[2]`; keys to leave out are so at any depth."""
+    return {path: value for key in record if key not in leave for path, value in _flat(key, record[key], leave)}
+
+
+def _flat(path: str, value: Any, leave: Sequence[str]) -> Iterator[tuple[str, float | str | bool | None]]:
+    if hasattr(value, "tolist"):  # of NumPy
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            if key not in leave:
+                yield from _flat(f"{path}.{key}", inner, leave)
+    elif isinstance(value, (list, tuple)):
+        if len(value) <= LONGEST_LIST:
+            for k, inner in enumerate(value):
+                yield from _flat(f"{path}[{k}]", inner, leave)
+    else:
+        yield path, value
+
+
+def write_table(directory: Path, entries: Entries) -> list[Path]:
+    """Write table.csv and table.npz of journal lines; return their paths.
+
+    The rows stand in the order of the points, whatever the order in which they were computed.
+
+    Raises:
+        InputError: the files cannot be written.
+    """
+    columns = _columns(entries)
+    text = directory / "table.csv"
+    with atomic_write(text) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        for entry in entries():
+            row = _row(entry)
+            writer.writerow([_cell(row.get(column)) for column in columns])
+    stored = {column: _array([_row(entry).get(column) for entry in entries()]) for column in columns}
+    return [text, save_arrays(directory / "table.npz", **stored)]
+
+
+def _columns(entries: Entries) -> list[str]:
+    """Names of all columns: parameters before results."""
+    parameters: dict[str, None] = {}
+    results: dict[str, None] = {}
+    for entry in entries():
+        parameters.update(dict.fromkeys(entry["parameters"]))
+        results.update(dict.fromkeys(entry.get("record", {})))
+    return list(dict.fromkeys([FIXED[0], *parameters, *FIXED[1:], *results]))
+
+
+def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
+    reason = why_failed(entry)
+    fixed = {"point": entry["index"] + 1, "status": "failed" if reason else "done", "reason": reason}
+    return {**entry.get("record", {}), **entry["parameters"], **fixed}
+
+
+def why_failed(entry: Mapping[str, Any]) -> str:
+    """Why a point failed, from its line in the journal; empty where it did not."""
+    failure = entry.get("failure")
+    return f"{failure['kind']}: {failure['reason']}" if failure else ""
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return " ".join(value.split()) if isinstance(value, str) else repr(value)
+
+
+def _array(values: Sequence[Any]) -> np.ndarray:
+    """A column: numbers (nan where there is none), or text."""
+    known = [value for value in values if value is not None and value not in ("NaN", "Infinity", "-Infinity")]
+    if all(isinstance(value, (bool, int, float)) for value in known):
+        return np.array([np.nan if value is None else float(value) for value in values])
+    return np.array([_cell(value) for value in values])
+
+
+# --- the run ----------------------------------------------------------------------------------------------------------
 
 JOURNAL = "journal.jsonl"
 

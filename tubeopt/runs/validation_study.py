@@ -31,9 +31,8 @@ from ..validation import (
     validate,
     where_to_measure,
 )
-from .load_file import ExternalLoad
 from .measurement_file import load_measurements
-from .robot_keys import RobotPath
+from .robot_keys import ExternalLoad, RobotPath
 from .study_file import Arguments, Options, Timed, question
 
 MeasurementsPath = Annotated[

@@ -24,8 +24,8 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
+from ..runs.design_parts import RegionAnswer
 from ..runs.design_study import DesignAnswer
-from ..runs.region_part import RegionAnswer
 from .quantities import Quantity, columns, line, within
 from .report import Drawing, Report, drawing, file_name, grid
 from .snap_report import JOINTS

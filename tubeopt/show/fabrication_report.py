@@ -11,7 +11,7 @@ from rich.text import Text
 from ..errors import SolveError
 from ..files.units import TO_MM
 from ..robots.file import save_robot
-from ..runs.fabrication_study import Fabrication, TubeParts
+from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.rig_file import save_rig
 from .heat_report import HEATING, SUCCESS, HeatingReport, held_duties, missed, success_words, unlikely
 from .mold_report import MOLD, MoldReport

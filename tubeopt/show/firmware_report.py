@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import RenderableType
 
 from ..errors import SolveError
-from ..runs.firmware_study import LedHeating
+from ..runs.heating_study import LedHeating
 from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.controller import Contribution, Feedback

@@ -20,8 +20,7 @@ from ..files.files import write_text
 from ..files.units import MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution, JointPath
 from ..robots.path_file import joint_cells, joint_columns, waypoints_csv
-from ..runs.inverse_study import Postures, Row, TargetTable
-from ..runs.target_file import DIRECTION, POSITION
+from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
 from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
 from .quantities import Quantity, line, rows, within
 from .readings import readings

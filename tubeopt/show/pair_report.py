@@ -17,7 +17,7 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import PairShare, ReachShare
 from ..robots.file import save_robot
-from ..runs.pair_study import PairAnswer
+from ..runs.design_study import PairAnswer
 from ..typing import Array
 from .design_report import CHECK, DIMENSION, before_after, checked_again, dimensions
 from .formatting import at_least

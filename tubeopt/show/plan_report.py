@@ -20,7 +20,7 @@ from ..files.units import TO_MM
 from ..planning import Entry, Proof, Trajectory
 from ..planning.file import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
-from ..runs.verify_study import Checked
+from ..runs.plan_study import Checked
 from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
 from ..typing import Array

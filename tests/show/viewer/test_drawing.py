@@ -236,7 +236,7 @@ def test_the_swept_volume_of_a_turn_is_that_of_its_body_of_revolution() -> None:
 
 
 def test_saved_files_are_read_back(tmp_path: Path) -> None:
-    from tubeopt.runs.target_file import load_joints
+    from tubeopt.runs.inverse_study import load_joints
 
     session, _ = move_joint(open_session(THESIS), 0, 1.0)
     (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
@@ -257,7 +257,7 @@ def test_a_page_for_a_colleague_needs_nothing_else() -> None:
 
 
 def test_files_of_a_calibrated_robot_tell_what_its_drives_read(tmp_path: Path) -> None:
-    from tubeopt.runs.target_file import load_joints
+    from tubeopt.runs.inverse_study import load_joints
 
     drives = replace(Calibration.none(3), rotation_offsets=(0.1, 0.0, -0.2))
     robot = replace(THESIS, calibration=drives)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.examples import CONFIGS, THESIS
 from tubeopt import find_snap, forward_kinematics, load_robot
-from tubeopt.runs.target_file import load_joints
+from tubeopt.runs.inverse_study import load_joints
 from tubeopt.show.viewer import View
 from tubeopt.show.viewer.playback import load_waypoints
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...runs.firmware_study import LedHeating
+from ...runs.heating_study import LedHeating
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.heating.robust import Band

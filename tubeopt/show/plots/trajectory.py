@@ -21,7 +21,7 @@ from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...planning import Trajectory
-from ...runs.verify_study import Checked
+from ...runs.plan_study import Checked
 from ...typing import Array
 from ..arm_surfaces import Detail
 from ..colours import tube_colour

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from ...runs.firmware_study import LedHeating
+from ...runs.heating_study import LedHeating
 from ...shaping.firmware.boards import Wiring, parts_list
 from .heating import IDEAL, TUBE
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
