@@ -1,6 +1,6 @@
 """A page of the site for every script in `problems/` and for every notebook.
 
-The page of a script has its question, what one learns, the pictures and the code. That of a notebook has its cells with
+The page of a script has its question, the result, the pictures and the code. That of a notebook has its cells with
 the outputs that are saved in it.
 
 A hook of MkDocs. Pages are made from the scripts whenever the site is built, so that they cannot drift from them. Where
@@ -22,7 +22,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PROBLEMS, IMAGES, NOTEBOOKS = ROOT / "problems", ROOT / "docs" / "images", ROOT / "notebooks"
 NIGHT = ROOT / "tests" / "night.txt"
-LEARNED = "One learns: "
+LEARNED = "Result: "
 
 GROUPS = {
     "thesis_": "From the thesis",
@@ -64,13 +64,13 @@ def read_problem(script: Path, records: Path | None) -> Problem:
     """A script and what is known of its run.
 
     Raises:
-        ValueError: no docstring, none of what one learns, no pictures, or no record where records are kept.
+        ValueError: no docstring, no result, no pictures, or no record where records are kept.
     """
     code = script.read_text(encoding="utf-8")
     paragraphs = [" ".join(part.split()) for part in (ast.get_docstring(ast.parse(code)) or "").split("\n\n")]
     learned = [part.removeprefix(LEARNED) for part in paragraphs if part.startswith(LEARNED)]
     if not paragraphs[0] or len(learned) != 1:
-        raise ValueError(f"{script.name}: its docstring must say what is asked and, after '{LEARNED}', what one learns")
+        raise ValueError(f"{script.name}: its docstring must state the question and, after '{LEARNED}', the result")
     more = [part for part in paragraphs[1:] if not part.startswith(LEARNED)]
     recorded = records is not None and ((records / f"{script.stem}.json").is_file() or not _by_night(script))
     pictures, printed = _record(script, records) if records and recorded else (_drawn(code), "")
@@ -122,7 +122,7 @@ def page(problem: Problem) -> str:
     parts = [f"# {problem.title}", problem.asked]
     parts += [problem.more] if problem.more else []
     parts += [f"![{problem.title}](images/{path.name})" for path in problem.pictures]
-    parts += ["## What one learns", problem.learned]
+    parts += ["## Result", problem.learned]
     if problem.printed.strip():
         parts += ["## What it prints", f"```text\n{problem.printed.rstrip()}\n```"]
     run = f"    python -m problems.{problem.name}"

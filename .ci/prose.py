@@ -12,8 +12,11 @@ from __future__ import annotations
 import argparse
 import ast
 import functools
+import io
+import json
 import re
 import sys
+import tokenize
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +30,9 @@ LONGEST = 30
 
 STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b")
 """How a description must not begin: the noun or the verb comes first."""
+
+PROSE = re.compile(r"[a-z]{2,},? [a-z]{2,}")
+"""What a string has that is a text, and no name or format."""
 
 CALLS = re.compile(r"(Error|Exit|warn|warning|info|implausible|BadParameter)$")
 """Functions and errors with a message for a user."""
@@ -83,8 +89,17 @@ def texts() -> Iterator[Text]:
     yield from _helps()
     yield from _sources()
     yield from _docstrings()
-    for page in [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]:
-        yield from _page(page)
+    for page in [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("tubeopt/**/*.md")]:
+        name, text = page.relative_to(ROOT).as_posix(), page.read_text(encoding="utf-8")
+        if name == "docs/style.md":  # its table has the words on purpose
+            text = text.partition("## Words to avoid")[0]
+        yield from _page(name, text)
+    for script in sorted((ROOT / "problems").glob("*.py")):
+        yield from _script(script.relative_to(ROOT).as_posix(), script.read_text(encoding="utf-8"))
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        name = notebook.relative_to(ROOT).as_posix()
+        for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+            yield from (_page if cell["cell_type"] == "markdown" else _script)(name, "".join(cell["source"]))
 
 
 def _helps() -> Iterator[Text]:
@@ -109,32 +124,68 @@ def _helps() -> Iterator[Text]:
 
 
 def _sources() -> Iterator[Text]:
-    """Messages of errors and warnings, sentences of status, labels of quantities and keys."""
+    """Messages of errors and warnings, sentences of status, labels of quantities and keys, and all other strings with
+    words, which functions return or draw."""
     for path in sorted((ROOT / "tubeopt").rglob("*.py")):
         module = path.relative_to(ROOT).as_posix()
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            where = f"{module}:{getattr(node, 'lineno', 0)}"
-            if isinstance(node, ast.Call) and CALLS.search(_name(node.func)):
-                for part in node.args[:1]:
-                    if words := _words(part):
-                        yield Text(f"message {module}", where, words)
-            elif isinstance(node, ast.Call) and _name(node.func) == "Quantity":
-                for part in (*node.args[1:2], *(one.value for one in node.keywords if one.arg in ("label", "words"))):
-                    if words := _words(part):
-                        yield Text(f"label {module}", where, words)
-            elif isinstance(node, ast.Call):
-                for part in (one.value for one in node.keywords if one.arg == "description"):
-                    if words := _words(part):
-                        yield Text(f"key {module}", where, words, description=True)
-            elif isinstance(node, ast.ClassDef) and "StatusEnum" in {_name(base) for base in node.bases}:
-                for member in node.body:
-                    if isinstance(member, ast.Assign) and (words := _words(member.value)):
-                        yield Text(f"message {module}", f"{module}:{member.lineno}", words)
-            elif isinstance(node, ast.Subscript) and _name(node.value) == "Annotated":
-                for part in getattr(node.slice, "elts", ())[1:]:
-                    if isinstance(part, ast.Constant | ast.JoinedStr) and (words := _words(part)):
-                        yield Text(f"key {module}", where, words, description=True)
+        known = list(_called(tree, module))
+        yield from known
+        for line, words in _strings(tree):
+            if not any(words in each.text for each in known):
+                yield Text(f"string {module}", f"{module}:{line}", words)
+
+
+def _called(tree: ast.Module, module: str) -> Iterator[Text]:
+    """Texts of a module whose use is known from the call, class or annotation that they are in."""
+    for node in ast.walk(tree):
+        where = f"{module}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Call) and CALLS.search(_name(node.func)):
+            for part in node.args[:1]:
+                if words := _words(part):
+                    yield Text(f"message {module}", where, words)
+        elif isinstance(node, ast.Call) and _name(node.func) == "Quantity":
+            for part in (*node.args[1:2], *(one.value for one in node.keywords if one.arg in ("label", "words"))):
+                if words := _words(part):
+                    yield Text(f"label {module}", where, words)
+        elif isinstance(node, ast.Call):
+            for part in (one.value for one in node.keywords if one.arg == "description"):
+                if words := _words(part):
+                    yield Text(f"key {module}", where, words, description=True)
+        elif isinstance(node, ast.ClassDef) and "StatusEnum" in {_name(base) for base in node.bases}:
+            for member in node.body:
+                if isinstance(member, ast.Assign) and (words := _words(member.value)):
+                    yield Text(f"message {module}", f"{module}:{member.lineno}", words)
+        elif isinstance(node, ast.Subscript) and _name(node.value) == "Annotated":
+            for part in getattr(node.slice, "elts", ())[1:]:
+                if isinstance(part, ast.Constant | ast.JoinedStr) and (words := _words(part)):
+                    yield Text(f"key {module}", where, words, description=True)
+
+
+def _strings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and text of every string with words; without docstrings."""
+    done: set[int] = set()
+    for node in ast.walk(tree):  # from outside to inside: a string before its parts
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            done.add(id(node.value))
+        elif isinstance(node, ast.Constant | ast.JoinedStr) and id(node) not in done:
+            done.update(id(part) for part in ast.walk(node) if not isinstance(node, ast.Constant))
+            if PROSE.search(words := _words(node)):
+                yield node.lineno, words
+
+
+def _script(name: str, code: str) -> Iterator[Text]:
+    """Docstrings, comments and strings of a script, or of a cell."""
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and (words := ast.get_docstring(node)):
+            for paragraph in words.split("\n\n"):
+                yield Text(name, f"{name}:{getattr(node, 'lineno', 1)}", " ".join(paragraph.split()))
+    for line, words in _strings(tree):
+        yield Text(name, f"{name}:{line}", words)
+    for token in tokenize.generate_tokens(io.StringIO(code).readline):
+        if token.type == tokenize.COMMENT:
+            yield Text(name, f"{name}:{token.start[0]}", token.string.lstrip("# "))
 
 
 def _docstrings() -> Iterator[Text]:
@@ -186,12 +237,8 @@ def _words(node: ast.expr) -> str:
     return ""
 
 
-def _page(path: Path) -> Iterator[Text]:
+def _page(name: str, text: str) -> Iterator[Text]:
     """Paragraphs, items and cells of a page of Markdown, without code and formulas."""
-    name = path.relative_to(ROOT).as_posix()
-    text = path.read_text(encoding="utf-8")
-    if name == "docs/style.md":  # its table has the words on purpose
-        text = text.partition("## Words to avoid")[0]
     hidden = re.compile(r"^```.*?^```|^    .*?$|^:::.*?$|\$\$.*?\$\$|<!--.*?-->", re.MULTILINE | re.DOTALL)
     text = hidden.sub(lambda found: re.sub(r"[^\n]", "", found[0]), text)
     text = re.sub(r"\$[^$\n]+\$", "x", text)

@@ -1,10 +1,10 @@
-"""How good is my robot's model? An error budget of a synthetic robot whose sensors lag and whose tubes rub.
+"""Error budget of a synthetic robot with delayed sensors and friction between its tubes.
 
-It is driven along a way there and back, first slowly and then twice as fast: a latency grows with the speed,
-friction does not. The truth is known: a latency, and dry friction between the two tubes.
+The robot moves along a path forward and back, first slowly, then twice as fast. The effect of a delay grows with the
+speed; that of friction does not. The true delay and the true friction are known.
 
-One learns: what each effect explains of the error, that friction is told from latency and from play by two speeds, and
-that what is left is the noise.
+Result: the table shows the part of the error that each effect explains. Two speeds separate friction from delay and
+from backlash. The remaining error is the noise.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ ROBOT = ConcentricRobot(
         Tube(1.0 * MM, 0.75 * MM, 150 * MM, 90 * MM, 9.0),
         Tube(1.5 * MM, 1.15 * MM, 70 * MM, 60 * MM, 5.0),
     ),
-    name="two tubes that rub",
+    name="two tubes with friction",
 )
 DRIVES = replace(Calibration.none(2), latency=0.09)
 FRICTION = Friction(torque=0.012)
-"""12 mN m per m: turning the inner tube, its tip lags by some 10 deg."""
+"""12 mN m per m: when the inner tube turns, its tip lags by about 10 deg."""
 
 TRIED = ("latency", "rotation_play", "friction")
 
 
 def joints(time: Array, slow: float) -> Array:
-    """(N, 4) readings, rad and m, at times (N,), s: a smooth way there and back in `slow` s, then the same faster."""
+    """(N, 4) readings, rad and m, at times (N,), s: a smooth path forward and back in `slow` s, then again faster."""
     phase = np.where(time < slow, time / slow, (time - slow) * FASTER / slow)
     there = 19.0 * np.minimum(phase, 1 - phase)[:, None]
     speed, shift = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
@@ -49,17 +49,17 @@ def joints(time: Array, slow: float) -> Array:
 
 
 def measure(samples: int) -> Measurements:
-    """Rows of the way as the laboratory records them."""
+    """Rows of the path as the laboratory records them."""
     time, slow = np.arange(samples) / RATE, samples / RATE / (1 + 1 / FASTER)
     read, lagging = joints(time, slow), joints(np.maximum(time - DRIVES.latency, 0.0), slow)
     alpha, shift = DRIVES.to_model(lagging[:, :2], lagging[:, 2:])
     tips = np.array([e.tip_position for e in follow(ROBOT, alpha, shift, friction=FRICTION).equilibria])
     noise = np.random.default_rng(1).normal(0, NOISE, tips.shape)
-    return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic way")
+    return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic path")
 
 
 def main(directory: Path, samples: int = 75) -> list[Path]:
-    """Draw what each effect explains of `samples` rows, and print what was found."""
+    """Draw the part of the error that each effect explains in `samples` rows, and print the fitted values."""
     found = compare_effects(ROBOT, measure(samples), TRIED, FitOptions(folds=2))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:

@@ -1,10 +1,10 @@
-"""What parts a robot from its model: a synthetic robot whose sensors lag and whose drives are off.
+"""Causes of the model error of a synthetic robot with delayed sensors and inexact drives.
 
-It is driven along a way there and back. The truth is known: a latency, offsets of the carriages and of one rotation,
-and gains of the drives that are 1 % off. Effects are added in the order in which they predict what no fit has seen.
+The robot moves along a path forward and back. The true errors are known: a delay, offsets of the carriages and of one
+rotation, and gains of the drives that are 1 % off. Effects are added in the order in which they improve the prediction
+of rows that no fit used.
 
-One learns: the four effects that are there are found, those that are not do not pay, and what the fit leaves of the
-error is the noise.
+Result: the fit finds the four true effects and rejects the others. The remaining error is the noise.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ DRIVES = replace(
     rotation_gains=(1.01, 0.99),
     translation_offsets=(-2 * MM, 1.5 * MM),
 )
-"""How the drives really read."""
+"""True offsets and gains of the drives."""
 
 TRIED = (
     "latency",
@@ -55,7 +55,7 @@ TRIED = (
 
 
 def joints(time: Array, last: float) -> Array:
-    """(N, 4) readings, rad and m, at times (N,), s, of a smooth way that turns back half way to `last`."""
+    """(N, 4) readings, rad and m, at times (N,), s, of a smooth path that turns back half of the time to `last`."""
     there = np.minimum(time, last - time)[:, None]
     speed, phase = np.array([0.23, 0.31, 0.19, 0.27]), np.array([0.3, 1.9, 4.0, 5.1])
     waves = np.sin(speed * there + phase) + 0.6 * np.sin(2.3 * speed * there + 2 * phase)
@@ -63,16 +63,16 @@ def joints(time: Array, last: float) -> Array:
 
 
 def measure(count: int = 300) -> Measurements:
-    """Rows of the way as the laboratory records them."""
+    """Rows of the path as the laboratory records them."""
     time = np.arange(count) / RATE
     read, lagging = joints(time, time[-1]), joints(time - DRIVES.latency, time[-1])
     tips = forward_kinematics_batch(ROBOT, *DRIVES.to_model(lagging[:, :2], lagging[:, 2:])).tip_position
     noise = np.random.default_rng(1).normal(0, NOISE, tips.shape)
-    return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic way")
+    return Measurements(read[:, :2], read[:, 2:], tips + noise, time=time, source="a synthetic path")
 
 
 def main(directory: Path) -> list[Path]:
-    """Draw what each effect explains, and print what was found of the drives."""
+    """Draw the part of the error that each effect explains, and print the fitted values of the drives."""
     found = compare_effects(ROBOT, measure(), TRIED, FitOptions(folds=6))
     print(f"as given: {found.start.rms / MM:.2f} mm held out")
     for step in found.steps:

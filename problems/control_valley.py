@@ -1,7 +1,7 @@
-"""The tip of the CRL robot led to a place behind a valley of its margin, by steps alone and by looking ahead.
+"""The tip of the CRL robot moves to a target behind a region of small margin: one-step servo and predictive servo.
 
-One learns: a servo that makes the best of every step comes to rest where the margin reaches its floor, since every step
-closer would be one towards a snap; where the way is known as a whole, the robot goes around.
+Result: the one-step servo stops where the margin reaches its lower bound, since every step closer reduces it. The
+predictive servo plans the whole path and goes around the region.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ DT, STEPS = 0.02, 150
 
 
 def main(out: Path) -> list[Path]:
-    """Lead the tip in both ways, print what came of it, save the picture into `out`, and return its path."""
+    """Move the tip with both servos, print the results, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     seed = tubeopt.forward_kinematics(robot, *SEED)
     tables = []
     for name, servo in (
-        ("one step after another", Servo(robot, seed, options=OPTIONS)),
-        ("looking ahead", PredictiveServo(robot, seed, options=OPTIONS)),
+        ("one-step servo", Servo(robot, seed, options=OPTIONS)),
+        ("predictive servo", PredictiveServo(robot, seed, options=OPTIONS)),
     ):
         steps = [servo.step(Command(position=TARGET), DT) for _ in range(STEPS)]
         arms = [step.equilibrium for step in steps]
@@ -54,7 +54,7 @@ def main(out: Path) -> list[Path]:
 
 @picture
 def plot_ways(tables: list[tuple[str, Array, Array]]) -> Figure:
-    """Distance from the target, m, and margin over time, of both."""
+    """Distance from the target, m, and margin over time, for both servos."""
     figure = new_figure(6.4, 2.8)
     left, right = figure.subplots(1, 2)
     for k, (name, away, margin) in enumerate(tables):

@@ -1,7 +1,7 @@
-"""Where the robot of the CRL data set is close to snapping: its margin over the rotations of the two inner tubes.
+"""Margin of the robot of the CRL data set over the rotations of its two inner tubes.
 
-One learns: a snap belongs to a way, not to a place. The line of first snaps ends in a cusp, and around it leads a way
-to the same shapes on which nothing snaps.
+Result: a snap is a property of a path, not of joint values. The line of first snaps ends in a cusp. A path around the
+cusp reaches the same shapes without a snap.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The robot of the thesis made unable to snap, whatever pushes on its tip with up to 50 mN.
+"""A design of the robot of the thesis that cannot snap under any tip force up to 50 mN.
 
-One learns: a design that cannot snap by itself need not bear anything. The certificate falls off with the force,
-almost in proportion to it; room for 50 mN costs the inner tube nearly two thirds of its curvature, where not to
-snap by itself costs it little more than one.
+Result: a design that cannot snap without load can still snap under a force. The certificate decreases almost in
+proportion to the force. For 50 mN the inner tube loses nearly two thirds of its curvature; without a force it loses
+little more than one third.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The shortest robot whose tip reaches six targets around a corner, all of its arm in a corridor at each of them.
+"""The shortest robot with a tip that reaches six targets around a corner, inside a corridor at every target.
 
-One learns: lengths, curvatures and the joint values of all poses belong into one problem. Margin at every pose and on
-every path between them is a constraint like any other.
+Result: lengths, curvatures and the joint values of all poses are unknowns of one problem. The margin at every pose and
+on every path between poses is a constraint.
 """
 
 from __future__ import annotations

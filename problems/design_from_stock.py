@@ -1,7 +1,6 @@
-"""Inner, middle and outer tube from stock: which sizes of published robots make the tightest snap-free turn?
+"""The tightest snap-free turn of three tubes from stock, with the sizes of published robots.
 
-One learns: most of the choices need not be designed at all: limits on dimensions alone bound what each of them can
-reach.
+Result: most combinations need no design. Bounds from the limits on dimensions exclude them.
 """
 
 from __future__ import annotations

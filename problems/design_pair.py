@@ -1,10 +1,10 @@
-"""Two robots on one plate sized together: their tips shall hold any two places of a region at once without touching.
+"""Two robots on one plate, designed together: both tips reach as many pairs of points of a region as possible.
 
-Free are a factor on the curvatures of each robot, and how each plate leans. Each tip reaches every place of the ball by
-itself; that the arms come closer than 2 mm keeps the pair from a third of the pairs of places.
+The unknowns are a factor on the curvatures of each robot and the tilt of each plate. Each tip alone reaches every point
+of the ball. A third of the pairs of points is out of reach, since the arms must stay 2 mm apart.
 
-One learns: a pair is not good because both of its robots are. What is left to gain lies between the arms, and a search
-with a planner in the loop finds some of it in a minute. The question is `configs/studies/design_pair.yaml`.
+Result: two good robots are not a good pair. A search that calls the planner improves the pair in one minute. The study
+is `configs/studies/design_pair.yaml`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path, samples: int = 60) -> list[Path]:
-    """Search for so many seconds on the clock, judge, print, save the picture into `out`, and return its path."""
+    """Search for this number of seconds, verify, print, save the picture into `out`, and return its path."""
     study = load_study(ROOT / "configs" / "studies" / "design_pair.yaml")
     assert isinstance(study, PairStudy)
     answer = study.model_copy(update={"seconds": Decimal(samples)}).run()

@@ -1,10 +1,10 @@
-"""The stiffest S in a sheath of 1.6 mm: how thick its inner tube is, and how wide the bore around it.
+"""The stiffest S-shaped inner tube in an outer tube with 1.6 mm outer diameter.
 
-The inner tube is bent to one side, then to the other, so it is made of pieces; its tip is pushed aside with 20 mN at
-two task poses. Diameters are free, the clearance between the tubes and their walls are not, and no rotation may snap.
+The inner tube bends to one side, then to the other, so it is made of pieces. A force of 20 mN pushes the tip to the
+side at two task poses. The diameters are free; clearance and walls are fixed. No rotation may snap.
 
-One learns: a thicker inner tube is stiffer where it is alone, and takes wall from the outer one, which is stiff where
-both are. The optimum lies between; robots of many diameters, each solved for itself, have it at the same place.
+Result: a thicker inner tube is stiffer where it is alone, but the outer tube then has a thinner wall. The optimum lies
+between. Separate solutions for many diameters have their optimum at the same diameter.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ POSES = Poses(((0.0, 0.0), (0.0, 2.0)), ((0.0, 0.0), (-0.01, 0.0)))
 
 
 def robot(diameter: float, bore: float) -> ConcentricRobot:
-    """An S of this outer diameter in an arc of this bore, m."""
+    """Robot of an S-shaped tube with this outer diameter in a curved tube with this bore, m."""
     inner = Tube.of_pieces(diameter, 0.6e-3, [Piece(0.03, 12.0), Piece(0.04, -12.0)], straight_length=0.05)
     outer = Tube.of_pieces(SHEATH, bore, [Piece(0.035, 14.0), Piece(0.015, 0.0)], straight_length=0.02)
     return ConcentricRobot((inner, outer))
 
 
 def deflection(diameter: float) -> float:
-    """How far the force moves the tip, m, the farther of the two poses, with the narrowest bore."""
+    """Displacement of the tip under the force, m: the larger one of the two poses, with the narrowest bore."""
     here = robot(diameter, diameter + CLEARANCE)
     moved = []
     for rotations, translations in zip(POSES.rotations, POSES.translations, strict=True):

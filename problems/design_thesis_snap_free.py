@@ -1,7 +1,7 @@
 """The robot of the thesis made snap-free at its home translations, with the least change of its curvatures.
 
-One learns: the least change takes most curvature from the inner tube (10 to 6.1 per metre) and next to none from the
-outer one. Then no rotation snaps, and nothing has to be planned around.
+Result: the inner tube loses most of its curvature (10 to 6.1 per metre), the outer tube almost none. Then no rotation
+snaps, and motions need no detours.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path, samples: int = 40) -> list[Path]:
-    """Design, compare with the thesis' robot on random full turns, and save the picture into `out`."""
+    """Design, compare with the robot of the thesis on random full turns, and save the picture into `out`."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     assert isinstance(robot, tubeopt.ConcentricRobot)
     task = tubeopt.DesignTask(

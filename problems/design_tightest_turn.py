@@ -1,6 +1,6 @@
-"""The tightest turn of three tubes that cannot snap anywhere in their stroke, at 1 % strain; and what margin costs.
+"""The tightest turn of three tubes that cannot snap within their stroke, at 1 % strain, for several margins.
 
-One learns: margin is paid for in curvature, and the multipliers of the optimum tell the price before anybody pays it.
+Result: a larger margin costs curvature. The multipliers of the optimum predict this cost.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Design, walk along the front, save its picture into `out`, and return its path."""
+    """Design, compute the Pareto front, save its picture into `out`, and return its path."""
     study = load_study(ROOT / "configs" / "studies" / "design_tightest_turn.yaml")
     assert isinstance(study, DesignStudy)
     design = optimize_design(study.task())

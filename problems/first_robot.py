@@ -1,6 +1,6 @@
-"""The robot of six lines in the README: its shape with the tubes turned against one another.
+"""The robot of six lines in the README: its shape with rotated tubes.
 
-One learns: a file of six lines is a robot; all that it does not say has a default.
+Result: six lines define a robot; all other keys have defaults.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Vents of the lid from what a thermal camera saw: the thesis' proposal (section 4.2.3), on a simulated rig.
+"""Vents of the lid from a thermal camera, as section 4.2.3 of the thesis proposes, on a simulated rig.
 
-The rig loses 15 % more than its file says. A camera, a little noisy, sees ten places of the curved part while a tube is
-heated; the log is calibrated, the vents that even the temperature out are planned on the calibrated rig, and the
-schedule runs on the true one, with the lid as it was and with the new one.
+The rig loses 15 % more heat than its file states. A camera with noise measures ten points of the curved part while a
+tube is heated. The log calibrates the rig. Vents that equalise the temperature are planned on the calibrated rig. The
+schedule then runs on the true rig, with the old lid and with the new one.
 
-One learns: the middle is the hottest; vents there halve what the curved part differs by.
+Result: the middle is the hottest part. Vents there halve the temperature difference along the curved part.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def main(out: Path) -> list[Path]:
 
 
 def camera_log(tube: tubeopt.Tube, rig: tubeopt.Rig) -> HeatingLog:
-    """What board and camera would log of a heating on this rig."""
+    """Log of the board and the camera of a heating on this rig."""
     model, random = thermal_model(tube, rig, FINE), np.random.default_rng(2)
     history = simulate(model, 2.0, np.append(DUTY[:-1] / 255, 0.0))
     current = history.current[: len(TIME), 0] + random.normal(0, 0.2, len(TIME))

@@ -1,10 +1,11 @@
-"""The thesis' tube heated on a hundred rigs that nobody measured: with the schedule alone, and led by a thermocouple.
+"""The tube of the thesis heated on a hundred unknown rigs: with the schedule alone, and controlled by a thermocouple.
 
-The thesis asks for temperature feedback. Here losses, gap, contacts, resistivity, diameters, ambient, battery and what
-pulses lose are unknown all at once, as in a workshop; the law that the microcontroller runs has gains from the model.
+The thesis proposes temperature feedback. All parameters are uncertain at once, as in a workshop: losses, gap, contacts,
+resistivity, diameters, ambient temperature, battery and switching losses. The controller of the microcontroller has
+gains from the model.
 
-One learns: what no schedule can hold, one thermocouple holds; and the tube's own resistance is no thermometer before
-its slope was measured.
+Result: no schedule alone keeps the window on these rigs; one thermocouple does. The resistance of the tube is no
+thermometer until its slope has been measured.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path, samples: int = 100) -> list[Path]:
-    """Plan the heating, lead it, try the law on rigs, save the picture into `out`, and return the path."""
+    """Plan the heating, design the controller, test it on rigs, save the picture into `out`, and return the path."""
     rig = tubeopt.load_rig(ROOT / "configs" / "rigs" / "thesis_calcium_silicate.yaml")
     assert rig.tube is not None
     plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(objective="margin"))
@@ -40,7 +41,7 @@ def main(out: Path, samples: int = 100) -> list[Path]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the pictures")
-    parser.add_argument("--samples", type=int, default=100, help="rigs on which the law is tried")
+    parser.add_argument("--samples", type=int, default=100, help="number of rigs for the test")
     args = parser.parse_args()
     for path in main(args.out, args.samples):
         print(f"saved {path}")

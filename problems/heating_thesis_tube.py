@@ -1,10 +1,10 @@
-"""The thesis' eccentric tube on its battery rig: the schedule of counts in a mold of calcium silicate.
+"""The eccentric tube of the thesis on its battery rig: the schedule of duty counts in a mold of calcium silicate.
 
-Section 4.2 of the thesis heats for one minute at a duty found by trial. Here the duty follows from the rig's file: the
-curved part is held at 500 to 550 degC, no point gets hotter, and the battery's voltage picks the table.
+Section 4.2 of the thesis heats for one minute at a duty found by trial. Here the duty follows from the rig file. The
+curved part stays at 500 to 550 degC, no point gets hotter, and the voltage of the battery selects the table.
 
-One learns: no duty is right from the first second to the last. A schedule that follows from the model brings the tube
-up fast, holds it in the window, and stays below the limit.
+Result: no constant duty is right. A schedule from the model heats the tube fast, keeps it in the window, and stays
+below the limit.
 """
 
 from __future__ import annotations

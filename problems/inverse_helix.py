@@ -1,6 +1,7 @@
-"""The robot of the thesis follows a helix of targets, each solved from the last: no snap, and margin kept.
+"""The robot of the thesis follows a helix of targets, each solved from the last one, without a snap.
 
-One learns: solved each from the last, targets are met on one branch. What the targets leave free is spent on margin.
+Result: solved in sequence, all targets are reached on one branch. The remaining freedom of the joints increases the
+margin.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def helix() -> np.ndarray:
 
 
 def main(out: Path) -> list[Path]:
-    """Follow the helix, check the way for snaps, save the picture into `out`, and return its path."""
+    """Follow the helix, check the path for snaps, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     session = tubeopt.IkSession(robot, min_margin=0.1)
     solutions = [session.solve(target) for target in helix()]

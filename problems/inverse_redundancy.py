@@ -1,7 +1,6 @@
-"""One target of the tip, and the distinct postures in which the robot of the thesis reaches it.
+"""One target of the tip, and the distinct postures of the robot of the thesis that reach it.
 
-One learns: six joints for three coordinates leave a choice, and postures with the same tip differ in how far they are
-from snapping.
+Result: six joints and three coordinates leave a choice. Postures with the same tip have different margins.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ TARGET_MM = (40.0, 0.0, 170.0)
 def main(out: Path) -> list[Path]:
     """Find the postures, print them, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-    # Every tube shall show: ends that coincide tell little.
+    # Every tube must be visible, so its end is not that of another one.
     options = tubeopt.InverseOptions(section_length=10e-3)
     solutions = tubeopt.inverse_kinematics(robot, np.array(TARGET_MM) * 1e-3, all_solutions=True, options=options)
     for each in solutions:

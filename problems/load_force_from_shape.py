@@ -1,10 +1,10 @@
-"""How well is the force on the tip told from where the robot of the thesis is measured, by a tracker of 0.1 mm?
+"""Accuracy of the tip force estimated from positions of the robot of the thesis, with a tracker of 0.1 mm noise.
 
-From the tip alone, and with five points along the arm; fifty measurements with noise each, and the ellipses in which
-the covariance of one of them says that 95 of 100 lie.
+The force is estimated from the tip alone, and from the tip with five points along the arm. Fifty measurements with
+noise each give the scatter. The ellipses of the covariance contain 95 of 100 estimates.
 
-One learns: the tip tells forces across it to less than a millinewton and the force along it forty times worse, and
-points of the shape help most where the tip tells least. Report the covariance, not the force alone.
+Result: the tip determines transverse forces to less than a millinewton, and the axial force forty times worse. Points
+along the arm help most in the axial direction. Report the covariance with the force.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main(out: Path) -> list[Path]:
         )
         print(f"  {found[0].undetermined}")
     picture = out / "load_force_from_shape.png"
-    title = "Force on the tip, told from positions with noise of 0.1 mm"
+    title = "Force on the tip, estimated from positions with noise of 0.1 mm"
     plot_force_estimates(estimates, picture, true=FORCE, title=title)
     return [picture]
 

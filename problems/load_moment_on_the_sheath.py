@@ -1,11 +1,11 @@
-"""What does a moment on the outer tube do to the tip: a port tilts the arm, or holds the tube while it turns?
+"""Effect of a moment on the outer tube: a port tilts the arm, or holds the tube while it turns.
 
-A port 60 mm from the plate acts on the outermost tube there. Across the arm its moment bends all tubes. Along the arm
-it twists the outer tube alone, whose curve then lies in another direction.
+A port 60 mm from the plate acts on the outermost tube. A transverse moment bends all tubes. An axial moment twists the
+outer tube alone, and its curve then points in another direction.
 
-One learns: a moment across the arm moves the tip twice as far as the same moment along it, which turns the outer tube
-by 30 deg instead. Neither has an energy; the margin is the least real part of an eigenvalue. A moment along the tip
-makes the robot snap earlier as its inner tube turns. A motion is planned, and proved, while the port holds the tube.
+Result: a transverse moment moves the tip twice as far as the same axial moment. The axial moment turns the outer tube
+by 30 deg. Neither has an energy; the margin is the least real part of an eigenvalue. An axial moment at the tip makes
+the robot snap earlier when its inner tube turns. A motion is planned and proved while the port holds the tube.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PORT = 0.06
 
 
 def main(out: Path) -> list[Path]:
-    """Put moments on the arm, save the picture into `out`, and return its path."""
+    """Apply moments to the arm, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     free = tubeopt.forward_kinematics(robot, ROTATIONS)
     along = free.frame[np.argmin(np.abs(free.arc_length - PORT))][:, 2]

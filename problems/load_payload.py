@@ -1,9 +1,9 @@
-"""What can the robot of the thesis carry: how far does a payload bend it down, and what is left of its margin?
+"""Deflection and remaining margin of the robot of the thesis under a payload.
 
-The arm stands: gravity acts along -z, on the tubes and on what hangs at the tip.
+The arm points up: gravity acts along -z, on the tubes and on the payload at the tip.
 
-One learns: its own weight moves the tip by millimetres, the compliance at the start tells the way of a small payload
-but not of a larger one, and an arm whose margin is 1 without load is left with a third of it.
+Result: the own weight moves the tip by millimetres. The compliance at the start predicts the displacement by small
+payloads only. An arm with margin 1 without load keeps a third of it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""The inner tube of the thesis' robot is turned by 200 deg, 14 deg before it snaps by itself: which push snaps it?
+"""Smallest tip force that makes the robot of the thesis snap, by direction, with its inner tube turned by 200 deg.
 
-For every direction the force on the tip grows until the equilibrium is lost; where it is lost is found exactly.
+Without a load the robot snaps at 214 deg, 14 deg later. In every direction the force grows until the equilibrium
+is lost; the load at this point is computed exactly.
 
-One learns: a margin of 0.875 without load says nothing about loads: 16 mN are enough, the weight of two grams, where
-they point to the side to which the robot would snap, and in most directions it bears many times as much. What counts is
-mostly the part of the force along that one direction.
+Result: a margin of 0.875 without load does not limit the load. A force of 16 mN, the weight of two grams, is enough
+in the direction of the coming snap. Most other directions withstand many times as much. The force component along that
+one direction decides.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ MOST = 4.0
 
 
 def main(out: Path, samples: int = 36) -> list[Path]:
-    """Push in `samples` directions of three planes, save the picture into `out`, and return its path."""
+    """Apply forces in `samples` directions of three planes, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     way = np.radians([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]])
     start = tubeopt.follow(robot, way).equilibria[-1]
@@ -42,7 +43,8 @@ def main(out: Path, samples: int = 36) -> list[Path]:
         least = int(np.nanargmin(limits[plane]))
         print(
             f"in the plane {plane}: least {limits[plane][least] * 1e3:.2f} mN at {np.degrees(angles[least]):.0f} deg "
-            f"from {plane[0]}; {np.isnan(limits[plane]).sum()} of {samples} directions bear {UNIT * MOST * 1e3:.0f} mN"
+            f"from {plane[0]}; {np.isnan(limits[plane]).sum()} of {samples} directions withstand "
+            f"{UNIT * MOST * 1e3:.0f} mN"
         )
     picture = out / "load_snap_directions.png"
     title = "Force on the tip (mN) that snaps the robot of the thesis, its inner tube at 200°"

@@ -1,7 +1,7 @@
-"""Molds for tubes of any shape: an S and a bend of varying curvature in one plate, a helix on a turned mandrel.
+"""Molds for tubes of any shape: an S and a bend of varying curvature in one plate, a helix on a mandrel.
 
-One learns: what is planar goes into a plate, as a chain of tangent arcs within a micrometre of the curve that springs
-back to the tube; a helix is wound on a cylinder, whose radius and pitch are both smaller than the tube's.
+Result: a planar curve is milled into a plate as a chain of tangent arcs, within a micrometre of the curve that springs
+back to the tube. A helix is wound on a cylinder; its radius and pitch are smaller than those of the tube.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Molds for the tubes of the thesis' robots: its eccentric tube alone, the three concentric ones on one plate.
+"""Molds for the tubes of the thesis: its eccentric tube, and the three concentric tubes on one plate.
 
-And what the four materials that the thesis weighs up do to the eccentric tube (its section 4.2.2).
+The four mold materials of section 4.2.2 of the thesis are ranked for the eccentric tube.
 
-One learns: a tube comes out straighter than its groove, by a spring-back that only trials tell. The board that suits
-best neither conducts current nor stores much heat: calcium silicate.
+Result: a tube is straighter than its groove after release; only trials determine this spring-back. The best material
+conducts no current and stores little heat: calcium silicate.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Dexterous tubes that cannot snap: the least singular value of the Jacobian made large, under a certificate of 0.1.
+"""Dexterous tubes that cannot snap: the largest least singular value of the Jacobian, with a certificate of 0.1.
 
-The certificate is a condition on tubes and translations alone: whatever the rotations, the energy has one minimum; and
-in the last design whatever force of up to 20 mN pushes on the tip as well. All searches are local, from the same tubes.
+The certificate is a condition on tubes and translations. With it the energy has one minimum at all rotations; in the
+last design also under any tip force of up to 20 mN. All searches are local, from the same tubes.
 
-One learns: what a guarantee costs. Without it the tubes bend as far as they may; with it dexterity ends where the
-certificate does, and pushes of 20 mN take another 2 % of it.
+Result: the price of the guarantee. Without it the tubes bend up to their bounds. With it the certificate limits the
+dexterity, and forces of 20 mN cost another 2 %.
 """
 
 from __future__ import annotations
@@ -45,8 +45,10 @@ def minors(matrix: ca.MX) -> ca.MX:
 def designs(
     near: tubeopt.Equilibrium, floors: list[float], max_force: float = 0.0
 ) -> Iterator[tuple[tubeopt.Equilibrium, float]]:
-    """The best tubes in their best pose, and their least singular value, cm, for every floor of the certificate: a
-    parameter of one program. `max_force`: on the tip, N, up to which it holds."""
+    """The best tubes in their best pose, and their least singular value, cm, for every lower bound of the certificate.
+
+    The bound is a parameter of one program. The certificate covers tip forces up to `max_force`, N.
+    """
     opti = ca.Opti()
     curvature, turn = 10 * opti.variable(2), opti.variable()  # turning both tubes turns the arm, no more
     least = opti.variable()
@@ -73,8 +75,10 @@ def designs(
 
 
 def main(out: Path, samples: int = 3) -> list[Path]:
-    """Design without the certificate, with it, and under a push, or the first `samples` of these; save the picture into
-    `out`, and return its path."""
+    """Design without the certificate, with it, and under a force, or the first `samples` of these.
+
+    Save the picture into `out`, and return its path.
+    """
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     tubes = tuple(dataclasses.replace(tube, curvature=START) for tube in robot.tubes)
     near = tubeopt.forward_kinematics(tubeopt.ConcentricRobot(tubes), [1.2, 0.0], [-0.01, -0.03])

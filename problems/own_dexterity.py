@@ -1,12 +1,11 @@
-"""Tubes for a dexterous robot with its carriages in three places: the least singular value of the tip's Jacobian, made
-large.
+"""Tubes for a dexterous robot in three positions of its carriages: the largest least singular value of the Jacobian.
 
-The Jacobian J of the tip is a part of the program: how the arm answers to its joints is lifted into further unknowns.
-No squared singular value is below s where J J' - s 1 is positive semidefinite, which its leading minors tell; a
-logarithm of its determinant keeps the optimum off the kink where singular values are equal.
+The Jacobian J of the tip is part of the program: the derivatives of the equilibrium are further unknowns. If
+J J' - s 1 is positive semidefinite, no squared singular value is below s. Its leading minors test this. A logarithm of
+the determinant keeps the optimum away from equal singular values, where the least one has a kink.
 
-One learns: a derivative of the equilibrium can be an objective, with exact second derivatives, and no eigenvalue needs
-to be differentiated.
+Result: a derivative of the equilibrium can be an objective, with exact second derivatives. No eigenvalue needs to be
+differentiated.
 """
 
 from __future__ import annotations
@@ -39,8 +38,7 @@ def minors(matrix: ca.MX) -> ca.MX:
 
 
 def main(out: Path, samples: int = len(TRANSLATIONS)) -> list[Path]:
-    """Make the robot dexterous in the first `samples` poses, print what came of it, save the picture into `out`, and
-    return its path."""
+    """Maximise the dexterity in the first `samples` poses, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     problem = tubeopt.Problem("dexterity")
     curvature = problem.variable("curvature", 2, guess=12.5, lower=2.0, upper=20.0, scale=10.0)

@@ -1,14 +1,14 @@
-"""A two-tube robot for a given double bend: the outer tube an S, the inner one what runs out of it.
+"""A two-tube robot for a given double bend: the outer tube is S-shaped, the inner one extends beyond it.
 
-The way goes 40 mm to one side and 40 mm to the other, on radii of 60 and 45 mm in one plane. Free are the curvatures
-of the two pieces of either tube. The fit is by least squares of the distance from the way, at full length and while
-the inner tube is drawn back into the outer one.
+The target curve goes 40 mm to one side and 40 mm to the other, with radii of 60 and 45 mm in one plane. The unknowns
+are the curvatures of the two pieces of each tube. A least-squares fit minimises the distance from the curve, at full
+length and while the inner tube is withdrawn into the outer one.
 
-One learns: at full length many pairs of tubes fit alike, since only the mean of the curvatures by stiffness is seen
-from outside. That the robot keeps to the way while it grows leaves one pair: an inner tube that is bent alike all
-along, which may slide as it likes, and an outer S that makes up for it. It cannot snap at any rotation, though all
-its curvatures are those at which two plain tubes would: an S and an arc cannot oppose each other all along. The
-certificate, exact for two tubes, is 0.15, the margin of the plane itself at the shortest length.
+Result: at full length many pairs of tubes fit equally well, since only the stiffness-weighted mean of the curvatures
+matters. If the robot also follows the curve while it grows, one pair remains: an inner tube of constant curvature, free
+to slide, and an S-shaped outer tube that compensates it. It cannot snap at any rotation, although two plain tubes of
+these curvatures would: an S and an arc cannot oppose each other along the whole length. The certificate, exact for two
+tubes, is 0.15: the margin in the plane at the shortest length.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ FIRST, SECOND = 40e-3, 40e-3
 RADII = 60e-3, 45e-3
 INNER, OUTER = (1.0e-3, 0.7e-3), (1.6e-3, 1.2e-3)
 OUT = 15e-3
-"""Length by which the inner tube passes the outer one at full length, m."""
+"""Length of the inner tube in front of the outer one at full length, m."""
 
 DRAWN_BACK = (0.0, 5e-3, 10e-3, 15e-3)
-"""How far the inner tube is drawn back, m."""
+"""Withdrawal of the inner tube, m."""
 
 PARTS = np.linspace(0.1, 1.0, 10)
-"""Where along the arm its distance from the way counts."""
+"""Points of the arm, as fractions, with a distance from the target curve in the fit."""
 
 
 def way(s: np.ndarray) -> np.ndarray:
@@ -60,14 +60,14 @@ def way(s: np.ndarray) -> np.ndarray:
 
 
 def robot_of(x: np.ndarray) -> ConcentricRobot:
-    """The robot with curvatures (1/m) of the inner tube's and the outer tube's pieces."""
+    """The robot with curvatures (1/m) of the pieces of the inner tube and of the outer tube."""
     inner = Tube.of_pieces(*INNER, [Piece(FIRST, x[0]), Piece(SECOND, x[1])], straight_length=40e-3)
     outer = Tube.of_pieces(*OUTER, [Piece(FIRST, x[2]), Piece(SECOND - OUT, x[3])], straight_length=20e-3)
     return ConcentricRobot((inner, outer))
 
 
 def solved(robot: ConcentricRobot, back: float) -> Equilibrium:
-    """The robot with the inner tube drawn back, m; both curves lie in one plane."""
+    """The robot with the inner tube withdrawn, m; both curves lie in one plane."""
     return forward_kinematics(robot, np.zeros(2), robot.home_translations - np.array([back, 0.0]))
 
 
@@ -87,19 +87,19 @@ def fitted() -> np.ndarray:
 
 
 def _offsets(equilibrium: Equilibrium) -> np.ndarray:
-    """(3 m,) coordinates of the centreline's points less those of the way at the same arc lengths, m."""
+    """(3 m,) coordinates of the points of the centreline minus those of the target curve at the same arc lengths, m."""
     return np.asarray((equilibrium.position - way(equilibrium.arc_length)).ravel())
 
 
 def main(out: Path, samples: int = 30) -> list[Path]:
-    """Fit the tubes, sample how far the robot leaves the way as it grows, and save the picture into `out`."""
+    """Fit the tubes, sample the deviation of the robot while it grows, and save the picture into `out`."""
     x = fitted()
     robot = robot_of(x)
     print("inner tube {:.3f}, {:.3f}; outer tube {:.3f}, {:.3f} per m".format(*x))
     backs = np.linspace(0.0, OUT, samples)
     grown = [solved(robot, float(back)) for back in backs]
     off = [float(np.abs(_offsets(each)).max()) for each in grown]
-    print(f"off the way by at most {max(off) * 1e6:.2f} um at {samples} lengths")
+    print(f"off the target curve by at most {max(off) * 1e6:.2f} um at {samples} lengths")
     proved = min(snap_free_certificate(robot, each.translations) for each in grown)
     print(f"least margin {min(each.margin for each in grown):.4f}, least certificate {proved:.4f}")
     picture = out / "own_double_bend.png"
@@ -108,7 +108,7 @@ def main(out: Path, samples: int = 30) -> list[Path]:
 
 
 def _draw(x: np.ndarray, grown: list[Equilibrium], path: Path) -> None:
-    """The way with the robot on it at three lengths, and the curvatures that make it."""
+    """The target curve with the robot at three lengths, and the curvatures of its tubes."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6), layout="constrained")
     line = way(np.linspace(0.0, FIRST + SECOND, 400)) * 1e3
     left.plot(line[:, 2], line[:, 1], color="0.75", lw=7, solid_capstyle="round", label="way")
@@ -140,7 +140,7 @@ def _draw(x: np.ndarray, grown: list[Equilibrium], path: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
-    parser.add_argument("--samples", type=int, default=30, help="lengths at which the robot is looked at")
+    parser.add_argument("--samples", type=int, default=30, help="lengths to sample")
     args = parser.parse_args()
     for path in main(args.out, args.samples):
         print(f"saved {path}")

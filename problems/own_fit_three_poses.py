@@ -1,9 +1,9 @@
-"""Curvatures and lengths of two tubes whose tip reaches three places: the least change of a robot, with margin 0.3.
+"""Curvatures and lengths of two tubes with a tip that reaches three points: the least change, with margin 0.3.
 
-Three blocks share the unknown tubes; the carriages stand where they are told to, and each pose has its own rotations.
+Three blocks share the unknown tubes. The carriages are fixed in each pose; the rotations of each pose are unknown.
 
-One learns: dimensions are unknowns like joint values. A design with demands of one's own is a few lines, and every pose
-of it comes back as an equilibrium that forward kinematics confirms.
+Result: dimensions are unknowns like joint values. A design with your own constraints takes a few lines. Every pose is
+returned as an equilibrium that forward kinematics confirms.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""A two-tube robot whose body follows its tip along a curve in space, as nearly as helical tubes can.
+"""A two-tube robot with a body that follows its tip along a space curve, as well as helical tubes can.
 
-Both tubes come out together, then the inner one alone, and each may be turned in proportion as it comes. Free are
-curvature and natural twist of either tube and how far each turns per length. The least squares of the distance between
-the robot, at many lengths, and the beginning of the curve decide.
+Both tubes are deployed together, then the inner one alone. Each rotates in proportion to its translation. The unknowns
+are curvature and natural twist of each tube, and its rotation per length. A least-squares fit minimises the distance
+between the robot, at many lengths, and the start of the curve.
 
-One learns: a helix, and two helices of one torsion after one another, are followed without any error, as theory says;
-it takes an inner tube with the second helix' curvature and an outer one that makes up for it. Of a curve whose
-curvature grows all along, the pair of helical tubes that the fit ends at is 0.6 mm off.
+Result: a helix, and two helices of equal torsion in sequence, are followed without error, as theory predicts. The inner
+tube needs the curvature of the second helix; the outer tube compensates it. For a curve with growing curvature the best
+pair of helical tubes deviates by 0.6 mm.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ ROOT = Path(__file__).resolve().parents[1]
 
 INNER, OUTER = (1.0e-3, 0.7e-3), (1.6e-3, 1.2e-3)
 TOGETHER, ALONE = 50e-3, 30e-3
-"""Lengths that both tubes, and then the inner one alone, come out, m."""
+"""Deployed lengths of both tubes, and then of the inner one alone, m."""
 
 PARTS = np.linspace(0.2, 1.0, 5)
-"""Where along the arm its distance from the curve counts."""
+"""Points of the arm, as fractions, with a distance from the curve in the fit."""
 
 Curve = Callable[[np.ndarray], np.ndarray]
 
@@ -66,18 +66,18 @@ def robot_of(x: np.ndarray) -> ConcentricRobot:
 
 
 def ways(count: int) -> list[tuple[float, float]]:
-    """How far the inner tube alone, and both, are drawn back, m, at `count` lengths in either phase."""
+    """Withdrawal of the inner tube alone, and of both tubes, m, at `count` lengths in each phase."""
     first = [(back, 0.0) for back in np.linspace(0.0, ALONE, count).tolist()]
     return first + [(ALONE, back) for back in np.linspace(0.0, TOGETHER - 10e-3, count)[1:].tolist()]
 
 
 def turns(x: Any, alone: float, both: float) -> list[Any]:
-    """Rotations of the tubes, rad, drawn back so far."""
+    """Rotations of the tubes, rad, at these withdrawals."""
     return [x[6] - x[5] * alone - x[4] * both, x[7] - x[4] * both]
 
 
 def deployed(x: np.ndarray, count: int) -> list[Equilibrium]:
-    """The robot at `count` lengths in either phase."""
+    """The robot at `count` lengths in each phase."""
     robot = robot_of(x)
     found: list[Equilibrium] = []
     for alone, both in ways(count):
@@ -87,18 +87,21 @@ def deployed(x: np.ndarray, count: int) -> list[Equilibrium]:
 
 
 def offsets(curve: Curve, equilibrium: Equilibrium) -> np.ndarray:
-    """(m, 3) from the curve to the robot's points at the same arc lengths, m."""
+    """(m, 3) from the curve to the points of the robot at the same arc lengths, m."""
     return np.asarray(equilibrium.position - curve(equilibrium.arc_length))
 
 
 def deviation(curve: Curve, at: list[Equilibrium]) -> float:
-    """Greatest distance (m) of the robot from the curve at any of the lengths."""
+    """Largest distance (m) of the robot from the curve at any of the lengths."""
     return max(float(np.linalg.norm(offsets(curve, each), axis=1).max()) for each in at)
 
 
 def fitted(curve: Curve, start: np.ndarray) -> np.ndarray:
-    """(8,) the best tubes and turns: curvature and twist of the inner and the outer tube, 1/m; how far both turn per
-    length drawn back, and the inner one alone, rad/m; where both are turned to in the end, rad."""
+    """(8,) the best tubes and rotations.
+
+    Curvature and twist of the inner and the outer tube, 1/m. Rotation per withdrawal of both, and of the inner one
+    alone, rad/m. Final rotations of both, rad.
+    """
     scale = np.array([10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 0.3, 0.3])
     problem = Problem()
     x = problem.variable("tubes and turns", 8, guess=start, scale=scale)
@@ -113,7 +116,7 @@ def fitted(curve: Curve, start: np.ndarray) -> np.ndarray:
 
 
 def main(out: Path, samples: int = 12) -> list[Path]:
-    """Fit tubes to every curve, look at other lengths than were fitted, and save the picture into `out`."""
+    """Fit tubes to every curve, test other lengths than the fitted ones, and save the picture into `out`."""
     figure, axes = plt.subplots(1, len(CURVES), figsize=(9.6, 3.6), layout="constrained", sharey=True)
     x = np.array([10.0, 10.0, 15.0, 10.0, 10.0, 10.0, 0.0, 0.0])
     for panel, (name, curve) in zip(axes, CURVES.items(), strict=True):
@@ -150,7 +153,7 @@ def main(out: Path, samples: int = 12) -> list[Path]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="directory for the picture")
-    parser.add_argument("--samples", type=int, default=12, help="lengths in either phase at which it is looked at")
+    parser.add_argument("--samples", type=int, default=12, help="lengths to sample in each phase")
     args = parser.parse_args()
     for path in main(args.out, args.samples):
         print(f"saved {path}")

@@ -1,9 +1,9 @@
-"""How must the joints move so that the tip stays where it is while a payload is put on it?
+"""Joint values that keep the tip in place while a payload is added.
 
-A force of 100 mN moves the tip of the thesis' robot by 19 mm. The block bears the load: the tip of the loaded arm is an
-expression of the joint values, and those that move least follow from one program.
+A force of 100 mN moves the tip of the robot of the thesis by 19 mm. The block includes the load: the tip of the loaded
+arm is an expression of the joint values. One program finds the smallest joint motion.
 
-One learns: a load is an argument of the block, which begins at the equilibrium that bears it.
+Result: a load is an argument of the block. The block starts at the equilibrium under this load.
 """
 
 from __future__ import annotations

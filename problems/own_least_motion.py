@@ -1,10 +1,11 @@
-"""The least motion of the joints between two tips of a robot that snaps, with a margin of at least 0.2 all the way.
+"""The least joint motion between two tips of a robot that snaps, with a margin of at least 0.2 throughout.
 
-One nonlinear program of eleven equilibria: a block for every knot of the motion, the joint values of each as unknowns.
-Both tips belong to tubes that pull against each other, wound to either side; who turns straight from one to the other
-snaps on the way. Between the knots nothing is demanded, so the tips may turn but little from knot to knot.
+One nonlinear program has eleven equilibria: a block for every knot of the motion, with unknown joint values. Both tips
+belong to opposed tubes with opposite twist. The straight joint path between them snaps. There are no constraints
+between the knots, so the tips may turn only a little from knot to knot.
 
-One learns: the way around a snap leads through translations, and it is one sum of squares and one line of margin away.
+Result: the detour around the snap uses translations. The program is one sum of squares and one constraint on the
+margin.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ PER_METRE = 20.0
 
 
 def main(out: Path) -> list[Path]:
-    """Pose the motion, solve it, save the picture into `out`, and return its path."""
+    """State the motion, solve it, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "two_tube.yaml")
     begin, end = np.array([np.radians(150), 0.0, -0.005, -0.01]), np.array([np.radians(210), 0.0, -0.005, -0.01])
     goal = tubeopt.forward_kinematics(robot, end[:2], end[2:])
-    dip = np.array([0.0, 0.0, -0.05, -0.055])  # where to begin the search: tubes withdrawn on the way
+    dip = np.array([0.0, 0.0, -0.05, -0.055])  # start of the search: tubes withdrawn between the ends
 
     problem = tubeopt.Problem("least motion")
     blocks, joints = [], []
@@ -58,7 +59,7 @@ def main(out: Path) -> list[Path]:
     poses = [block.equilibrium(solution) for block in blocks]
     way = np.array([solution.value(each) for each in joints])
     print(f"{solution.status} in {solution.statistics.iterations} iterations: {solution.statistics.unknowns} unknowns")
-    print("margins on the way:", ", ".join(f"{pose.margin:.3f}" for pose in poses))
+    print("margins at the knots:", ", ".join(f"{pose.margin:.3f}" for pose in poses))
     for name, path in (("least motion", way), ("straight", way[[0, -1]])):
         print(f"{name}: {len(tubeopt.follow(robot, path[:, :2], path[:, 2:]).snaps)} snaps")
     picture = out / "own_least_motion.png"

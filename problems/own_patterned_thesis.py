@@ -1,12 +1,12 @@
-"""The thesis' robot made snap-free at its full curvature by slots alone, with the least that is cut away.
+"""The robot of the thesis made snap-free at its full curvature by slots, with the least material removed.
 
-Slots in the curved parts make them soft in bending and leave more of the stiffness in torsion. A slotted piece keeps
-the fraction b of its bending stiffness and t = 1 - (1 - b) / 2 of its torsional one, b at least 0.2: a workshop's
-numbers, measured on pieces of its own tubes; here they are assumed. They are given, not derived from a shape of slots.
+Slots in the curved parts reduce the bending stiffness more than the torsional stiffness. A slotted piece keeps the
+fraction b of its bending stiffness, at least 0.2, and t = 1 - (1 - b) / 2 of its torsional stiffness. A workshop
+measures these numbers on its own tubes; here they are assumed.
 
-One learns: nearly all of the cutting is for the inner tube, which keeps 38 % of its bending stiffness; the middle one
-keeps 94 % and the outer one stays whole. Then no rotation snaps, though every tube keeps its full curvature. Compare
-`design_thesis_snap_free.py`, which straightens them.
+Result: nearly all slots are in the inner tube, which keeps 38 % of its bending stiffness. The middle tube keeps 94 %,
+the outer tube stays whole. Then no rotation snaps, and every tube keeps its full curvature. Compare
+`design_thesis_snap_free.py`, which straightens the tubes.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from tubeopt.show.plots.style import save_figure
 ROOT = Path(__file__).resolve().parents[1]
 
 LEAST = 0.2
-"""Least part of the bending stiffness that the workshop leaves."""
+"""Least fraction of the bending stiffness that the workshop leaves."""
 
 RESERVE = 0.05
-"""Certificate that is asked for: the torsional stiffnesses may be this part smaller than thought."""
+"""Required certificate: the torsional stiffnesses may be smaller by this fraction."""
 
 
 def torsion_factor(bending_factor: Any) -> Any:
-    """Part of the torsional stiffness that slots leave where they leave this part of the bending stiffness."""
+    """Fraction of the torsional stiffness that remains at this fraction of the bending stiffness."""
     return 1 - (1 - bending_factor) / 2
 
 
@@ -54,7 +54,7 @@ def patterned(robot: ConcentricRobot, bending_factors: np.ndarray) -> Concentric
 
 
 def least_pattern(robot: ConcentricRobot) -> np.ndarray:
-    """(n,) bending factors with the least sum of squares of what is cut away, such that the certificate is positive."""
+    """(n,) bending factors with the least sum of squares of the removed fractions, for a positive certificate."""
     n = robot.n_tubes
     whole = tubeopt.forward_kinematics(patterned(robot, np.ones(n)), np.zeros(n))
     problem = tubeopt.Problem()
@@ -67,7 +67,7 @@ def least_pattern(robot: ConcentricRobot) -> np.ndarray:
 
 
 def main(out: Path, samples: int = 30) -> list[Path]:
-    """Find the pattern, turn the robot at random, and save the picture into `out`."""
+    """Find the pattern, rotate the robot at random, and save the picture into `out`."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     assert isinstance(robot, ConcentricRobot)
     factors = least_pattern(robot)
@@ -83,7 +83,7 @@ def main(out: Path, samples: int = 30) -> list[Path]:
 
 
 def _draw(before: ConcentricRobot, after: ConcentricRobot, factors: np.ndarray, path: Path) -> None:
-    """What is cut, and the inner tube's tip angle as it alone is turned: with a jump before, without one after."""
+    """Remaining stiffness, and the tip angle of the inner tube over its rotation, before and after the design."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(8.6, 3.6), layout="constrained")
     n = len(factors)
     left.bar(np.arange(1, n + 1) - 0.2, factors, 0.38, color="#0072B2", label="bending stiffness")
@@ -91,7 +91,7 @@ def _draw(before: ConcentricRobot, after: ConcentricRobot, factors: np.ndarray, 
     left.axhline(LEAST, color="0.3", lw=0.8, ls="--", label="least bending stiffness that can be cut")
     left.set_xticks(range(1, n + 1))
     left.set_xlabel("tube, inner to outer")
-    left.set_ylabel("part of the stiffness left by slots")
+    left.set_ylabel("fraction of the stiffness with slots")
     left.set_ylim(0, 1.3)
     left.set_yticks(np.linspace(0, 1, 6))
     left.legend(fontsize=8, frameon=False, loc="upper left")
@@ -104,7 +104,7 @@ def _draw(before: ConcentricRobot, after: ConcentricRobot, factors: np.ndarray, 
         right.plot(np.degrees(turn), tips, ".", ms=3, color=colour, label=name)
     right.plot([0, 360], [0, 360], color="0.7", lw=0.8, zorder=0, label="without torsion")
     right.set_xlabel("rotation of the inner tube at its base (deg)")
-    right.set_ylabel("and at its tip (deg)")
+    right.set_ylabel("rotation at its tip (deg)")
     right.set_xticks(range(0, 361, 60))
     right.set_yticks(range(0, 361, 60))
     right.legend(fontsize=8, frameon=False)

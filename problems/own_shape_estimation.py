@@ -1,9 +1,9 @@
-"""Which tubes, and which rotations of theirs, explain a measured shape: ten points of three arms, with noise of 0.2 mm.
+"""Tubes and rotations estimated from a measured shape: ten points of three arms, with noise of 0.2 mm.
 
-Three blocks share the curvatures and the zeros of the drives; the sum of squared distances is the objective. The
-measurement is made from tubes that the estimate does not know.
+Three blocks share the curvatures and the zeros of the drives. The objective is the sum of squared distances. The
+measurement comes from tubes that the estimate does not know.
 
-One learns: points along the arm tell curvatures to about a percent and the zeros of the drives to fractions of a
+Result: points along the arm determine curvatures to about a percent, and the zeros of the drives to fractions of a
 degree.
 """
 
@@ -26,7 +26,7 @@ FRACTIONS = np.linspace(0.1, 1.0, 10)
 
 
 def measure(robot: tubeopt.ConcentricRobot) -> list[np.ndarray]:
-    """Points (10, 3) along the arms of tubes that nobody knows, m."""
+    """Points (10, 3) along the arms of the true tubes, m."""
     bends, zeros = (13.4, 11.9), np.radians([3.0, -2.0])
     tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(robot.tubes, bends, strict=True))
     arms = [tubeopt.forward_kinematics(replace(robot, tubes=tubes), np.array(turn) + zeros) for turn in COMMANDS]

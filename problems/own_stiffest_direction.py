@@ -1,10 +1,10 @@
-"""Which rotations make an arm the stiffest against a push from the side, with its tip at a given height?
+"""Rotations that make an arm the stiffest against a transverse force, with its tip at a given height.
 
-Castigliano's theorem gives the way of the tip per newton from bending alone, the integral of |m|^2 / K along the arm,
-with the moment m of the push across the arm and the bending stiffness K of the tubes that are there. The tubes' torsion
-is held: where it gives way too, the arm is softer than that, never stiffer.
+Castigliano's theorem gives the displacement of the tip per newton by bending: the integral of |m|^2 / K along the arm.
+Here m is the transverse moment of the force, and K the bending stiffness of the tubes at this point. The torsion of the
+tubes is fixed. If it changes too, the arm is softer, never stiffer.
 
-One learns: an objective that the library does not know is a sum over places along the arm.
+Result: an own objective is a sum over points along the arm.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HEIGHT = 0.175
 
 
 def softness(block: tubeopt.EquilibriumBlock[tubeopt.Equilibrium]) -> ca.MX:
-    """Way of the tip along the push by bending, m/N: three Gauss points on every stretch between ends of tubes."""
+    """Displacement of the tip along the force by bending, m/N: three Gauss points per section between tube ends."""
     robot, ends = block.robot, sorted(tube.curved_length for tube in block.robot.tubes)
     total = ca.MX(0.0)
     for low, high in zip([0.0, *ends], ends, strict=False):

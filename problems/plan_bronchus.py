@@ -1,9 +1,10 @@
-"""A robot led from the trachea into the right main bronchus, planned in the labels of an image.
+"""A motion from the trachea into the right main bronchus, planned in the labels of an image.
 
-The image is made of formulas and written as NIfTI, lying anyhow in the patient; landmarks tell where the robot stands.
+The image comes from formulas. It is written as NIfTI, with any orientation in the patient. Landmarks define the pose
+of the robot.
 
-One learns: a label is a body like any other, whose distance is never told larger than it is, so that a proved motion
-touches no voxel beyond the way.
+Result: a label is a body like any other. Its distance is never overestimated, so a proved motion touches no voxel
+outside the airway.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def written_case(directory: Path) -> Anatomy:
 
 
 def main(out: Path) -> list[Path]:
-    """Plan to a landmark, print what was proved, save the picture into `out`, and return its path."""
+    """Plan to a landmark, print the proof, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     with tempfile.TemporaryDirectory() as directory:
         anatomy = written_case(Path(directory))
@@ -67,7 +68,7 @@ def main(out: Path) -> list[Path]:
     plan = tubeopt.plan_trajectory(robot, withdrawn, goal, obstacles=anatomy.bodies, options=options)
     print(f"clearance at least {plan.proof.least_clearance * 1e3:.2f} mm at all times, proved: {plan.proved}")
     picture = out / "plan_bronchus.png"
-    plot_trajectory(plan, picture, title=f"{robot.name} on its way into the right main bronchus")
+    plot_trajectory(plan, picture, title=f"{robot.name}: motion into the right main bronchus")
     return [picture]
 
 

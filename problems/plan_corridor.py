@@ -1,7 +1,6 @@
-"""The thesis' robot brought into a bent vessel of 12 mm radius, whose wall its surface never touches.
+"""A motion of the robot of the thesis into a bent vessel of 12 mm radius, without contact with the wall.
 
-One learns: the whole arm has to fit, not only its tip: clearance is kept along its surface and at all times, with the
-margin.
+Result: the whole arm must fit, not only its tip. Clearance and margin are kept along its surface and at all times.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ DEG = np.pi / 180
 
 
 def main(out: Path) -> list[Path]:
-    """Plan, print what was proved, save the picture into `out`, and return its path."""
+    """Plan, print the proof, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     inside = tubeopt.forward_kinematics(robot, [100 * DEG, 40 * DEG, 0.0], [-0.03, -0.04, -0.02])
     places = np.linspace(0.0, inside.arc_length[-1], 14)

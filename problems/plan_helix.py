@@ -1,7 +1,7 @@
-"""A helix drawn by the tip of the thesis' robot, within half a millimetre, on one stable branch.
+"""A helix drawn by the tip of the robot of the thesis, within half a millimetre, on one stable branch.
 
-One learns: a path of the tip is followed within a tolerance where rotations and translations share the work, and the
-margin is kept all the way.
+Result: rotations and translations together follow a path of the tip within a tolerance, with the required margin at all
+times.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Follow the curve, print how far the tip leaves it, save the picture into `out`, and return its path."""
+    """Follow the curve, print the deviation of the tip, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     turn = np.linspace(0.0, 4 * np.pi, 80)
     helix = np.column_stack([0.012 * np.cos(turn), 0.012 * np.sin(turn) - 0.03, 0.12 + 0.02 * turn / turn[-1]])

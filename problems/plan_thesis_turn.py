@@ -1,7 +1,6 @@
-"""The inner tube of the thesis' robot turned by 270 deg: straight it snaps at 214 deg, withdrawn it does not.
+"""The inner tube of the robot of the thesis turned by 270 deg: straight it snaps at 214 deg, planned it does not.
 
-One learns: snaps can be gone around. Withdrawn, tubes overlap less and couple less: what snaps straight is safe on a
-detour.
+Result: a detour avoids the snap. Withdrawn tubes overlap less, so they couple less.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Check the naive path, plan the other, save the picture into `out`, and return its path."""
+    """Check the straight path, plan the other, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     goal = [np.radians(270.0), 0.0, 0.0]
     naive = tubeopt.verify_trajectory(robot, [0.0, 10.0], [[0.0, 0.0, 0.0], goal])
@@ -27,7 +26,7 @@ def main(out: Path) -> list[Path]:
     plan = tubeopt.plan_trajectory(robot, start, (goal, None), min_margin=0.05)
     proof = plan.proof
     print(f"planned: least margin {proof.least_margin:.3f}, {plan.time[-1]:.1f} s, proved: {proof.holds}")
-    print(f"withdrawn by up to {-plan.translations.min() * 1e3:.1f} mm on the way")
+    print(f"withdrawn by up to {-plan.translations.min() * 1e3:.1f} mm in between")
     picture = out / "plan_thesis_turn.png"
     plot_trajectory(plan, picture, title=f"{robot.name}: tube 1 turned by 270° at home, by withdrawing")
     return [picture]

@@ -1,11 +1,10 @@
-"""Two robots on one plate: where they must stand to reach much together, and a task in which neither touches the other.
+"""Two robots on one plate: base poses with a large common workspace, and a task without contact between the arms.
 
-The plates may be 10 to 30 mm apart, lean by up to 30 deg, and be turned. Then each tip goes to a place of the other's
-side, among those that both reach; and the tips of two arms change places.
+The plates may be 10 to 30 mm apart, tilted by up to 30 deg, and rotated. First each tip goes to a point on the other
+side that both arms reach. Then the tips of two arms exchange their positions.
 
-One learns: the distance of two arms that move at the same time can be proved at all times, and costs no more than the
-proof of either motion. Where each arm rests where the other has to go, no order of motions will do, but one of them may
-withdraw and come back.
+Result: the distance of two moving arms is proved at all times, and this costs no more than the proof of either motion.
+If each arm blocks the goal of the other, no order of single motions works; one of them must withdraw and return.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ SHIFT = np.array([0.012, -0.05, -0.085])
 
 
 def main(out: Path) -> list[Path]:
-    """Place the pair, plan, print what was proved, save the picture into `out`, and return its path."""
+    """Place the pair, plan, print the proof, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
     reached = [tubeopt.workspace(robot, 4000, seed=0)] * 2
     beside = shared_workspace(reached, [base_frame([x, 0, 0], [0, 0, 1]) for x in (-0.015, 0.015)])
@@ -55,7 +54,7 @@ def main(out: Path) -> list[Path]:
 
 
 def swapped(robot: Robot) -> None:
-    """Two tips change places; print how."""
+    """Plan the exchange of two tips, and print the result."""
     arms = [
         tubeopt.PlacedRobot(robot, base_frame([x, 0, 0], [0, 0, 1]), name)
         for x, name in ((-0.008, "left"), (0.008, "right"))
@@ -65,10 +64,10 @@ def swapped(robot: Robot) -> None:
         tubeopt.inverse_kinematics(robot, arm.base.seen(place), start=(np.zeros(3), SHIFT))
         for arm, place in zip(arms, places, strict=True)
     ]
-    options = tubeopt.PlanOptions(clearance=5e-4, objective="none")  # no way is shorter
+    options = tubeopt.PlanOptions(clearance=5e-4, objective="none")  # no path is shorter
     plan = tubeopt.plan_arms(arms, starts, places[::-1], options=options)
     names = ", ".join(arms[k].called for k in plan.withdrawn_first)
-    print(f"tips change places within {plan.duration:.1f} s; {names} makes way; proved: {plan.proved}")
+    print(f"tips change places within {plan.duration:.1f} s; {names} withdraws; proved: {plan.proved}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""A helix that opens towards its tip, in a tube that bends ever more, turned past a post: planned, and proved.
+"""A helix that opens towards its tip, in a tube of growing curvature, turned past a post: planned and proved.
 
-One learns: what is proved is proved of the robot as it is, however precurvature goes along its tubes. A second writing
-of the equations, integrated by itself at times between the samples, finds no arm nearer than the proof says.
+Result: the proof covers the robot as it is, with any variation of precurvature. An independent integration of the
+equations between the samples finds no arm closer to the post than the proved clearance.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CHECKS = 24
 
 
 def winding() -> tubeopt.ConcentricRobot:
-    """The robot: along both tubes precurvature varies, along the inner one the natural twist too."""
+    """The robot: the precurvature varies along both tubes, the natural twist along the inner one."""
     opening = Piece(0.11, lambda s: (34.0 - 200.0 * s, 0.0, 110.0 - 500.0 * s))
     rising = Piece(0.05, lambda s: 12.0 * np.sin(np.pi * s / 0.1))
     tubes = (

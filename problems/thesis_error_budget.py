@@ -1,12 +1,12 @@
-"""What could explain the tip errors of the thesis' experiment (Table 4.1)? Each effect at its best.
+"""Possible causes of the tip errors of the experiment of the thesis (Table 4.1): each effect at its best.
 
-The table prints distances between measured and simulated tips, not where the tips were. So an effect that moves a tip
-by b explains, at best, b of a distance a, and |a - b| is left. Each effect gets the size at which the least is left of
-all 72 tips, and, where every tube may be turned either way (which was turned last is not told), the best of all ways.
+The table has distances between measured and simulated tips, not the positions. If an effect moves a tip by b, it
+explains at best b of a distance a; |a - b| is left. Each effect has the size that leaves the least error of all 72
+tips. The direction of the last rotation of each tube is unknown, so the best direction counts.
 
-One learns: a sheath with a tenth of the tubes' bending stiffness could explain 45 % of the mean, and little of the
-worst place, which asks for tubes that are turned, more than friction in the sheath will do; room in the sheath explains
-a tenth at most. These are upper bounds: what the effects really did, distances alone cannot tell.
+Result: a sheath with a tenth of the bending stiffness of the tubes explains up to 45 % of the mean error, and little of
+the worst error. The worst error requires rotated tubes, more than friction in the sheath explains. Clearance in the
+sheath explains a tenth at most. These are upper bounds; distances alone do not determine the true causes.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ def tips(robot: tubeopt.EccentricRobot, rotations: Array = ALL) -> Array:
 
 
 def in_sheath(share: float) -> tubeopt.EccentricRobot:
-    """The robot in a sheath that has `share` of the bending stiffness of its tubes.
+    """The robot in a sheath with `share` of the bending stiffness of its tubes.
 
-    With K and m the sums of stiffness and of pull, the equations of tubes on the centreline know the sheath by K alone:
-    stiffer tubes of less curvature are the same, but for the offset, which is 1 % of the radius of curvature here.
+    K is the sum of stiffnesses, m the sum of moments. On the centreline the sheath enters the equations by K alone.
+    Stiffer tubes of smaller curvature are equivalent, except for the offset, which is 1 % of the radius of curvature
+    here.
     """
     tube = ROBOT.tube
     stiffer = replace(
@@ -54,7 +55,7 @@ def in_sheath(share: float) -> tubeopt.EccentricRobot:
 
 
 def moved(name: str, size: float) -> Iterator[Array]:
-    """(72,) how far an effect of a size moves the tips, m, for every sense that it may have."""
+    """(72,) displacement of the tips by an effect of a size, m, for every direction that it may have."""
     here = tips(ROBOT)
     if name == "sheath":
         yield np.linalg.norm(tips(in_sheath(size)) - here, axis=1)
@@ -69,25 +70,25 @@ def moved(name: str, size: float) -> Iterator[Array]:
 EFFECTS = {
     "sheath": ("stiffness of the sheath (%)", 100.0, np.linspace(0, 0.3, 13)),
     "turned": ("turn of every tube (deg)", np.degrees(1.0), np.radians(np.linspace(0, 30, 11))),
-    "room": ("room in the sheath (mm)", 1e3, np.linspace(0, 0.3e-3, 7)),
+    "room": ("clearance in the sheath (mm)", 1e3, np.linspace(0, 0.3e-3, 7)),
 }
 """What is drawn, its unit, and the sizes that are tried."""
 
 
 def left(name: str, size: float) -> Array:
-    """(72,) what is left of the errors at best, m."""
+    """(72,) remaining errors at best, m."""
     return np.asarray(np.min([np.abs(ERROR - b) for b in moved(name, size)], axis=0))
 
 
 def rubbing(turn: float) -> float:
-    """Torque per length that turns the tip of a tube by so much against its base while all of it slips, N m per m."""
+    """Torque per length, N m per m, that turns the tip of a slipping tube by this angle against its base."""
     return 2 * ROBOT.tube.torsional_stiffness * turn / ROBOT.tube.curved_length**2
 
 
 def main(out: Path, samples: int = 13) -> list[Path]:
     """Try at most `samples` sizes of each effect, save the picture into `out`, and return its path."""
     figure = new_figure(7.0, 2.6)
-    headed(figure, f"What each effect leaves at best of the mean tip error, {ERROR.mean() * 1e3:.1f} mm (Table 4.1)")
+    headed(figure, f"Mean tip error that each effect leaves at best, of {ERROR.mean() * 1e3:.1f} mm (Table 4.1)")
     worst = int(np.argmax(ERROR))
     for axes, (name, (label, unit, sizes)) in zip(figure.subplots(1, 3, sharey=True), EFFECTS.items(), strict=True):
         sizes = sizes[:: -(-len(sizes) // samples)]

@@ -1,9 +1,9 @@
-"""The thesis' experiment, Figures 4.16 and 4.17: tip errors of its eccentric tube robot over direction and separation.
+"""The experiment of the thesis, Figures 4.16 and 4.17: tip errors of its eccentric robot over direction and separation.
 
-The measured points of Figure 4.16 are not printed; their distances to the simulated tips (Table 4.1) are.
+The thesis does not print the measured points of Figure 4.16, only their distances to the simulated tips (Table 4.1).
 
-One learns: the model explains where the circles lie, not the errors of the built robot, which are some 13.5 % of its
-length at worst and depend on direction.
+Result: the model explains the positions of the circles, not the errors of the built robot. The largest error is about
+13.5 % of its length and depends on direction.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The thesis' Figure 2.10: workspace of its concentric robot from 1,000 random configurations, and what snapping takes.
+"""Figure 2.10 of the thesis: workspace of its concentric robot from 1,000 random configurations, and snapping losses.
 
-The figure of the thesis draws arms at random joint values, whichever equilibrium its solver meets. Here every arm is
-stable; the second picture shows where tips would be if unstable ones counted, and where only those are.
+The figure in the thesis shows arms at random joint values, with any equilibrium that its solver finds. Here every arm
+is stable. The second picture shows the tips of unstable arms, and the region that only those reach.
 
-One learns: arms that are drawn at random joint values must be told apart by stability: an unstable equilibrium solves
-the equations and is never seen.
+Result: arms at random joint values must be checked for stability. An unstable equilibrium solves the equations but
+never occurs.
 """
 
 from __future__ import annotations

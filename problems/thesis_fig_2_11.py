@@ -1,7 +1,7 @@
-"""The thesis' Figure 2.11: rotation and torsion along the tubes in the two configurations of Figure 2.9.
+"""Figure 2.11 of the thesis: rotation and torsion along the tubes in the two configurations of Figure 2.9.
 
-One learns: torsion vanishes at each tube's own end and is largest at the plate; what tubes wind up behind it counts for
-more than what they do in front.
+Result: torsion is zero at the end of each tube and largest at the plate. Most of the twist is in the transmissions
+behind the plate.
 """
 
 from __future__ import annotations

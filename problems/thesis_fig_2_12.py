@@ -1,10 +1,9 @@
-"""The thesis' Figure 2.12: elastic energy over the tip angles of the two inner tubes as the inner one is turned.
+"""Figure 2.12 of the thesis: elastic energy over the tip angles of the two inner tubes while the inner one turns.
 
-At 135 deg there is one minimum. Before 150 deg a second one has appeared, at 180 deg both are equally deep, and by
-225 deg the first one is gone: a robot that came from home in it has snapped into the other, at 214.22 deg.
+At 135 deg there is one minimum. A second one appears before 150 deg. At 180 deg both are equally deep. At 225 deg the
+first one has vanished: a robot that came from home has snapped into the second, at 214.22 deg.
 
-One learns: a snap is no mystery of dynamics: it is the disappearance of a minimum, and can be computed to any number of
-digits.
+Result: a snap is the disappearance of a minimum. It can be computed to any number of digits.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""The thesis' Figure 2.13: its three-tube robot before and after a snap, when only the inner tube is turned.
+"""Figure 2.13 of the thesis: its three-tube robot before and after a snap while the inner tube turns.
 
-One learns: the tip jumps by 98 mm, half the length of the arm, at an input of 214.22 deg. At 213 deg nothing is to be
-seen of it, except the margin.
+Result: the tip jumps by 98 mm, half the length of the arm, at 214.22 deg. At 213 deg only the margin announces it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The thesis' Figure 2.9: its three-tube robot at home, and with the tubes turned by 0, 1 and 2 rad.
+"""Figure 2.9 of the thesis: its three-tube robot at home, and with the tubes turned by 0, 1 and 2 rad.
 
-One learns: turned against one another, tubes settle on a shape in between, which lies in no plane. No tube keeps the
-rotation that it was given.
+Result: rotated tubes settle on a shape between their own, which lies in no plane. No tube keeps the rotation of its
+base.
 """
 
 from __future__ import annotations

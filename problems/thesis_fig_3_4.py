@@ -1,7 +1,7 @@
-"""The thesis' Figure 3.4: its eccentric robot straight, with its tubes 120 deg apart, and beside it fully bent.
+"""Figure 3.4 of the thesis: its eccentric robot straight, with its tubes 120 deg apart, and fully bent.
 
-One learns: three equal tubes 120 deg apart cancel each other and the arm is straight. Bent, they slide on one another,
-since the one inside of the bend is shorter.
+Result: three equal tubes 120 deg apart cancel each other, and the arm is straight. In a bent arm they slide along each
+other, since the tube on the inside of the bend is shorter.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Solve both configurations, print the tubes' own lengths, save the picture, and return its path."""
+    """Solve both configurations, print the lengths of the tubes, save the picture, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_etr.yaml")
     straight = tubeopt.forward_kinematics(robot, mirror.mirror_rotations(0.0, mirror.STRAIGHT))
     bent = tubeopt.forward_kinematics(robot, mirror.mirror_rotations(np.pi / 2, 0.0))

@@ -1,7 +1,7 @@
-"""The thesis' Figure 3.5: workspace of its eccentric robot from 1,000 random rotations of the three tubes.
+"""Figure 3.5 of the thesis: workspace of its eccentric robot from 1,000 random rotations of the three tubes.
 
-One learns: three rotations move the tip on a surface: one of them is to spare. The margin is least in a ring around the
-straight pose.
+Result: three rotations move the tip on a surface, so one rotation is redundant. The margin is smallest in a ring around
+the straight pose.
 """
 
 from __future__ import annotations

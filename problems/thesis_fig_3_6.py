@@ -1,6 +1,6 @@
-"""The thesis' Figure 3.6: contours of the workspace, each the path of the tip when a bend of one size turns around.
+"""Figure 3.6 of the thesis: contours of the workspace, each the path of the tip when a bend of one size turns around.
 
-One learns: paths of the tip at one separation are round to 0.014 mm: direction and separation are nearly polar
+Result: paths of the tip at one separation are circles within 0.014 mm. Direction and separation are nearly polar
 coordinates.
 """
 

@@ -1,7 +1,6 @@
-"""The thesis' Figure 3.8: workspace of its eccentric robot under mirror actuation, by direction and separation.
+"""Figure 3.8 of the thesis: workspace of its eccentric robot under mirror actuation, by direction and separation.
 
-One learns: a direction and a separation say all that three rotations can do to the tip, in terms that a person can
-think in.
+Result: two numbers, a direction and a separation, replace the three rotations. They are easier to understand.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The thesis' Figure 3.9: the six ways to assign three tubes to one mirror actuation, beside the robot at d = 0.
+"""Figure 3.9 of the thesis: the six assignments of three tubes to one mirror actuation, next to the robot at d = 0.
 
-The thesis measures a largest distance between the tips of about 0.36 mm, "less than 0.04 %" of the robot's length (it
-is 0.38 %). Its own equations give less by a factor of 26.
+The thesis measures a largest distance between the tips of about 0.36 mm, "less than 0.04 %" of the length of the robot
+(it is 0.38 %). Its own equations give 26 times less.
 
-One learns: it hardly matters which tube does what: the six ways differ by 0.014 mm at most, 0.015 % of the length.
+Result: the assignment hardly matters: the tips differ by at most 0.014 mm, 0.015 % of the length.
 """
 
 from __future__ import annotations

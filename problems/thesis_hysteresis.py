@@ -1,7 +1,7 @@
-"""A full turn of the inner tube of the thesis' robot, forth and back: it snaps once each way, at different angles.
+"""A full turn of the inner tube of the robot of the thesis, forward and back: two snaps at different angles.
 
-One learns: between the two snaps, at 145.78 and 214.22 deg, joint values alone do not say where the tip is: history
-does. And the margin, which falls like a square root, warns late.
+Result: between the two snaps, at 145.78 and 214.22 deg, joint values alone do not determine the tip; the history does.
+The margin falls like a square root, so it warns late.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Follow both ways, save the picture into `out`, and return its path."""
+    """Follow both directions, save the picture into `out`, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
     angles_deg = np.linspace(0.0, 360.0, 361)
     rotations = np.radians(angles_deg)[:, None] * [1.0, 0.0, 0.0]
@@ -31,7 +31,7 @@ def main(out: Path) -> list[Path]:
                 f"{snap.tip_jump * 1e3:.2f} mm, {snap.energy_released * 1e3:.3f} mJ are released"
             )
     picture = out / "thesis_hysteresis.png"
-    title = f"{robot.name}: a full turn of tube 1, forth and back"
+    title = f"{robot.name}: a full turn of tube 1, forward and back"
     plot_hysteresis((forth, back), picture, angles_deg=angles_deg, title=title)
     return [picture]
 

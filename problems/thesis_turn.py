@@ -1,7 +1,7 @@
-"""The robot of the thesis as its inner tube is turned once: the arm moves smoothly, snaps, and moves on; as a film.
+"""A film of the robot of the thesis while its inner tube turns once: the arm moves smoothly, snaps, and moves on.
 
-One learns: the margin stays near 1 for half a turn and falls to 0 in the last 40 deg before the snap at 214.22 deg.
-There the tip jumps by 98 mm, and the arm is stable again.
+Result: the margin stays near 1 for half a turn and falls to 0 in the last 40 deg before the snap at 214.22 deg. There
+the tip jumps by 98 mm, and the arm is stable again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""An eccentric robot of three segments actuated by mirror, and how well the fast approximation tells its tip.
+"""An eccentric robot of three segments with mirror actuation, and the accuracy of the fast approximation of its tip.
 
-One learns: segments that are straight where they pass through each other hardly disturb one another: solved one by one
-they give the tip to a hundredth of a millimetre.
+Result: segments that are straight where they pass through each other hardly interact. Solved one by one, they give the
+tip within a hundredth of a millimetre.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A robot of tubes made of pieces: a helix, an S, and an outer tube with slots; at home and with its tubes turned.
 
-One learns: what each tube is like is a line or two in the robot's file; the solver is the same for all, and so are
-margin and certificate. Slots in a single tube are no cure in themselves: a softer outer tube resists the inner two
-less, which then act on each other more.
+Result: each tube takes a line or two in the robot file. Solver, margin and certificate are the same for all tubes.
+Slots in a single tube do not help by themselves: a softer outer tube resists the inner two less, which then act on each
+other more.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path) -> list[Path]:
-    """Solve both configurations, print what slots do for the certificate, save the picture, and return its path."""
+    """Solve both configurations, print the effect of the slots, save the picture, and return its path."""
     robot = tubeopt.load_robot(ROOT / "configs" / "robots" / "example_pieces.yaml")
     assert isinstance(robot, tubeopt.ConcentricRobot)
     home = tubeopt.forward_kinematics(robot, (0.0, 0.0, 0.0))

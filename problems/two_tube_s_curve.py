@@ -1,10 +1,10 @@
 """The S-curve of two tubes, with its closed form in Jacobi's elliptic functions.
 
-For two tubes of equal Poisson's ratio nu, overlap L and transmission l, with c = (1 + nu) kappa_1 kappa_2, the relative
-tip angle 2 acos(k) belongs to the relative input  2 acos(k cd(L sqrt(c))) + 2 l sqrt(c) k k' sd(L sqrt(c)).
+Two tubes have equal Poisson's ratio nu, overlap L and transmission l; c = (1 + nu) kappa_1 kappa_2. The relative tip
+angle 2 acos(k) belongs to the relative input  2 acos(k cd(L sqrt(c))) + 2 l sqrt(c) k k' sd(L sqrt(c)).
 
-One learns: where the S turns back the robot snaps. Continuation and closed form agree to ten digits, so that the folds
-can be trusted where no closed form exists.
+Result: the robot snaps at the turning points of the S. Continuation and closed form agree to ten digits, so folds
+without a closed form can be trusted.
 """
 
 from __future__ import annotations

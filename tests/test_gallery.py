@@ -30,7 +30,7 @@ def test_every_problem_says_what_is_asked_and_what_one_learns(gallery: Any, scri
     problem = gallery.read_problem(script, None)
     page = gallery.page(problem)
     assert problem.asked in page
-    assert "## What one learns" in page
+    assert "## Result" in page
     assert script.read_text(encoding="utf-8") in page
     assert all(f"images/{picture.name}" in page for picture in problem.pictures)
     assert f"({problem.name}.md)" in gallery.index([problem])
@@ -61,9 +61,9 @@ def test_a_notebook_is_a_page_with_its_outputs(gallery: Any) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('"""What?"""\n', "its docstring must say what is asked"),
-        ("print()\n", "its docstring must say what is asked"),
-        ('"""What?\n\nOne learns: nothing.\n"""\n', "no picture of it was found"),
+        ('"""What?"""\n', "its docstring must state the question"),
+        ("print()\n", "its docstring must state the question"),
+        ('"""What?\n\nResult: nothing.\n"""\n', "no picture of it was found"),
     ],
 )
 def test_a_problem_without_its_words_is_refused(gallery: Any, tmp_path: Path, text: str, message: str) -> None:

@@ -203,8 +203,8 @@ def test_robot_show_warns(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("kind: concentric\ntubes:\n" + "\n".join(tubes))
     assert answer(run("robot", "show", str(path), "--json"))["warnings"] == [
-        "tube 1 is strained 6.67 % when held straight, beyond the 6 % from which nitinol springs back",
-        "tube 2 is strained 2.04 % when held straight, beyond the 1 % to which nitinol may be cycled",
+        "tube 1 is strained 6.67 % when held straight, beyond the 6 % limit of superelasticity of nitinol",
+        "tube 2 is strained 2.04 % when held straight, beyond the 1 % limit of nitinol for repeated bending",
         "tube 1 has 0 mm of radial clearance in tube 2, less than the 0.01 mm that sliding needs: friction "
         "will wind the tubes up",
         "tube 2 has 0.125 mm of radial clearance in tube 3, more than 0.1 mm: its axis may lie beside the outer tube's",
@@ -282,7 +282,7 @@ def test_a_directory_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
     for command in (["fk", THESIS, "--json"], ["certify", THESIS], ["robot", "show", THESIS], ["run", STUDY, "--json"]):
         assert refused(run(*command, "--out", taken)) == [f"{taken}: nothing can be saved there: it is a file"]
     (problem,) = refused(run("fk", THESIS, "--out", f"{taken}/x"))
-    assert problem == f"{taken}/x: nothing can be saved there: {taken} is in the way"
+    assert problem == f"{taken}/x: nothing can be saved there: {taken} is a file, not a directory"
 
 
 def test_what_cannot_be_saved_is_printed_all_the_same(run: Run, tmp_path: Path) -> None:

@@ -508,7 +508,7 @@ def test_a_directory_that_cannot_be_written_is_refused_before_the_work(
         f"{file}: nothing can be saved there: it is a file"
     ]
     (problem,) = refused(run("stability-map", THESIS, "--out", str(file / "x" / "y")))
-    assert problem == f"{file}/x/y: nothing can be saved there: {file} is in the way"
+    assert problem == f"{file}/x/y: nothing can be saved there: {file} is a file, not a directory"
 
 
 def test_without_a_solution_nothing_is_saved(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

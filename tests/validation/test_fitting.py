@@ -136,8 +136,8 @@ def test_a_common_rotation_is_the_yaw_of_the_registration() -> None:
     found = fit(given, data, ["curvature", "rotation_1", "rotation_2", "rotation_3"], FitOptions(folds=0))
     assert [e.held for e in found.estimates] == [False, False, False, True]
     assert found.remarks[0] == (
-        "rotation_3 cannot be told from a change of rotation_1 and rotation_2 together with the registration; held at "
-        "0 deg"
+        "rotation_3 cannot be distinguished from a change of rotation_1 and rotation_2 together with the registration; "
+        "held at 0 deg"
     )
     held = found.estimates[3]
     assert (held.value, held.standard_error, held.low, held.high) == (0.0, np.inf, -np.inf, np.inf)

@@ -359,7 +359,9 @@ def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
 
 
 def test_what_no_configuration_determines_is_said() -> None:
-    with pytest.raises(InputError, match=r"rotation_2 cannot be told from a change of rotation_1.*measure the base"):
+    with pytest.raises(
+        InputError, match=r"rotation_2 cannot be distinguished from a change of rotation_1.*measure the base"
+    ):
         where_to_measure(robot(), ["rotation_all"], 10)
 
 

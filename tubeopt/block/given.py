@@ -105,7 +105,7 @@ def _column(name: str, value: Any, otherwise: Array, carriages: tuple[tuple[int,
     if symbolic(value):
         entries = value.numel()
         if entries != len(carriages):
-            each = "tube" if len(carriages) == n else "segment, whose tubes are equal and move together"
+            each = "tube" if len(carriages) == n else "segment (its tubes are equal and move together)"
             raise InputError(f"{name} has {entries} entries; it must have {len(carriages)}, one per {each}")
         column = ca.vec(value)
         return ca.vertcat(*(column[k] for k, tubes in enumerate(carriages) for _ in tubes)) if entries < n else column

@@ -52,7 +52,7 @@ class Anatomy(Displayed):
         """(3,) position of a landmark, m; raises InputError for an unknown name."""
         if name not in self.landmarks:
             known = [*self.landmarks, *(["target"] if self.target is not None else [])]
-            there = f"they are {', '.join(known)}" if known else "there are none"
+            there = f"they are {', '.join(known)}" if known else "it has no landmarks"
             raise InputError(f"{name!r} is not a landmark of the anatomy; {there}{nearest(name, known)}")
         return self.landmarks[name]
 

@@ -124,9 +124,9 @@ class Registration:
         """How well the plate's place is known, in words."""
         known, turn = self.known, math.degrees(self.known.turn)
         words = (
-            f"registration by {len(self.errors)} landmarks leaves them {self.rms * 1e3:.2g} mm off (root of the mean "
-            f"square): the plate is known to {turn:.2g} deg about every axis, and to {known.reach * 1e3:.2g} mm as far "
-            "away as the farthest landmark (standard errors); no proof knows of this, so let the clearance cover it"
+            f"registration by {len(self.errors)} landmarks has an error of {self.rms * 1e3:.2g} mm (root of the mean "
+            f"square). Standard errors of the plate: {turn:.2g} deg about every axis, and {known.reach * 1e3:.2g} mm "
+            "at the distance of the farthest landmark. No proof includes this error; let the clearance cover it"
         )
         if known.mirrored is not None:
             words += (

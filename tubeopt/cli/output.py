@@ -229,7 +229,7 @@ def can_be_saved(out: Path | None) -> None:
         except OSError as error:
             why = f"{place}: {error.strerror or error}" if place != out else error.strerror or str(error)
     elif place != out:
-        why = f"{place} is in the way"
+        why = f"{place} is a file, not a directory"
     raise InputError(f"{out}: nothing can be saved there: {why}")
 
 

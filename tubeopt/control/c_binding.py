@@ -36,8 +36,8 @@ REFUSED = {
     5: "the motion is longer than one call may be",
 }
 TOO_LARGE = (
-    f"a number is too large: rotations may be {MOST_TURN:g} rad, every other number {MOST_NUMBER:g} in SI units, and a "
-    f"tube may be drawn back by {FAR:g} of its lengths; places may be {FAR:g} lengths of the longest tube away"
+    f"a number is too large. Limits: rotations {MOST_TURN:g} rad, other numbers {MOST_NUMBER:g} in SI units. A tube "
+    f"may be withdrawn by {FAR:g} of its lengths. Positions may be {FAR:g} lengths of the longest tube away"
 )
 
 """What the functions return when they do not answer; 2 is bad input."""

@@ -56,8 +56,8 @@ UNKNOWN = {
     "clearance": "clearance from a body",
     "deflection": "deflection under a force",
     "stroke_force": "stroke force",
-    "jacobian": "Jacobian of the tip, whose second derivatives are many",
-    "turning": "Jacobian of the tip, whose second derivatives are many",
+    "jacobian": "Jacobian of the tip (its second derivatives are too many)",
+    "turning": "Jacobian of the tip (its second derivatives are too many)",
 }
 """Quantities that no block of a design has."""
 

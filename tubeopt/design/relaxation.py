@@ -90,7 +90,7 @@ def best_of(ranking: Ranking) -> Attempt:
     eased = ", or ".join(way.words for way in ways) or "no relaxation was found that makes the task feasible"
     if shown:
         raise InfeasibleDesignError(f"no design meets all requirements, since {shown}; {tried}; {eased}", ways, closest)
-    doubt = "no design was found that meets all requirements, which does not show that there is none"
+    doubt = "no design was found that meets all requirements; one may still exist"
     raise DesignNotFoundError(f"{doubt}: {tried}; {eased}", ways, closest)
 
 

@@ -52,8 +52,8 @@ def _useless(robot: ConcentricRobot) -> Iterator[str]:
         moved = _moved(tube, float(ends[i]), ends, stiff)
         if moved < sag:
             yield (
-                f"tube {i + 1} bends the arm by {moved * 1e3:.2g} mm, less than the {sag * 1e3:.2g} mm by which tube "
-                f"{stiffest + 1}, the stiffest, sags under its own weight: it may as well be straight"
+                f"tube {i + 1} bends the arm by {moved * 1e3:.2g} mm. Tube {stiffest + 1}, the stiffest, sags by "
+                f"{sag * 1e3:.2g} mm under its own weight, which is more: tube {i + 1} may be straight"
             )
 
 

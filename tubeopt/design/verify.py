@@ -173,7 +173,7 @@ def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array], count: int
             for i, tube in enumerate(robot.tubes)
         )
         least = min(least, *(snap_free_certificate(ConcentricRobot(tubes), row) for row in rows))
-    words = f"least certificate of {count} robots whose tubes are off"
+    words = f"least certificate of {count} robots with random errors of their tubes"
     return [Check(words, f"{least:.5f}", least >= one.margin - one.tolerance - SLACK)]
 
 

@@ -267,10 +267,10 @@ def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) ->
             f"{clearance * 1e3:.6g} mm"
         ]
     if found.least_clearance == -math.inf:
-        return [f"not proved: nothing bounds the distance of {words} all the way"]
+        return [f"not proved: no bound of the distance of {words} at all times"]
     if found.least_clearance < clearance:
-        shown = f"{found.least_clearance * 1e3:.4g} mm are shown of the distance of {words}"
-        return [f"not proved: of the clearance of {clearance * 1e3:.6g} mm only {shown}"]
+        bound = f"a distance of {found.least_clearance * 1e3:.4g} mm is proved for {words}"
+        return [f"not proved: {bound}; the required clearance is {clearance * 1e3:.6g} mm"]
     return []
 
 

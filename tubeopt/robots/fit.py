@@ -37,14 +37,16 @@ def fit_warnings(robot: Robot) -> list[str]:
         strain, name = tube.straightened_strain, tube.material.name
         reached = f"tube {i} is strained {strain * 100:.2f} % when held straight, beyond the"
         if strain > tube.material.superelastic_strain:
-            found.append(f"{reached} {tube.material.superelastic_strain * 100:.3g} % from which {name} springs back")
+            found.append(
+                f"{reached} {tube.material.superelastic_strain * 100:.3g} % limit of superelasticity of {name}"
+            )
         elif strain > tube.material.working_strain:
-            found.append(f"{reached} {tube.material.working_strain * 100:.3g} % to which {name} may be cycled")
+            found.append(f"{reached} {tube.material.working_strain * 100:.3g} % limit of {name} for repeated bending")
         unknown = [str(j) for j, piece in enumerate(tube.pieces, start=1) if slots_unknown(tube, piece)]
         if unknown:
             found.append(
-                f"tube {i} is softer in piece{'s' * (len(unknown) > 1)} {', '.join(unknown)} than elsewhere: slots are "
-                "strained more than is told here, unless slots: {share: ...} says along how much of a piece they are"
+                f"tube {i} is softer in piece{'s' * (len(unknown) > 1)} {', '.join(unknown)} than elsewhere. The "
+                "strain at slots is larger than shown here. Give the fraction with slots by slots: {share: ...}"
             )
     for i, (around, clearance) in clearances(robot).items():
         fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"

@@ -289,12 +289,12 @@ def _doubts_of(found: Measurements, robot: Robot) -> list[str]:
     if len(tips) > 1 and moving and spread < SMALL * length:
         words.append(
             f"the tips lie within {1e3 * spread:.2g} mm of each other, and the tubes are up to {1e3 * length:.0f} mm "
-            "long: are positions in m, in columns that say mm, or was the sensor not on the tip?"
+            "long. Are positions in m in columns for mm, or was the sensor not on the tip?"
         )
     if spread > LARGE * length:
         words.append(
-            f"the tips lie up to {1e3 * spread:.0f} mm apart, and the tubes are up to {1e3 * length:.0f} mm long: are "
-            "positions in mm, in columns that say m?"
+            f"the tips lie up to {1e3 * spread:.0f} mm apart, and the tubes are up to {1e3 * length:.0f} mm long. Are "
+            "positions in mm in columns for m?"
         )
     reach = np.abs(found.translations).max()
     if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
@@ -315,8 +315,8 @@ def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
             continue
         if not len(apart):
             words.append(
-                f"sensors {i + 1} and {j + 1} of the tip are never seen in one row, so their distance is unknown: each "
-                "is taken for the tip; if one is a reference tool, name it by reference in a file of kind measurements"
+                f"sensors {i + 1} and {j + 1} of the tip never appear in one row, so their distance is unknown. Each "
+                "is used as the tip. If one is a reference tool, name it by reference in a file of kind measurements"
             )
             continue
         low, middle, high = np.quantile(apart, (0.05, 0.5, 0.95)).tolist()
@@ -343,7 +343,7 @@ def _doubts_of_clock(found: Measurements) -> list[str]:
     if found.log is not None and len(back):
         words.append(
             f"the time of the positions goes back from {found.time[back[0]]:.3f} to {found.time[back[0] + 1]:.3f} s: "
-            "did the clock start anew? Joint readings are looked for at these times"
+            "did the clock restart? Joint readings are searched at these times"
         )
     return words
 

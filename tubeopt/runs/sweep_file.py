@@ -237,7 +237,7 @@ def _known(data: Data, key: str) -> None:
                 return
             names = list(place) if isinstance(place, dict) else []
             what = f"{at} has" if at else "the study gives"
-            give = "; give it a value, of which a part can then vary" if part in fields else nearest(part, names)
+            give = "; give it a value first" if part in fields else nearest(part, names)
             raise InputError(f"vary {key}: {what} no {part}{give}")
         place = place[part]
 

@@ -88,9 +88,9 @@ MDF = MoldMaterial(
     resistivity=1e8,
     emissivity=0.9,
     price_class="low",
-    source="0.12-0.15 W/(m K): Facts about particleboard and MDF (EWPAA); 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
-    "after Wood Handbook, USDA Forest Service; limit: charring isotherm 300 degC of EN 1995-1-2; resistivity of wood "
-    "at about 8 % moisture, order of magnitude, Wood Handbook; emissivity of wood, Incropera et al., Table A.11",
+    source="0.12-0.15 W/(m K): Facts about particleboard and MDF (EWPAA). 750 kg/m^3, 1700 J/(kg K): makeitfrom.com "
+    "after Wood Handbook, USDA Forest Service. Limit: charring isotherm 300 degC of EN 1995-1-2. Resistivity of wood "
+    "at about 8 % moisture, order of magnitude, Wood Handbook. Emissivity of wood: Incropera et al., Table A.11",
 )
 """Medium-density fibreboard, the mold of the thesis' Figure 4.3, which charred."""
 
@@ -119,9 +119,9 @@ CALCIUM_SILICATE = MoldMaterial(
     resistivity=1e7,
     emissivity=0.9,
     price_class="moderate",
-    source="density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
-    "degC; boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3), so take those of the board at hand; limit 927 "
-    "degC (1700 degF) of ASTM C656; resistivity of dry board, order of magnitude, and emissivity assumed",
+    source="Density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
+    "degC. Boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3): use the data of your board. Limit 927 degC "
+    "(1700 degF) of ASTM C656. Resistivity of dry board is an order of magnitude, emissivity an assumption",
 )
 """Machinable calcium silicate board, the mold of the thesis' Figure 4.5."""
 

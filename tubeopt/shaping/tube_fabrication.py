@@ -225,9 +225,9 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
     if abs(said / computed - 1) < 0.25:
         return ()
     return (
-        f"the rig's file says that the groove's air conducts like an even gap of {1e6 * said:.0f} um (gap_um); one "
-        f"with {1e6 * rig.mold.play:.0f} um on either side of this tube comes to {1e6 * computed:.0f} um: leave gap_um "
-        "out, unless a log said so (tubeopt heat calibrate)",
+        f"gap_um of the rig file is {1e6 * said:.0f} um. A groove with {1e6 * rig.mold.play:.0f} um on each side of "
+        f"this tube has a uniform gap of {1e6 * computed:.0f} um. Remove gap_um unless it comes from a log (tubeopt "
+        "heat calibrate)",
     )
 
 

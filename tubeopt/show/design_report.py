@@ -147,7 +147,7 @@ SEARCHED: tuple[Quantity[RegionAnswer], ...] = (
 
 def _starts(s: DesignSolution) -> str:
     failed = ", ".join(f"{count} at the {name}" for name, count in s.ranking.failures.items())
-    return f"{s.ranking.starts}, of which {sum(s.ranking.found)} feasible" + f" ({failed})" * bool(failed)
+    return f"{s.ranking.starts}, {sum(s.ranking.found)} feasible" + f" ({failed})" * bool(failed)
 
 
 def _margins(s: DesignSolution) -> str | None:

@@ -200,7 +200,7 @@ def longest(delta: float, angle: float) -> float:
 def make_table() -> None:
     """Compute the table and write it: some minutes."""
     rows = [length_curve(delta) for delta in DELTAS]
-    head = "x up to which phi stays below 0, pi/128, .. pi/2 (columns), by delta (rows); see eccentric_certificate.py"
+    head = "largest x with phi below 0, pi/128, .. pi/2 (columns), by delta (rows); see eccentric_certificate.py"
     np.savetxt(FILE, rows, fmt="%.7f", delimiter=",", header=head)
 
 

@@ -155,7 +155,7 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float
 
 def _restart(point: Place, there: Loaded) -> LoadedPoint:
     """The equilibrium of another problem close to a point."""
-    failure = "the equilibrium is none on the mesh of a larger load, or just beyond where stability is lost"
+    failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
     return replace(point.onto(there, failure), t=there.factor)
 
 

@@ -140,7 +140,7 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
             yield found
             here = Milestone(found.landed.t, found.after)
         else:
-            here = Milestone(found.t, to_equilibrium(found, "the way"))
+            here = Milestone(found.t, to_equilibrium(found, "the path"))
         yield here
 
 

@@ -286,11 +286,11 @@ EFFECTS: dict[str, Effect] = {
         compared="asked", drives=True,
     ),
     "friction": Effect(
-        "torque per length that rubbing bears between tube I and the next one, N m per m", "N", "pair",
+        "friction torque per length between tube I and the next one, N m per m", "N", "pair",
         _friction_span, _put("friction"), needs="way", history=True, idle=_no_friction,
     ),
     "clearance": Effect(
-        "radial clearance of tube I in the next one, which lets the arm beyond its end tilt", "m", "pair",
+        "radial clearance of tube I in the next one; the arm beyond its end tilts", "m", "pair",
         _clearance_span, _put("clearance"), compared="asked",
     ),
     "stiffness_ratio": Effect(

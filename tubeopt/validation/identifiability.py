@@ -38,8 +38,8 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
         with_it = [parameters[j].name for j, part in zip(kept, directions[-1], strict=False) if abs(part) > 0.05]
         if with_it:
             words.append(
-                f"{parameter.name} cannot be told from a change of {join(with_it)} together with the registration; "
-                f"held at {shown(parameter.start, parameter.unit)}"
+                f"{parameter.name} cannot be distinguished from a change of {join(with_it)} together with the "
+                f"registration; held at {shown(parameter.start, parameter.unit)}"
             )
         else:
             words.append(

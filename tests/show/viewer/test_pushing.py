@@ -107,7 +107,7 @@ def test_a_force_that_is_typed_and_a_snap_by_it(tab: Tab) -> None:
     tab.type("force x (mN)", -10)
     tab.press("Put the load on")
     tab.wait_for_tip(gentle.tip_position)
-    told, words = tab.wait_for("bears", "snaps at"), bearing_words(gentle)
+    told, words = tab.wait_for("load-limit", "snaps at"), bearing_words(gentle)
     assert NUMBER.sub("", told) == NUMBER.sub("", words)
     assert numbers(told) == pytest.approx(numbers(words), abs=1.01e-4)
     assert float(tab.read("margin")) == pytest.approx(gentle.margin, abs=1.01e-4)

@@ -1,4 +1,4 @@
-/* The tip of {name} is led around a circle at 1 kHz, then against a wall. */
+/* Moves the tip of {name} around a circle at 1 kHz, then against a wall. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -6,7 +6,7 @@
 #include "tubeopt_robot.h"
 
 int main(void) {
-    tubeopt_memory *robot = tubeopt_start(malloc(tubeopt_memory_size())); /* the only memory that is ever taken */
+    tubeopt_memory *robot = tubeopt_start(malloc(tubeopt_memory_size())); /* the only memory that is allocated */
     tubeopt_joints joints = { {START} };
     tubeopt_pose pose;
     tubeopt_report report;

@@ -213,7 +213,7 @@ def believable(
         if log.time[read[0]] == log.time[0] and abs(off) > solver.shifted:
             words.append(
                 f"{name} begins {abs(off):.1f} K {'above' if off > 0 else 'below'} the rig's ambient temperature: the "
-                "thermometer is shifted, or the tube was not cold; fit bias tells by how much"
+                "thermometer is shifted, or the tube was not cold; fit bias estimates the shift"
             )
     return log.kept(channels), tuple(words)
 

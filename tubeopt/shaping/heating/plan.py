@@ -339,8 +339,7 @@ def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
         return ()
     than = "less" if longest < SHORTEST else "more"
     return (
-        f"beside the bend {1e3 * length:.0f} mm of tube at each end get no hotter than {AGEING[0]:.0f} to "
-        f"{AGEING[1]:.0f} degC, for {longest:.0f} s at most, where Ti-50.8Ni precipitates fastest and its Af moves: "
-        f"{than} than the {SHORTEST:.0f} s of the shortest treatment that is told of (BIOMED2007, p. 89); measure Af "
-        "of what is not cut off",
+        f"next to the bend, {1e3 * length:.0f} mm of tube at each end stay at {AGEING[0]:.0f} to {AGEING[1]:.0f} degC "
+        f"for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af changes. This is {than} than the "
+        f"{SHORTEST:.0f} s of the shortest published treatment (BIOMED2007, p. 89). Measure Af of the remaining tube",
     )

@@ -132,8 +132,8 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
             spec.groove.floor,
             "m",
             False,
-            f"the plate is too thin: {spec.plate.thickness * 1e3:.4g} mm, of which the groove of tube {number} takes "
-            f"{depth * 1e3:.4g} mm; {spec.groove.floor * 1e3:.4g} mm must stay below it",
+            f"the plate is too thin: {spec.plate.thickness * 1e3:.4g} mm. The groove of tube {number} is "
+            f"{depth * 1e3:.4g} mm deep; {spec.groove.floor * 1e3:.4g} mm must stay below it",
         ),
     )
 

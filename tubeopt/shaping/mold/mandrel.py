@@ -355,10 +355,10 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
     ]
     if turned:
         remarks.append(
-            "cut with a ball-nose end mill; A turns the tool about the work: reverse its sign where A names the turn "
-            "of the chuck, or the helix is wound to the other side"
+            "cut with a ball-nose end mill. A is the rotation of the tool about the work. Reverse its sign if your "
+            "machine uses the rotation of the chuck; otherwise the helix has the opposite hand"
         )
-        remarks.append("the leads lie in air, which cools them less than a mold: their cold ends may be longer")
+        remarks.append("the straight ends lie in air, which cools less than a mold: cold ends may be longer")
     else:
-        remarks.append("print it of what endures the set temperature: ceramic, or metal that is insulated")
+        remarks.append("print it from a material for the set temperature: ceramic, or insulated metal")
     return [*remarks, *stiffness_remarks(tube), *mold_remarks(tube.material, spec.heat.set_temperature)]

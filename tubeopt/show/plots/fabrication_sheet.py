@@ -104,8 +104,8 @@ def before(made: TubeFabrication) -> list[str]:
         "(`tubeopt heat plan rig.yaml --battery-V`), not this one.",
         f"Polarity: battery plus, fuse, {fixed} clamp; {spec.clamps.sliding_end} clamp, MOSFET (drain), its source to "
         "battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no polarity.",
-        "Power off: resistance from either clamp to the plates must be high where the mold insulates; from clamp to "
-        "clamp a multimeter reads its own leads, so see the current instead.",
+        "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
+        "clamp a multimeter measures mainly its own leads; check the current instead.",
         "First without power, then one pulse: the current while on must be that of the table.",
     ]
 
@@ -117,7 +117,7 @@ def safety(plan: HeatingPlan) -> list[str]:
         f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
         f"battery's plus, the stop button within reach. The mean current has {spare:.0f} % to spare.",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
-        f"{plan.mold_temperature.max():.0f} °C: gloves and goggles, and nothing that burns beside it.",
+        f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
         "Quench with the current off and the clamps open, tongs in hand; water spits.",
         "Above the limit, or where the tube does not follow the time line: stop.",
         *plan.problems,

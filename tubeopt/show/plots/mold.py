@@ -195,8 +195,8 @@ def _steps(figure: Figure, mold: Mold, top: float) -> None:
     degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     steps = [
-        f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}); clamps of the stock "
-        f"{math.ceil(clear_room(mold) * TO_MM)} mm and more from the plate, a board beneath. {bolts} bolts of "
+        f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
+        f"{math.ceil(clear_room(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
         f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
         f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
         "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",

@@ -57,7 +57,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
         axes.contourf(u * TO_MM, v * TO_MM, away, levels=[-np.inf, 0.0], colors=[BODY])
         axes.contour(u * TO_MM, v * TO_MM, away, levels=[0.0], colors=[FAINT], linewidths=0.7)
     for line in lines[:-1]:
-        axes.plot(*(frame.seen(line)[:, :2].T * TO_MM), color=ARM, lw=0.6, alpha=0.5, label="on the way")
+        axes.plot(*(frame.seen(line)[:, :2].T * TO_MM), color=ARM, lw=0.6, alpha=0.5, label="before")
     _draw_arm(axes, arms[-1], plane)
     axes.plot(*(frame.seen(t.tip_position[-1])[:2, None] * TO_MM), "o", color=INK, ms=3, zorder=4, label="tip")
     axes.set(xlim=TO_MM * np.array([low[0], high[0]]), ylim=TO_MM * np.array([low[1], high[1]]), aspect="equal")

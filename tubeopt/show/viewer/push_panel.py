@@ -21,7 +21,7 @@ from .words import typed
 
 GIVEN = "as given"
 
-WORDS = '<div data-testid="bears" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
+WORDS = '<div data-testid="load-limit" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
 
 
 class PushPanel:
@@ -48,7 +48,7 @@ class PushPanel:
         self._words = gui.add_html(WORDS.format(""))
         self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
         button, check = make
-        hint = "Arrows at the head of the force on the tip lead it."
+        hint = "Drag the arrows at the head of the force on the tip."
         check("drag a force", False, partial(tab.show, "force"), hint=hint)
         self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
         self._gravity = gui.add_dropdown("gravity", tuple(self._choices))

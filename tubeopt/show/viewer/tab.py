@@ -296,7 +296,7 @@ class Tab(Wishes):
         self._obstacles, words = load_bodies(path)
         self._show("obstacles", True)
         self.panel.tick("obstacles")
-        return f"{words}, of which the tip keeps clear when it is led"
+        return f"{words}; the tip avoids them when you drag it"
 
     def _take_beside(self, path: Path) -> str:
         session = session_beside(load_robot(path), self.session)

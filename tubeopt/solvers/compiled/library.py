@@ -294,9 +294,9 @@ def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
         own = compiler()
         lacks = "no C compiler to make one" if own is None else f"the C compiler {own[0]} cannot make one"
         _tell_once(
-            f"there is no compiled kernel and {lacks}: answers are the same,about 20 times slower; "
-            "install a C compiler (apt install gcc; xcode-select --install; winget install LLVM.LLVM) or a wheel that "
-            "brings the kernel"
+            f"there is no compiled kernel and {lacks}. Results are the same, about 20 times slower. "
+            "Install a C compiler (apt install gcc; xcode-select --install; winget install LLVM.LLVM) or a wheel with "
+            "the kernel"
         )
     return path
 
