@@ -52,7 +52,7 @@ from tubeopt.shaping import Mandrel, plan_mandrel
 from tubeopt.shaping.heating.plan import HeatingStatus
 from tubeopt.shaping.mold.mandrel import MandrelStatus
 from tubeopt.shaping.mold.mold import MoldStatus
-from tubeopt.solvers.problem_solution import ProblemStatus
+from tubeopt.solvers.named_program import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus

@@ -105,8 +105,8 @@ from .show.plots.shape import plot_shape, plot_shapes
 from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers import parallel
+from .solvers.named_program import ProblemSolution, ProblemStatus, load_problem_solution
 from .solvers.problem import Problem
-from .solvers.problem_solution import ProblemSolution, ProblemStatus, load_problem_solution
 from .solvers.settings import Ipopt, Newton
 from .stability import (
     Branch,

@@ -15,7 +15,7 @@ from tubeopt import EquilibriumBlock, InputError, OrderWarning, Piece, Problem, 
 from tubeopt.block.transcription.model import mapped
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.robots.robot import Robot
-from tubeopt.solvers.closing import few_directions
+from tubeopt.solvers.named_program import few_directions
 
 SEGMENTED = tubeopt.load_robot(CONFIGS / "example_three_segment_etr.yaml")
 FIRST = tubeopt.Ipopt(hessian="limited-memory")

@@ -21,7 +21,7 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
-from tubeopt.solvers.closing import few_directions
+from tubeopt.solvers.named_program import few_directions
 
 TURNED = [0.0, 1.0, 2.0]
 

@@ -21,7 +21,7 @@ import yaml
 
 from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tests.examples import THESIS as ROBOT
-from tests.solvers.parallel.functions import echo, slow_parabola
+from tests.solvers.parallel_functions import echo, slow_parabola
 from tubeopt import InputError, Tube, find_snap, forward_kinematics, sweep, workspace
 from tubeopt.robots.concentric import ConcentricRobot
 from tubeopt.runs.sweep_file import _fingerprint, load_sweep
@@ -222,7 +222,7 @@ POINTS = [{"x": float(k)} for k in range(2000)]
 SCRIPT = """
 import sys
 from functools import partial
-from tests.solvers.parallel.functions import slow_parabola
+from tests.solvers.parallel_functions import slow_parabola
 from tubeopt import sweep
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from ..inverse.solving import inverse_kinematics
 from ..inverse.tip_coordinates import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array
 from .command import Command, ServoOptions, ServoStep, Why, check_places, time_step
 from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement

@@ -11,7 +11,7 @@ import scipy
 
 from ..errors import InputError, SolveError, undoubted
 from ..robots.concentric import ConcentricRobot
-from ..solvers.smooth import Optimum, Values, minimise, nowhere
+from ..solvers.ipopt import Optimum, Values, minimise, nowhere
 from ..solvers.time_limit import check_time
 from ..typing import Array
 from .objectives import KINDS, AnyObjective, key_of
@@ -324,7 +324,7 @@ def improve(
 ) -> Attempt:
     """The optimum from a start that is nearly feasible, or the start where it has no equilibrium.
 
-    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.smooth.STRATEGIES`.
+    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.ipopt.STRATEGIES`.
     Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
     optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
     """

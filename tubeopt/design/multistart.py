@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError, undoubted
-from ..solvers.parallel.executors import executor, run_all
+from ..solvers.parallel import executor, run_all
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import LateError
 from ..typing import Array, Progress

@@ -15,7 +15,7 @@ from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, choice, instance, whole
 from ..robots.concentric import ConcentricRobot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, StatusEnum

@@ -16,7 +16,7 @@ from ..arguments import renamed, typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, instance, positive, whole
 from ..robots.concentric import ConcentricRobot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Delegate, Progress
 from .attempt import FEASIBLE, attempt, robot_at, to_feasibility, violation

@@ -15,7 +15,7 @@ from ..errors import InputError, SolveError, TimeLimitError, instance, whole
 from ..files.field_metadata import BETWEEN_TUBES, NOT_NEGATIVE, POSITIVE, Typical, check_fields, unit, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
-from ..solvers.parallel.executors import executor, run_all
+from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
 from .infeasibility import shown_infeasible

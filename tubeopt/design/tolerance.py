@@ -16,7 +16,7 @@ from ..errors import InputError, SolveError, instance, vector, whole
 from ..files.field_metadata import NOT_NEGATIVE, OneOf, Typical, check_fields, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
-from ..solvers.parallel.executors import executor, run_all
+from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress

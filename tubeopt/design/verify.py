@@ -14,7 +14,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import SolveError, whole
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import shifts
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..stability import follow, snap_free_certificate, worst_margin
 from ..typing import Array

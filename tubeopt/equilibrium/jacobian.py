@@ -8,8 +8,8 @@ from functools import lru_cache, partial
 import numpy as np
 
 from ..arguments import typed
+from ..solvers.blas import small
 from ..solvers.compiled.binding import Carriages, Moved, Slopes, Start, kernel_of, slopes_compiled
-from ..solvers.parallel.blas import small
 from ..typing import Array
 from .linearised import Linearised, linearise, sharing
 from .result import Equilibrium, Jacobian

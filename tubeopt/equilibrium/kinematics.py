@@ -17,8 +17,8 @@ from ..errors import InputError, SolveError, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
+from ..solvers.blas import small
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.parallel.blas import small
 from ..solvers.settings import Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array, Delegate, Mask, StatusEnum, lazy_import
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from ..equilibrium.member import Point
 from ..equilibrium.unloaded import Unloaded
 from ..errors import InputError
 from ..solvers.ipopt import inside_points
+from ..solvers.named_program import ProblemSolution, ProblemStatus
 from ..solvers.problem import Problem
-from ..solvers.problem_solution import ProblemSolution, ProblemStatus
 from ..solvers.settings import LARGEST_TWIST, Ipopt
 from ..typing import Array
 from .collocated import SETTINGS, Question, has_formula, inverse_program

@@ -14,7 +14,7 @@ from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock

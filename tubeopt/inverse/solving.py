@@ -22,7 +22,7 @@ from ..errors import InputError, SolveError, choice, instance
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array
 from .answer import InverseSolution
 from .arm_surface import ArmSurface

@@ -26,7 +26,7 @@ from ..errors import InputError, SolveError, instance
 from ..inverse.clock import Clock
 from ..inverse.configurations import shift_of
 from ..inverse.joints import joint_space
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LEAST_SECONDS
 from ..typing import Array
 from .arms import (

@@ -21,7 +21,7 @@ from ..errors import InputError, SolveError, finite
 from ..robots.limits import JointLimits
 from ..robots.order import last_tube
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array
 from .goals import check_goal, ends, start_equilibrium

@@ -19,7 +19,7 @@ from ..inverse.search import Way, find_way, shorten, without_corners
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array
 from .goals import (
     ENOUGH_ENDS,

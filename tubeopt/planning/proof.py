@@ -31,7 +31,7 @@ from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints

@@ -27,7 +27,7 @@ from ..files.field_metadata import TOLERATED, usual_length
 from ..inverse.clock import LateError
 from ..robots.limits import check_target
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..stability import find_equilibria
 from ..typing import Array, Mask
 from .goals import check_start, checked_places, start_equilibrium

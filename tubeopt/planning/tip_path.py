@@ -20,7 +20,7 @@ from ..files.field_metadata import TOLERATED, usual_length
 from ..inverse import IkSession, inverse_kinematics
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..typing import Array
 from .goals import check_start, checked_places, kept, start_equilibrium
 from .motion import DEFAULT_RATES, RateLimits

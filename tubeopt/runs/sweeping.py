@@ -24,7 +24,7 @@ from ..display import Displayed
 from ..errors import InputError, TimeLimitError, choice, positive
 from ..files.files import atomic_write, save_arrays
 from ..files.journal import Journal
-from ..solvers.parallel.executors import Failure, Outcome, each
+from ..solvers.parallel import Failure, Outcome, each
 from ..solvers.sampling import sobol
 
 # --- points: what varies, over a grid or a sample of its values -------------------------------------------------------
@@ -294,7 +294,7 @@ def sweep(  # noqa: PLR0913
     Args:
         function: a function of a module, or a `functools.partial` of one, sent to every worker once.
         fingerprint: identifies the sweep; by default it is computed from the function and all points.
-        workers, scheduler: as for `tubeopt.solvers.parallel.executors.each`.
+        workers, scheduler: as for `tubeopt.solvers.parallel.each`.
         retry_failed: compute failed points of an earlier run again.
         time_limit: maximum run time, s; checked after each point. Points may have their own limits.
 

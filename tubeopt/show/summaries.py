@@ -18,7 +18,7 @@ from ..planning import Proof
 from ..robots.tubes import Tube
 from ..shaping import Mold
 from ..shaping.heating.plan import HeatingPlan
-from ..solvers.problem_solution import ProblemSolution
+from ..solvers.named_program import ProblemSolution
 from ..stability import (
     Branch,
     Certificate,

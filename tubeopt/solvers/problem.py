@@ -9,8 +9,7 @@ import numpy as np
 
 from ..errors import InputError, SolveError, nearest
 from ..typing import Array
-from .named_program import NamedProgram
-from .problem_solution import Attempts, ProblemSolution, ProblemStatus
+from .named_program import Attempts, NamedProgram, ProblemSolution, ProblemStatus
 from .sampling import sobol
 from .settings import Ipopt
 

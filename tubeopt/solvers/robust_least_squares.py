@@ -30,21 +30,25 @@ class LeastSquaresSolver(Settings):
     """After which it gives up."""
     settled: float = 1e-7
     """Relative decrease of the cost at which it ends: a small part of what noise makes of it."""
-    nearly_settled: float = 1e-5
-    """The same where a step is costly, or one of many fits alike: a few hundredths of a standard error of the
-    parameters. Along a way with friction, kinks where what sticks changes let steps gain less than they promise, and
-    never end."""
     round_off: float = 1e-14
     """The same decrease per observation, in squares of its standard deviation, where nothing is left of the cost."""
-    faithful: float = 0.7
-    """Part of the promised decrease that came about, from which costly slopes serve another step."""
     first_damping: float = 1e-6
-    """Of the first step, relative to the diagonal of the normal equations."""
-    most_damping: float = 1e12
-    """At which a step is too short to be worth another."""
+    """Damping of the first step, relative to the diagonal of the normal equations."""
 
 
 DEFAULT_SOLVER = LeastSquaresSolver()
+
+# A few hundredths of a standard error of the parameters. Along a path with friction there are kinks where the rows that
+# stick change. Steps there gain less than predicted, so that a fit to 1e-7 never ends.
+NEARLY_SETTLED = 1e-5
+"""Relative decrease at which a fit ends whose steps are costly, or one of many similar fits."""
+
+# Below this the Jacobian has changed so much that a new one saves more steps than it costs.
+FAITHFUL = 0.7
+"""Achieved fraction of the predicted decrease above which a costly Jacobian serves another step."""
+
+MOST_DAMPING = 1e12
+"""Damping at which a step is of round-off."""
 
 
 class Point(Protocol):
@@ -184,9 +188,9 @@ def descend(
     cost, damping, obstacle = cost_of(model, weights, state, residuals), solver.first_damping, ""
     for _ in range(solver.iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
-        least = max(solver.settled, solver.nearly_settled) if model.costly(state) else solver.settled
+        least = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
         before, accepted, enough = cost, False, least * cost + solver.round_off * len(residuals)
-        while not accepted and damping < solver.most_damping:
+        while not accepted and damping < MOST_DAMPING:
             step = _step(square, slope, damping, state.x, bounds)
             if -slope @ step <= enough:
                 break
@@ -209,7 +213,7 @@ def descend(
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
             promised = float(-2 * slope @ step - step @ square @ step)
-            serves = accepted and before - cost > max(float(enough), solver.faithful * promised)
+            serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
             fresh = not (serves and model.costly(state))
             slopes = model.jacobian(state) if fresh else slopes
     return Descent(state, residuals, slopes, False, obstacle)

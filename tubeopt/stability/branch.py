@@ -19,7 +19,7 @@ from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_turn
 from ..robots.robot import Robot, shifts
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import fold

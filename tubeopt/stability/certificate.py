@@ -25,7 +25,7 @@ from ..robots.assembly import ROUND_OFF, Assembly, merge
 from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
 from ..robots.variation import variation
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, StatusEnum
 from .eccentric_certificate import proof, proof_gradient

@@ -16,8 +16,8 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, finite_array
 from ..robots.robot import Robot, joint_values
+from ..solvers.blas import small
 from ..solvers.newton import damped_newton, torsional_turn
-from ..solvers.parallel.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .equilibria import find_equilibria

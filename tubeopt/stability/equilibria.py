@@ -29,7 +29,7 @@ from ..errors import Settings, SolveError
 from ..robots.assembly import Assembly
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index

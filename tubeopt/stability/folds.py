@@ -11,8 +11,7 @@ import scipy
 
 from ..equilibrium.continuation import Family, bifurcates
 from ..equilibrium.member import Member, Place, Point
-from ..solvers.flow import downhill, flow
-from ..solvers.newton import NewtonResult
+from ..solvers.newton import NewtonResult, downhill, flow
 from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array, Delegate
 

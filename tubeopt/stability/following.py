@@ -25,7 +25,7 @@ from ..robots.friction import Friction
 from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, StatusEnum
 from .friction_path import rubbing_legs

@@ -39,8 +39,8 @@ from ..errors import InputError, SolveError
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
+from ..solvers.blas import small
 from ..solvers.friction_increment import HONEST, slide, softest
-from ..solvers.parallel.blas import small
 from ..solvers.settings import LARGEST_RATIO
 from ..typing import Array
 from .certificate import convexity, snap_free_certificate

@@ -20,7 +20,7 @@ from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import StatusEnum
 from .folds import PAST, Loss, branch_end, fall

@@ -18,8 +18,8 @@ from ..errors import InputError
 from ..files.field_metadata import Range
 from ..robots.assembly import Assembly
 from ..robots.robot import Robot, shifts
-from ..solvers.parallel.blas import small
-from ..solvers.parallel.executors import executor, run_all
+from ..solvers.blas import small
+from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Mask, StatusEnum
 from .motion import Event, motion

@@ -18,7 +18,7 @@ from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..equilibrium.unloaded import Unloaded
 from ..errors import SolveError
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index, Mask, StatusEnum

@@ -18,7 +18,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import Loss

@@ -19,7 +19,7 @@ from ..equilibrium.result import Equilibrium
 from ..equilibrium.unloaded import Unloaded
 from ..errors import InputError, Settings, vector
 from ..robots.robot import Robot, shifts
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Delegate, Index

@@ -12,7 +12,7 @@ from ..bodies.certainty import RegistrationError
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite_array
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array
 from .certainty import check_registration, registration_error, remark

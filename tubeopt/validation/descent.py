@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import SolveError
 from ..solvers.robust_least_squares import (
+    NEARLY_SETTLED,
     Descent,
     LeastSquaresSolver,
     Weights,
@@ -59,7 +60,7 @@ class FitSolver(LeastSquaresSolver):
     @property
     def by_chords(self) -> FitSolver:
         """For one of many fits alike, whose slopes are known from near by."""
-        return replace(self, iterations=self.chord_iterations, settled=self.nearly_settled)
+        return replace(self, iterations=self.chord_iterations, settled=NEARLY_SETTLED)
 
 
 DEFAULT_SOLVER = FitSolver()

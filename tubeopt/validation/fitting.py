@@ -20,7 +20,7 @@ from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
 from ..files.field_metadata import OneOf, check_fields
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, descend, normal_equations
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, StatusEnum

@@ -37,7 +37,7 @@ from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.order import last_tube
 from ..robots.robot import Robot, joint_values
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress, StatusEnum

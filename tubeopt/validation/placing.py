@@ -21,7 +21,7 @@ from ..errors import InputError, Settings, SolveError, instance
 from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, unit, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..stability import follow
 from ..typing import Array, Mask

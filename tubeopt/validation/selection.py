@@ -20,7 +20,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
 from ..robots.robot import Robot
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, cost_of, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from ...errors import InputError, instance
-from ...solvers.parallel.blas import small
+from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
 from .controller import Contribution, Feedback, HeatingLaw, LoopHistory, run_loop, shifted

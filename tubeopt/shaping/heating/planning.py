@@ -7,7 +7,7 @@ from dataclasses import replace
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError, instance
 from ...robots.tubes import Tube
-from ...solvers.parallel.blas import small
+from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ..recipes import check_temperatures, warn_of_limit
 from .feedback_design import design_feedback

@@ -11,7 +11,7 @@ import scipy
 
 from ...errors import InputError
 from ...files.units import TO_MILLI
-from ...solvers.parallel.blas import small
+from ...solvers.blas import small
 from ...stability import EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask

@@ -12,9 +12,8 @@ from ...block.transcription.postprocess import EXTRA_POINTS, ROUGHER, SUBSTEPS, 
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
-from ..friction_increment import HONEST
+from ..friction_increment import HONEST, SLIP_ROUND_OFF
 from ..settings import FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD, SOFT_TWIST, STICK_CHANGES
-from ..stick_slip import ROUND_OFF
 from .text import c_tables, defined
 
 DEGREE, COARSE_DEGREE = 6, 3
@@ -83,7 +82,7 @@ def rubbing_constants() -> str:
     """Numbers and tables of `rubbing.c`."""
     numbers = {
         "MOST_CHANGES": STICK_CHANGES,
-        "HARDLY": ROUND_OFF,
+        "HARDLY": SLIP_ROUND_OFF,
         "HONEST": HONEST,
         "RUB_ITERATIONS": FRICTION_ITERATIONS,
         "ONWARD": ONWARD,

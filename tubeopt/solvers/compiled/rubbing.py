@@ -12,7 +12,7 @@ from ...block.transcription.contact import PIECES
 from ...robots.friction import Friction
 from ...robots.robot import Robot, is_general
 from ...typing import Array
-from ..stick_slip import Signs
+from ..friction_increment import Signs
 from ..time_limit import check_time
 from .binding import address, room_of, with_kernel
 from .constants import rubbing_constants

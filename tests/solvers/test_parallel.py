@@ -18,9 +18,9 @@ import casadi as ca
 import pytest
 
 from tubeopt import InputError
-from tubeopt.solvers.parallel.executors import Failure, each, executor
+from tubeopt.solvers.parallel import Failure, each, executor
 
-from .functions import Weighed, evaluated, picky, slow, square
+from .parallel_functions import Weighed, evaluated, picky, slow, square
 
 ROOT = Path(__file__).parents[3]
 
@@ -96,8 +96,8 @@ def test_two_runs_side_by_side_keep_to_themselves() -> None:
 def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(
-        "from tests.solvers.parallel.functions import slow\n"
-        "from tubeopt.solvers.parallel.executors import each\n"
+        "from tests.solvers.parallel_functions import slow\n"
+        "from tubeopt.solvers.parallel import each\n"
         "if __name__ == '__main__':\n"
         "    for outcome in each(slow, range(10**6), workers=2):\n"
         "        print(outcome.value[1], flush=True)\n"
@@ -134,7 +134,7 @@ def test_a_function_that_does_not_pickle_is_named() -> None:
 
 LOCAL = """
 from tubeopt import InputError
-from tubeopt.solvers.parallel.executors import each
+from tubeopt.solvers.parallel import each
 
 def local(x):
     return x

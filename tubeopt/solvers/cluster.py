@@ -11,8 +11,8 @@ from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from ...errors import InputError
-from .common import unpacked, using
+from ..errors import InputError
+from .parallel import unpacked, using
 
 try:
     from distributed import Client as _Client

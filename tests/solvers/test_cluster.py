@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from tubeopt import InputError, sweep
-from tubeopt.solvers.parallel.executors import each
+from tubeopt.solvers.parallel import each
 
-from .functions import picky, slow, slow_row
+from .parallel_functions import picky, slow, slow_row
 
 pytest.importorskip("distributed")
 
@@ -99,7 +99,7 @@ def test_a_worker_killed_in_the_middle_of_a_sweep(running: Running, tmp_path: Pa
 
 
 def test_addresses_without_a_scheduler_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.solvers.parallel.cluster.TIMEOUT", 0.3)
+    monkeypatch.setattr("tubeopt.solvers.cluster.TIMEOUT", 0.3)
     with pytest.raises(InputError, match=r"scheduler is 'tcp://127.0.0.1:1'; no Dask scheduler answers there"):
         list(each(slow, [1], scheduler="tcp://127.0.0.1:1"))
     for address in ("nonsense://x", "localhost:8786", ""):
