@@ -12,7 +12,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ..errors import InputError
-from .parallel import unpacked, using
+from .common_data import unpacked, using
 
 try:
     from distributed import Client as _Client

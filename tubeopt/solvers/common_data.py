@@ -1,0 +1,59 @@
+"""Data that all computations of a run have in common: sent to every worker once, and found there by its tasks."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from ..errors import InputError
+
+COMMON: ContextVar[Any] = ContextVar("common data of the run to which the task of this thread belongs")
+
+
+class NotLoadedError(InputError):
+    """Common data arrived at a worker that cannot load them, since it does not know their module."""
+
+
+def unpacked(packed: bytes) -> Any:
+    """Common data in a worker; where they cannot be loaded, the error that `common_data` raises then."""
+    try:
+        return pickle.loads(packed)
+    except Exception as error:  # unpickling runs code of the user's modules, which may raise anything
+        reason = str(error) or type(error).__name__
+        return NotLoadedError(
+            f"the function cannot be loaded by the workers ({reason}); it must be of a module they can import"
+        )
+
+
+def common_data() -> Any:
+    """What `executor` was given as `common`; for functions that run in its workers.
+
+    Raises:
+        NotLoadedError: the worker cannot load them.
+    """
+    common = COMMON.get()
+    if isinstance(common, NotLoadedError):
+        raise common
+    return common
+
+
+@contextmanager
+def using(common: object) -> Iterator[None]:
+    """Let `common` be the common data of this thread inside of the block; for executors."""
+    token = COMMON.set(common)
+    try:
+        yield
+    finally:
+        COMMON.reset(token)
+
+
+def packed(common: object) -> bytes:
+    """Common data as they are sent to workers; raises InputError where they cannot be."""
+    try:
+        return pickle.dumps(common)
+    except Exception as error:  # pickling runs `__reduce__` of the user's classes, which may raise anything
+        what = getattr(common, "__qualname__", type(common).__name__)
+        raise InputError(f"{what} cannot be sent to other processes: {error}") from None
