@@ -53,7 +53,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome(Generic[B]):
-    """What became of one item: of value and failure one is None."""
+    """Result of one item: its value, or its failure."""
 
     index: int
     """Its place among the items."""
@@ -94,10 +94,10 @@ def executor(workers: int = 0, *, scheduler: str | None = None, common: object =
     Args:
         workers: processes; 0 is one per core, 1 this process. A cluster has its own.
         scheduler: address of a Dask scheduler, as tcp://host:8786 (needs the extra `cluster`).
-        common: anything that pickles; it is sent to every worker once, where `common_data()` is it.
+        common: any object that can be pickled; every worker receives it once and gets it by `common_data()`.
 
     Raises:
-        InputError: a number of workers that is none; no scheduler at that address, or one without workers; Dask is not
+        InputError: a wrong number of workers; no scheduler at that address, or one without workers; Dask is not
             installed.
     """
     if scheduler is not None:
@@ -168,12 +168,12 @@ def each(
     workers: int = 0,
     scheduler: str | None = None,
 ) -> Iterator[Outcome[B]]:
-    """`function` of every item, as the answers come; what fails costs its own item and nothing else.
+    """Results of `function` for all items, in the order in which they are ready; a failure costs its own item only.
 
     The function is sent to every worker once, with all that is bound to it: `functools.partial(function, robot)`, or
     an object with `__call__`. Items are taken from the iterable as workers become free, so that it may be endless.
-    Whatever a worker raises becomes a `Failure`. If a process dies, the items that were on their way are computed again
-    one by one, each in a process of its own, and the one that ends it once more has failed.
+    Whatever a worker raises becomes a `Failure`. If a process dies, its unfinished items are computed again,
+    each in a process of its own. An item that ends its process again has failed.
 
     Args:
         workers, scheduler: as for `executor`.
