@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import InputError
 
-COMMON: ContextVar[Any] = ContextVar("common data of the run to which the task of this thread belongs")
+COMMON: ContextVar[Any] = ContextVar("common data of the run of this thread")
 
 
 class NotLoadedError(InputError):
