@@ -22,9 +22,8 @@ from typer.main import get_command
 
 from .. import __version__
 from .commands import COMMANDS, Asked, flowing
-from .failures import INTERRUPTED, complain, failure
 from .interruption import awake, interrupted, interruptible, kept, stop_workers
-from .messages import LEVELS, listening, log_level
+from .messages import INTERRUPTED, LEVELS, complain, failure, listening, log_level
 
 
 class LazyCommand(TyperCommand):

@@ -186,7 +186,7 @@ COMMANDS: dict[str, Asked | str] = {
         defaults={"objective": "margin"},
         example="tubeopt heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno --out results",
     ),
-    "heat run": "heat.run",
+    "heat run": "studies.run_heating",
     "heat calibrate": Asked(
         "heating_calibration",
         "Estimate heat loss and contacts of a rig from a heating log.",
@@ -218,9 +218,9 @@ COMMANDS: dict[str, Asked | str] = {
         arguments={"trajectory": ("TRAJECTORY.csv", TRAJECTORY)},
         example="tubeopt verify results/trajectory.csv --min-margin 0.05",
     ),
-    "export": "export.export",
-    "serve": "serve.serve",
-    "doctor": "doctor.doctor",
+    "export": "control.export",
+    "serve": "control.serve",
+    "doctor": "information.doctor",
     "mold plan": Asked(
         "mold_plan",
         "Design a mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet.",
@@ -246,9 +246,9 @@ COMMANDS: dict[str, Asked | str] = {
     "init robot": "init.robot",
     "init rig": "init.rig",
     "init study": "init.study",
-    "robot list": "robot.list_robots",
-    "robot show": "robot.show",
-    "list": "robot.list_files",
+    "robot list": "information.list_robots",
+    "robot show": "information.show",
+    "list": "information.list_files",
 }
 """What is typed after `tubeopt` -> the study that it asks, or the module of this package and function that it runs."""
 

@@ -2,7 +2,7 @@
 
     @asks(SnapStudy, example="tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results")
     def snap(study: SnapStudy, output: Output) -> None:
-        \"\"\"The first snap on the straight way from one set of joint values to another.\"\"\"
+        \"\"\"The first snap on the straight path from one set of joint values to another.\"\"\"
         answer(study, output)
 
 makes of `snap` a command with a flag for every key of the study: its name from the key, its help from the description,
@@ -27,20 +27,17 @@ from pydantic import PlainValidator
 from pydantic.fields import FieldInfo
 
 from ..errors import InputError, SolveError
-from ..files.checked import Entry, check, check_kind
-from ..files.plausible import marks_in
-from ..files.shipped import found, resolved
+from ..files.checked import Entry, check, check_kind, marks_in
+from ..files.shipped import ENDINGS, FOLDER, found, resolved, shipped
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
 from ..robots.fit import fit_warnings
 from ..runs.study_file import STUDY_KINDS, Study
 from ..show.progress import working
 from ..show.reports import report
-from . import completion
 from .commands import COMMANDS, ROBOT, Asked, flowing
-from .failures import told_by_flag
 from .interruption import keeping
-from .messages import LOGGER
+from .messages import LOGGER, told_by_flag
 from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
 S = TypeVar("S", bound=Entry)
@@ -289,7 +286,7 @@ def _parameter(key: str, kind: Any, option: Any, default: Any = inspect.Paramete
 
 
 def _argument(key: str, metavar: str, words: str, *, required: bool) -> inspect.Parameter:
-    option = typer.Argument(metavar=metavar, help=words, show_default=False, autocompletion=completion.files(key))
+    option = typer.Argument(metavar=metavar, help=words, show_default=False, autocompletion=files(key))
     return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
@@ -310,12 +307,12 @@ def _option(
     return _parameter(key, kind | None if default is None else kind, option, default)
 
 
-def _completion(key: str, field: FieldInfo) -> completion.Completion | None:
+def _completion(key: str, field: FieldInfo) -> Completion | None:
     """What completes the value of a flag in the shell, where that is a file or a word."""
     if _is_file(field):
-        return completion.files(key)
+        return files(key)
     choices = _choices(field)
-    return completion.words(choices) if choices else None
+    return words(choices) if choices else None
 
 
 def _choices(field: FieldInfo) -> tuple[str, ...]:
@@ -411,3 +408,51 @@ def _plain(annotation: Any) -> Any:
 def _is_file(field: FieldInfo) -> bool:
     """Whether a key is the path of a file."""
     return any(isinstance(mark, PlainValidator) for mark in (*field.metadata, *marks_in(field.annotation)))
+
+
+# --- completion in the shell: words, built-in files, and files that are there -----------------------------------------
+
+Completion = Callable[[str], list[str]]
+"""What is typed of a value so far -> the values that begin so."""
+
+MOST = 200
+"""Files of a directory that are proposed."""
+
+FOLDERS = {
+    "study": "studies",
+    "simulate": "rigs",
+    "stock": "tubes",
+    "measurements": "experiments",
+    "log": "experiments",
+}
+"""Keys whose files are in a folder that is not called as they are."""
+
+
+def words(choices: Sequence[str]) -> Completion:
+    """What completes one of several words."""
+    return lambda incomplete: [word for word in choices if word.startswith(incomplete)]
+
+
+def files(key: str) -> Completion:
+    """What completes the file of a key: names of those that come with tubeopt, and paths."""
+    near = [FOLDERS.get(key, ""), key, f"{key}s"]
+    folder = next((name for name in near if name and (FOLDER / name).is_dir()), "*")
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in shipped(folder) if name.startswith(incomplete)] + _there(incomplete)
+
+    return complete
+
+
+def _there(incomplete: str) -> list[str]:
+    """Directories and tables or YAML files whose path begins so."""
+    above, slash, begins = incomplete.rpartition("/")
+    try:
+        beside = sorted(path for path in Path(above + slash).iterdir() if path.name.startswith(begins))[:MOST]
+    except OSError:
+        return []
+    return [
+        f"{above}{slash}{path.name}{'/' * path.is_dir()}"
+        for path in beside
+        if (path.is_dir() or path.suffix in ENDINGS) and (begins or not path.name.startswith("."))
+    ]

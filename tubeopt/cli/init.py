@@ -17,8 +17,8 @@ from ..files.units import unit_of
 from ..files.yaml_file import read_flow
 from ..runs.templates import NewRig, NewRobot, NewStudy, Written
 from ..show.reports import report
-from .failures import BAD_INPUT, complain
 from .flags import as_typed, asks, read_typed
+from .messages import BAD_INPUT, complain
 from .output import OF_PICTURES, Output, present
 
 New = TypeVar("New", NewRobot, NewRig, NewStudy)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from ..files.files import remove_unfinished
-from .failures import INTERRUPTED, complain
+from .messages import INTERRUPTED, complain
 
 PATIENCE = 1.2
 """Seconds that a command has to tell that it ends; Python takes half a second more to leave."""

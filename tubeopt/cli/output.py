@@ -19,9 +19,8 @@ from ..files.units import TO_MM, parse_number
 from ..show.page import TITLED, WIDTH
 from ..show.report import FILM_FORMATS, FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
 from ..show.reports import formats_of, report
-from .failures import error_record, failure
 from .interruption import keeping
-from .messages import LOGGER, warnings
+from .messages import LOGGER, error_record, failure, warnings
 
 NARROWEST_MM, WIDEST_MM = 50, 300
 

@@ -1,4 +1,4 @@
-"""`tubeopt run`, `figure` and `sweep`: any study of a file, at once, for a paper, or at many values of its keys."""
+"""`tubeopt run`, `figure`, `sweep` and `heat run`: studies of a file, for a paper, at many values, and on a rig."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError, choice
+from ..runs.heating_run import LOG_FILE, HeatingRunStudy
 from ..runs.study_file import load_study
 from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import SWEEP_LIMIT, Sweep
@@ -19,10 +20,10 @@ from ..show.figures import JOURNALS, Figures
 from ..show.page import FONTS
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from .completion import files, words
-from .flags import answer, ask, command, has_pictures
+from ..show.rig_page import with_live_page
+from .flags import answer, ask, asks, command, files, has_pictures, words
 from .interruption import keeping
-from .output import Output, can_be_saved, check_formats, present
+from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
 
 @command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
@@ -143,3 +144,27 @@ def sweep(
         return
     with tempfile.TemporaryDirectory() as directory:
         present(report(_into(Path(directory)).unkept()), output)
+
+
+@asks(
+    HeatingRunStudy,
+    arguments={},
+    example="tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results",
+    without=OF_PICTURES,
+)
+def run_heating(study: HeatingRunStudy, output: Output) -> None:
+    """Heat a tube on a rig or a simulated rig: start it, show it live, and log it for `tubeopt heat calibrate`.
+
+    Ctrl-C stops the rig (exit code 130). Exit code 3: the rig stopped early, or the sensor reading left the window
+    during the hold time.
+    """
+    can_be_saved(output.out)
+    log = None if output.out is None else output.out / LOG_FILE
+
+    def _kept() -> str:
+        saved = f"{log} has the log up to now" if log is not None and log.exists() else "nothing was saved"
+        return f"the rig stops; {saved}"
+
+    with keeping(_kept):
+        found = with_live_page(study, output.out, shown=not output.quiet)
+    present(report(found), output, written=() if found.log is None else (found.log,))

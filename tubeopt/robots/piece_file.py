@@ -11,11 +11,10 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from ..errors import InputError
-from ..files.checked import Entry, Number, Positive, in_file
+from ..files.checked import Entry, Number, Positive, in_file, unusual
 from ..files.csv_file import read_csv
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, to_data
-from ..files.plausible import unusual
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
 from ..typing import Array
 from .pieces import BEND, LENGTH, Piece, Slots, check_table

@@ -22,8 +22,7 @@ import scipy
 
 from ..display import Displayed
 from ..errors import InputError, TimeLimitError, choice, positive
-from ..files.files import atomic_write, save_arrays
-from ..files.journal import Journal
+from ..files.files import Journal, atomic_write, save_arrays
 from ..solvers.parallel import Failure, Outcome, each
 from ..solvers.sampling import sobol
 

@@ -19,10 +19,9 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, nearest
 from ..files.checked import Count, Entry, Number, Positive, check_kind
-from ..files.commented import commented
 from ..files.shipped import found, shipped
 from ..files.units import TO_MM
-from ..files.yaml_file import load_yaml, read_flow
+from ..files.yaml_file import commented, load_yaml, read_flow
 from ..robots.file import ROBOT_KINDS, load_robot, robot_from_dict
 from ..robots.materials import MATERIALS
 from ..robots.robot import Robot

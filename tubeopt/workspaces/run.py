@@ -18,8 +18,7 @@ from ..display import in_full
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError
 from ..files.field_metadata import OneOf, Range
-from ..files.files import atomic_write, read_bytes, write_text
-from ..files.journal import lock
+from ..files.files import atomic_write, lock, read_bytes, write_text
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress

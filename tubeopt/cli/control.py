@@ -1,4 +1,4 @@
-"""`tubeopt serve`: a robot over WebSocket on this machine, under the names of CRTK."""
+"""`tubeopt export` and `serve`: a robot as a C library, or over WebSocket under the names of CRTK."""
 
 from __future__ import annotations
 
@@ -9,22 +9,64 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from decimal import Decimal
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
 from ..control.c_binding import servo_of
+from ..control.c_library import c_library, save_c_library
 from ..control.command import OBJECTIVES, ServoOptions
 from ..control.crtk import CrtkRobot
 from ..control.server import RobotServer, ServerOptions
-from ..files.checked import NotNegative, Positive, Whole
+from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
 from ..runs.obstacle_file import Bodies
-from ..runs.robot_keys import Posed, said_of
+from ..runs.robot_keys import Posed, RobotPath, said_of
+from ..show.reports import report
 from ..show.served_report import Served
 from .flags import asks
 from .interruption import left_alone
-from .output import OF_PICTURES, Output, told
+from .output import OF_PICTURES, Output, can_be_saved, present, told
+
+# --- C library --------------------------------------------------------------------------------------------------------
+
+
+class ExportEntry(Entry):
+    """A robot to be written in C."""
+
+    robot: RobotPath
+    c: str = Field(description="directory to write the C library to", examples=["DIR"])
+    prefix: str = Field(
+        "tubeopt",
+        description="prefix of all C names; use a different one for each robot of a program",
+        examples=["NAME"],
+    )
+    loads: bool = Field(
+        False, description="include tip force and weight; required for the compliance of tubes made of pieces"
+    )
+
+
+@asks(
+    ExportEntry,
+    example="tubeopt export configs/robots/thesis_ctr.yaml --c thesis_in_c",
+    note="Build and test it: cmake -B build -S thesis_in_c && cmake --build build && ctest --test-dir build",
+    without=OF_PICTURES,
+)
+def export(study: ExportEntry, output: Output, robot: str) -> None:
+    """Write a C99 library of the robot: forward kinematics, derivatives, margin, compliance, servo, snap guard.
+
+    It allocates no memory, has no global state, and every call takes bounded time. It supports up to six tubes,
+    concentric or eccentric, with one arc or made of pieces. --loads adds loads for concentric robots.
+    """
+    folder = Path(study.c)
+    can_be_saved(output.out)
+    can_be_saved(folder)
+    library = c_library(study.robot, name=Path(robot).stem, prefix=study.prefix, loads=study.loads)
+    present(report(library), output, written=save_c_library(library, folder))
+
+
+# --- server -----------------------------------------------------------------------------------------------------------
 
 
 class ServeEntry(Posed):

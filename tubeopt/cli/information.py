@@ -1,4 +1,4 @@
-"""`tubeopt robot` and `tubeopt list`: what a robot is made of, whether it can be built, and which come with tubeopt."""
+"""`tubeopt robot`, `list` and `doctor`: what a robot is made of, which files come with tubeopt, what is installed."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import typer
 from ..errors import choice
 from ..robots.file import load_robot
 from ..runs.shipped_files import shipped_files, shipped_folders
+from ..show.doctor import examine
 from ..show.reports import report
 from .commands import ROBOT
-from .completion import files, words
-from .flags import command
+from .flags import command, files, words
 from .output import OF_PICTURES, Output, can_be_saved, present
 
 
@@ -52,3 +52,9 @@ def list_files(
     can_be_saved(output.out)
     chosen = "*" if folder is None else choice("FOLDER", folder, shipped_folders())
     present(report(shipped_files(chosen)), output)
+
+
+@command("tubeopt doctor", without=OF_PICTURES)
+def doctor(output: Output) -> None:
+    """Show versions, compiled kernel, threads, cache and extras, and run a timed self-test."""
+    present(report(examine()), output)
