@@ -24,7 +24,7 @@ from tubeopt.shaping.firmware.boards import BOARDS, Wiring
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
 from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.feedback_design import fleet_of
+from tubeopt.shaping.heating.robust import fleet_of
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 from tubeopt.typing import Array
 

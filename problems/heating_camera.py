@@ -18,8 +18,7 @@ import numpy as np
 import tubeopt
 from tubeopt import HeatingSpec
 from tubeopt.constants import ZERO_CELSIUS
-from tubeopt.shaping.heating.calibration import FACTORS, calibrate
-from tubeopt.shaping.heating.logged import HeatingLog
+from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.show.colours import tube_colour

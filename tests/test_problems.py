@@ -17,7 +17,6 @@ import pytest
 from PIL import Image
 
 from tests.conftest import draw_quickly
-from tubeopt.shaping.heating.settings import DEFAULT_HEATING
 
 SAMPLES = {
     "calibrate_friction": 36,
@@ -54,7 +53,7 @@ def problem(script: Path) -> tuple[Callable[..., list[Path]], dict[str, int]]:
 def test_problem(
     script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
+    monkeypatch.setattr("tubeopt.shaping.heating.robust.RIGS", LAW_RIGS)
     main, coarse = problem(script)
     gallery = os.environ.get("TUBEOPT_GALLERY")
     if coarse or not gallery:

@@ -91,12 +91,12 @@ from .runs.measurement_file import load_measurements
 from .runs.rig_file import load_rig, save_rig
 from .runs.study_file import load_study
 from .runs.sweeping import Sweep, sweep
-from .shaping import HeatingSolver, Mold, MoldSolver, MoldSpec, RigSolver, plan_mold, predict_tube
+from .shaping import Mold, MoldSpec, plan_mold, predict_tube
 from .shaping.heating.controller import Feedback
-from .shaping.heating.feedback_design import design_feedback
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
+from .shaping.heating.robust import design_feedback
 from .shaping.heating.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
@@ -181,7 +181,6 @@ __all__ = [
     "FrictionBand",
     "HalfSpace",
     "HeatingPlan",
-    "HeatingSolver",
     "HeatingSpec",
     "IkSession",
     "InputError",
@@ -197,7 +196,6 @@ __all__ = [
     "Measurements",
     "MeshObstacle",
     "Mold",
-    "MoldSolver",
     "MoldSpec",
     "Newton",
     "Objective",
@@ -215,7 +213,6 @@ __all__ = [
     "ReachShare",
     "RegionReach",
     "Rig",
-    "RigSolver",
     "Roadmap",
     "SearchedDesign",
     "SearchedPair",

@@ -15,7 +15,6 @@ from tubeopt import (
     Camera,
     Feedback,
     HeatingPlan,
-    HeatingSolver,
     HeatingSpec,
     InputError,
     Thermocouple,
@@ -27,13 +26,11 @@ from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.controller import begin, decide, run_loop, wilson
-from tubeopt.shaping.heating.feedback_design import RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Leader, planner_for
-from tubeopt.shaping.heating.robust import ENSEMBLE
+from tubeopt.shaping.heating.robust import ENSEMBLE, RESET, Response, fleet_of, nominal_law, regulator
 from tubeopt.shaping.heating.sensors import followed
-from tubeopt.shaping.heating.settings import LawSolver
 from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
@@ -47,15 +44,16 @@ def plan() -> HeatingPlan:
     return plan_heating(TUBE, thesis_rig(), HeatingSpec(hold_time=10.0, objective="margin"))
 
 
-def on_few_rigs() -> HeatingPlan:
-    """It, with gains that are chosen on fewer rigs than usual."""
-    return replace(plan(), spec=replace(plan().spec, solver=HeatingSolver(law=LawSolver(rigs=12))))
+@pytest.fixture(autouse=True)
+def _few_rigs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains are chosen on fewer rigs than usual."""
+    monkeypatch.setattr("tubeopt.shaping.heating.robust.RIGS", 12)
 
 
 @functools.lru_cache(maxsize=1)
 def led() -> Feedback:
     """It, led by a thermocouple."""
-    return design_feedback(on_few_rigs(), Thermocouple(), samples=60)
+    return design_feedback(plan(), Thermocouple(), samples=60)
 
 
 def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_not() -> None:
@@ -82,7 +80,7 @@ def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None
 
 
 def test_resistance_alone_is_told_to_be_no_thermometer() -> None:
-    told = design_feedback(on_few_rigs(), TubeResistance(), samples=20)
+    told = design_feedback(plan(), TubeResistance(), samples=20)
     assert told.probability < 0.5
     assert told.contributions[0].name == "resistivity_slope"
     assert told.contributions[0].deviation > 20

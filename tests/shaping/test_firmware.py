@@ -32,8 +32,7 @@ from tubeopt.shaping.firmware.sketch_files import (
     write_sketch,
 )
 from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.feedback_design import fleet_of
-from tubeopt.shaping.heating.robust import ENSEMBLE
+from tubeopt.shaping.heating.robust import ENSEMBLE, fleet_of
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 from tubeopt.show.firmware_report import LedHeatingReport

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from tubeopt import HeatingPlan, HeatingSpec, InputError, Material, Rig, Tube, plan_heating
 from tubeopt.physics.heat import GRIP
 from tubeopt.shaping.heating.counts import sum_up_rounding
-from tubeopt.shaping.heating.files import arduino_header, schedule_csv
 from tubeopt.shaping.heating.outcome import outcome_of
+from tubeopt.shaping.heating.plan import arduino_header, schedule_csv
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed
 from tubeopt.shaping.heating.robust import Uncertainty, assess, at_charge, charge_tables, most_likely
 from tubeopt.shaping.heating.simulation import History, resimulate, warming

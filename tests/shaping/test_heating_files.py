@@ -17,9 +17,8 @@ from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.robots.materials import NITINOL
 from tubeopt.runs.rig_file import load_heating_log, rig_from_dict
 from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
-from tubeopt.shaping.heating.files import arduino_header, slot_milliseconds
 from tubeopt.shaping.heating.outcome import remarks
-from tubeopt.shaping.heating.plan import quench_time
+from tubeopt.shaping.heating.plan import arduino_header, quench_time, slot_milliseconds
 from tubeopt.shaping.heating.rig import Battery
 from tubeopt.shaping.heating.robust import assess
 from tubeopt.shaping.heating.simulation import resimulate

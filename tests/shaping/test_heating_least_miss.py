@@ -12,8 +12,8 @@ from tests.command_line import ROOT
 from tubeopt import HeatingPlan, HeatingSpec, Rig, Tube, load_rig, plan_heating
 from tubeopt.shaping import rank_mold_materials
 from tubeopt.shaping.heating.counts import guarded_counts, paced
-from tubeopt.shaping.heating.nearest import at_start, missed_by, placed
 from tubeopt.shaping.heating.outcome import outcome_of
+from tubeopt.shaping.heating.schedule import at_start, missed_by, placed
 from tubeopt.shaping.heating.simulation import resimulate
 from tubeopt.shaping.heating.thermal import COARSE, FINE, joined, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, MDF, MOLD_MATERIALS
@@ -22,23 +22,17 @@ from tubeopt.typing import Array
 
 from .heating_reference import TUBE, thesis_rig, with_mold
 
-
-def quick(spec: HeatingSpec) -> HeatingSpec:
-    """The same without a search for what would help."""
-    return replace(spec, solver=replace(spec.solver, cures=replace(spec.solver.cures, most=0)))
-
-
 MICA = with_mold(thesis_rig(), material=GLASS_MICA)
-ASKED = quick(HeatingSpec(hold_time=20.0, longest_heating=120.0))
+ASKED = HeatingSpec(hold_time=20.0, longest_heating=120.0)
 
 
 @lru_cache(maxsize=1)
 def missed_on_mica() -> HeatingPlan:
-    return plan_heating(TUBE, MICA, ASKED)
+    return plan_heating(TUBE, MICA, ASKED, cures=False)
 
 
 def test_the_window_of_the_issue_is_missed_by_less_than_any_other_plan_misses_it() -> None:
-    plan = plan_heating(TUBE, MICA, quick(HeatingSpec()))
+    plan = plan_heating(TUBE, MICA, HeatingSpec(), cures=False)
     assert not plan.feasible
     # The optimum of the program alone was 64 K; a plan for another window missed this one by 26 K.
     assert plan.shortfall < 24.0
@@ -49,7 +43,7 @@ def test_the_window_of_the_issue_is_missed_by_less_than_any_other_plan_misses_it
 @pytest.mark.parametrize("low", [400.0, 440.0, 460.0, 480.0])
 @pytest.mark.parametrize("objective", ["time", "margin"])
 def test_no_plan_for_a_shifted_window_misses_by_less(low: float, objective: str) -> None:
-    other = plan_heating(TUBE, MICA, replace(ASKED, window_degC=(low, 550.0), objective=objective))
+    other = plan_heating(TUBE, MICA, replace(ASKED, window_degC=(low, 550.0), objective=objective), cures=False)
     history = resimulate(thermal_model(TUBE, MICA, FINE), ASKED.slot, other.duty[:-1] / 255)
     model = thermal_model(TUBE, MICA, FINE)
     outcome = outcome_of(model, MICA, ASKED, history, other.hold_start, other.outcome.mesh)
@@ -77,9 +71,11 @@ RIGS = [
 
 
 @pytest.mark.parametrize(("rig", "tube", "spec"), RIGS)
-def test_shooting_finds_no_hold_that_misses_by_much_less(rig: Rig, tube: Tube, spec: HeatingSpec) -> None:
+def test_shooting_finds_no_hold_that_misses_by_much_less(
+    rig: Rig, tube: Tube, spec: HeatingSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # Random profiles of the hottest point's temperature, any place of the hold: a search that knows no policy.
-    spec = replace(spec, solver=replace(spec.solver, counts=replace(spec.solver.counts, decided=1.0)))
+    monkeypatch.setattr("tubeopt.shaping.heating.schedule.DECIDED", 1.0)
     model, cap, dice = thermal_model(tube, rig, COARSE), spec.limit - 8.0, np.random.default_rng(1)
     nearest = placed(model, rig, spec, cap)
     span, own = nearest.pace.span, nearest.missed
@@ -99,7 +95,9 @@ def test_ranked_materials_are_held_where_their_plan_is(hold: float) -> None:
     ratings = rank_mold_materials(TUBE, HeatSpec(hold_time=hold), rig=thesis_rig())
     assert {rating.material.name for rating in ratings} == set(MOLD_MATERIALS)
     for rating in ratings:
-        plan = plan_heating(TUBE, with_mold(thesis_rig(), material=rating.material), quick(HeatingSpec(hold_time=hold)))
+        plan = plan_heating(
+            TUBE, with_mold(thesis_rig(), material=rating.material), HeatingSpec(hold_time=hold), cures=False
+        )
         assert rating.plan is not None
         assert (rating.plan.feasible, rating.shortfall) == (plan.feasible, pytest.approx(plan.shortfall))
         assert not rating.suitable or (plan.feasible and not plan.problems)
@@ -146,8 +144,8 @@ def straight(length: int, rise: int, first: float, last: float) -> Array:
 
 def test_steel_is_missed_by_less_than_by_counts_that_rise_in_a_line() -> None:
     # The plan of before stopped heating in every second slot: what contacts gave the tube in the clamps broke the ramp.
-    spec = quick(HeatingSpec())
-    plan = plan_heating(STEEL.tube, STEEL, spec)
+    spec = HeatingSpec()
+    plan = plan_heating(STEEL.tube, STEEL, spec, cures=False)
     assert plan.steepest <= spec.ramp
     assert plan.mean_current <= STEEL.circuit.current_limit
     line = np.round(18.5 * np.minimum(np.arange(720) / 200, 1.0))
@@ -159,7 +157,7 @@ def test_steel_is_missed_by_less_than_by_counts_that_rise_in_a_line() -> None:
 
 @pytest.mark.parametrize(("rig", "tube", "spec"), [*RIGS, (STEEL, STEEL.tube, HeatingSpec(longest_heating=60.0))])
 def test_no_dithered_line_of_counts_misses_by_less(rig: Rig, tube: Tube, spec: HeatingSpec) -> None:
-    plan, dice = plan_heating(tube, rig, quick(spec)), np.random.default_rng(2)
+    plan, dice = plan_heating(tube, rig, spec, cures=False), np.random.default_rng(2)
     length, most = int(spec.longest_heating / spec.slot) + spec.hold_slots, float(plan.duty.max())
     for _ in range(15):
         rise = int(dice.uniform(0.02, 0.8) * length)

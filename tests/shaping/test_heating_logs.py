@@ -11,8 +11,15 @@ import pytest
 from tubeopt import InputError
 from tubeopt.runs.rig_file import load_camera, load_heating_log
 from tubeopt.shaping.firmware.line import SimulatedRig
-from tubeopt.shaping.heating.calibration import FACTORS, calibrate, predict
-from tubeopt.shaping.heating.logged import HeatingLog, believable, step_of, unexplained
+from tubeopt.shaping.heating.calibration import (
+    FACTORS,
+    HeatingLog,
+    believable,
+    calibrate,
+    predict,
+    step_of,
+    unexplained,
+)
 from tubeopt.shaping.heating.plan import ageing, ageing_words
 from tubeopt.shaping.heating.sensors import Thermocouple
 from tubeopt.shaping.heating.simulation import simulate

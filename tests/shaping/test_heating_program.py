@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from tubeopt import HeatingSolver, HeatingSpec, InputError, load_rig, load_robot
+from tubeopt import HeatingSpec, load_rig, load_robot
 from tubeopt.shaping.heating.counts import soonest
-from tubeopt.shaping.heating.instant import DURATION, VENTS, physics
+from tubeopt.shaping.heating.optimal_control import DURATION, VENTS, WISHES, Structure, physics, program
 from tubeopt.shaping.heating.optimal_schedule import Ideal, planned_ramp, solve_ideal
-from tubeopt.shaping.heating.program import WISHES, Structure, program
-from tubeopt.shaping.heating.settings import OPTIMAL_CONTROL, ProgramSolver
 from tubeopt.shaping.heating.thermal import COARSE, PROGRAM, thermal_model
 from tubeopt.typing import Array
 
@@ -33,7 +31,7 @@ def with_lead(lead: float) -> Ideal:
 def test_derivatives_are_those_of_the_program() -> None:
     generator = np.random.default_rng(5)
     structure = Structure(PROGRAM, clear=True, chosen=("lead", "vents"))
-    made = program(structure, OPTIMAL_CONTROL, 25)
+    made = program(structure)
     answer = with_lead(20e-3)
     wishes = generator.uniform(0.5, 2.0, len(WISHES))
     p = np.concatenate([physics(TUBE, thesis_rig(), PROGRAM), wishes])
@@ -87,10 +85,6 @@ def test_time_that_may_be_taken_costs_nothing() -> None:
     assert whole.heating / DURATION + whole.miss < short.heating / DURATION + short.miss
 
 
-def test_how_it_is_searched_is_told() -> None:
-    half = HeatingSpec(ramp=1000.0, solver=HeatingSolver(program=ProgramSolver(ramp_kept=0.5)))
-    assert planned_ramp(TUBE, thesis_rig(), half, 0.0) == pytest.approx(500.0)
-    with pytest.raises(InputError, match="solver is 3; it must be a HeatingSolver"):
-        HeatingSpec(solver=3)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="reserve is 0"):
-        HeatingSolver(reserve=0.0)
+def test_the_ramp_is_planned_less_what_the_fine_grid_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.shaping.heating.optimal_schedule.RAMP_KEPT", 0.5)
+    assert planned_ramp(TUBE, thesis_rig(), HeatingSpec(ramp=1000.0), 0.0) == pytest.approx(500.0)

@@ -16,11 +16,11 @@ from tubeopt.shaping.heating.thermal import FINE, thermal_model
 from tubeopt.shaping.materials import GLASS_MICA, STEEL
 
 from .heating_reference import TUBE, thesis_rig, with_mold
-from .test_heating_least_miss import misses, quick
+from .test_heating_least_miss import misses
 
 RIG = load_rig(ROOT / "configs" / "rigs" / "thesis_mdf.yaml")
 THIN = load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml").tubes[1]
-SHORT = quick(HeatingSpec(hold_time=10.0, longest_heating=30.0))
+SHORT = HeatingSpec(hold_time=10.0, longest_heating=30.0)
 
 
 def with_circuit(rig: Rig, **limits: float) -> Rig:
@@ -42,7 +42,7 @@ def fastest(rig: Rig, tube: Tube, spec: HeatingSpec, counts: list[int]) -> float
 @lru_cache(maxsize=1)
 def thin_in_steel() -> tuple[Rig, HeatingPlan]:
     rig = with_circuit(with_mold(RIG, material=STEEL), peak_limit=600.0)
-    return rig, plan_heating(THIN, rig, SHORT)
+    return rig, plan_heating(THIN, rig, SHORT, cures=False)
 
 
 def test_a_rig_on_which_one_count_breaks_the_ramp_late_in_its_slot_is_heated() -> None:
@@ -69,7 +69,7 @@ def test_no_line_of_counts_on_that_rig_misses_by_less(rise: float) -> None:
 
 def test_a_mean_current_below_that_of_one_count_is_broken_by_one_count() -> None:
     rig = with_circuit(thesis_rig(), current_limit=0.2)
-    plan = plan_heating(TUBE, rig, SHORT)
+    plan = plan_heating(TUBE, rig, SHORT, cures=False)
     assert set(plan.duty.tolist()) == {0, 1}
     assert "the mean current reaches" in " ".join(plan.broken)
 
@@ -79,7 +79,7 @@ CASES = [
     (with_circuit(thesis_rig(), current_limit=1.0), TUBE, SHORT, {"current"}),
     (thesis_rig(), TUBE, replace(SHORT, ramp=12.0), {"ramp"}),
     (with_volts(thesis_rig(), 0.16), TUBE, SHORT, {"duty"}),
-    (with_mold(thesis_rig(), lead=4e-3), TUBE, quick(HeatingSpec((480.0, 500.0), 20.0)), {"limit"}),
+    (with_mold(thesis_rig(), lead=4e-3), TUBE, HeatingSpec((480.0, 500.0), 20.0), {"limit"}),
     (with_mold(thesis_rig(), material=GLASS_MICA), TUBE, replace(SHORT, longest_heating=60.0), {"limit"}),
 ]
 WORDS = {
@@ -92,7 +92,7 @@ WORDS = {
 
 @pytest.mark.parametrize(("rig", "tube", "spec", "named"), CASES)
 def test_a_missed_window_names_what_stopped_it(rig: Rig, tube: Tube, spec: HeatingSpec, named: set[str]) -> None:
-    plan = plan_heating(tube, rig, spec)
+    plan = plan_heating(tube, rig, spec, cures=False)
     assert plan.shortfall > 0
     assert plan.duty.any()
     said = {limit for limit, words in WORDS.items() if any(words in reason for reason in plan.reasons)}
@@ -108,14 +108,14 @@ def test_a_missed_window_names_what_stopped_it(rig: Rig, tube: Tube, spec: Heati
     }
     for limit in named:
         other, asked = more[limit]
-        assert plan_heating(tube, other, asked).shortfall < plan.shortfall - 1.0
+        assert plan_heating(tube, other, asked, cures=False).shortfall < plan.shortfall - 1.0
     near = plan.hottest + plan.outcome.mesh.hottest > spec.limit - 5.0
     assert near == ("limit" in said)
     if not near:
         # What is not named does not.
         for limit in {"current", "ramp"} - said:
             other, asked = more[limit]
-            assert plan_heating(tube, other, asked).shortfall > plan.shortfall - 1.0
+            assert plan_heating(tube, other, asked, cures=False).shortfall > plan.shortfall - 1.0
 
 
 @pytest.mark.parametrize("slot", [0.05, 0.5, 2.0])
@@ -132,6 +132,6 @@ def test_counts_never_stop_heating_for_ever(rig: Rig, slot: float, lost: float) 
 
 
 def test_a_window_that_is_kept_needs_no_reason() -> None:
-    plan = plan_heating(TUBE, thesis_rig(), quick(HeatingSpec(hold_time=5.0)))
+    plan = plan_heating(TUBE, thesis_rig(), HeatingSpec(hold_time=5.0), cures=False)
     assert plan.feasible
     assert plan.reasons == plan.problems == ()

@@ -11,7 +11,18 @@ from scipy.special import erfc
 
 from tubeopt import Tube
 from tubeopt.shaping.heating.counts import sum_up_rounding
-from tubeopt.shaping.heating.instant import AMPERE, CHARGE, DRIVE, LENGTH, OHM, RISE, SAG, VENTS, instant, physics
+from tubeopt.shaping.heating.optimal_control import (
+    AMPERE,
+    CHARGE,
+    DRIVE,
+    LENGTH,
+    OHM,
+    RISE,
+    SAG,
+    VENTS,
+    instant,
+    physics,
+)
 from tubeopt.shaping.heating.rig import Rig, air_conductivity, natural_convection
 from tubeopt.shaping.heating.simulation import (
     CLAMP,

@@ -13,9 +13,8 @@ from scipy.integrate import solve_ivp
 
 from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, Tube, forward_kinematics, load_robot
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
-from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel
-from tubeopt.shaping.mold.mandrel_files import solid_off_curve
-from tubeopt.shaping.mold.robot import chosen_tubes
+from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, solid_off_curve
+from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.mandrel_report import MandrelReport
 from tubeopt.show.plots.mandrel import plot_mandrel, plot_mandrel_sheet
 

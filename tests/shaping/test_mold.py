@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 import tubeopt
-from tubeopt import InputError, MoldSolver, MoldSpec, Tube, plan_mold, predict_tube
+from tubeopt import InputError, MoldSpec, Tube, plan_mold, predict_tube
 from tubeopt.shaping import (
     ClampSpec,
     EndMill,
@@ -131,13 +131,10 @@ def apart(first: Groove, second: Groove) -> float:
     return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
 
 
-def test_how_finely_it_is_drawn_is_told() -> None:
-    sides = np.array(plan_mold(THESIS, MoldSpec(solver=MoldSolver(plate_step=20e-3))).size) / 20e-3
+def test_sides_of_a_plate_are_multiples_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.shaping.mold.layout.PLATE_STEP", 20e-3)
+    sides = np.array(plan_mold(THESIS).size) / 20e-3
     np.testing.assert_allclose(sides, np.round(sides), atol=1e-9)
-    with pytest.raises(InputError, match="solver is 3; it must be a MoldSolver"):
-        MoldSpec(solver=3)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="nest_steps is 0"):
-        MoldSolver(nest_steps=0)
 
 
 @pytest.mark.parametrize("tubes", [PAIR, (THESIS,) * 3, (*PAIR, THESIS), (PAIR[1],) * 2], ids=len)

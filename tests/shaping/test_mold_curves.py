@@ -27,8 +27,7 @@ from tubeopt import (
     predict_tube,
 )
 from tubeopt.shaping import Springback, write_mold
-from tubeopt.shaping.mold.gcode import groove_gcode
-from tubeopt.shaping.mold.gcode_reader import toolpath_deviation
+from tubeopt.shaping.mold.gcode import groove_gcode, toolpath_deviation
 from tubeopt.show.plots.mold import plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")

@@ -14,10 +14,16 @@ import pytest
 
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping import EndMill, MillingSpec, Springback, write_mold
-from tubeopt.shaping.mold.drawing import draw_plate
-from tubeopt.shaping.mold.files import dxf_deviation, manifold, write_dxf, write_solid, write_stl, wrong_volume
-from tubeopt.shaping.mold.gcode import groove_gcode, write_gcode
-from tubeopt.shaping.mold.gcode_reader import read_gcode, toolpath_deviation
+from tubeopt.shaping.mold.files import (
+    draw_plate,
+    dxf_deviation,
+    manifold,
+    write_dxf,
+    write_solid,
+    write_stl,
+    wrong_volume,
+)
+from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation, write_gcode
 from tubeopt.shaping.mold.groove import Arc
 from tubeopt.show.plots.mold import plot_mold, plot_setup_sheet
 

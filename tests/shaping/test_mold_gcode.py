@@ -12,8 +12,7 @@ import trimesh
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
 from tubeopt.shaping.mold.files import write_stl
-from tubeopt.shaping.mold.gcode import programs, stages_of, write_gcode
-from tubeopt.shaping.mold.gcode_reader import hazards, read_gcode
+from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of, write_gcode
 from tubeopt.shaping.mold.spec import MillingSpec, PlateSpec, VentSpec, WorkshopSpec
 
 from .gcode_machine import Block, mill

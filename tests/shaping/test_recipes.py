@@ -13,13 +13,12 @@ from tests.command_line import ROOT, Run, refused
 from tubeopt import HeatingSpec, InputError, Tube, load_robot, plan_heating, plan_mold
 from tubeopt.robots.materials import THERMAL_DATA, Material
 from tubeopt.shaping import rank_mold_materials
-from tubeopt.shaping.heating.logged import HeatingLog
+from tubeopt.shaping.heating.calibration import HeatingLog
 from tubeopt.shaping.heating.rig import Battery, Circuit, Clamps, MoldBed, Rig
-from tubeopt.shaping.materials import STEEL
+from tubeopt.shaping.materials import STEEL, recipe_for
 from tubeopt.shaping.mold.heat import HeatSpec
 from tubeopt.shaping.mold.spec import GrooveSpec, MoldSpec, PlateSpec
 from tubeopt.shaping.mold.springback import calibrate_springback
-from tubeopt.shaping.recipes import recipe_for
 from tubeopt.shaping.tube_fabrication import plan_tube
 
 from .heating_reference import TUBE, thesis_rig

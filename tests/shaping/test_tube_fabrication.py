@@ -12,7 +12,7 @@ from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
 from tubeopt.shaping.heating.groove_air import Lie, even_gap
 from tubeopt.shaping.heating.thermal import FINE, gap_of, joined, thermal_model
-from tubeopt.shaping.mold.holes import open_area
+from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn

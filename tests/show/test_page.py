@@ -20,7 +20,6 @@ import tubeopt
 from tests.test_problems import LAW_RIGS, PROBLEMS, problem
 from tubeopt.cli.app import main
 from tubeopt.shaping import plan_mandrel, rank_mold_materials
-from tubeopt.shaping.heating.settings import DEFAULT_HEATING
 from tubeopt.show.page import TITLED, WIDTH
 from tubeopt.show.plots import style
 from tubeopt.show.plots.crowding import faults
@@ -135,7 +134,7 @@ def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
 
 @pytest.mark.parametrize("script", PROBLEMS, ids=lambda script: script.stem)
 def test_pictures_of_problems_fit_a_page(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(vars(DEFAULT_HEATING.law), "rigs", LAW_RIGS)
+    monkeypatch.setattr("tubeopt.shaping.heating.robust.RIGS", LAW_RIGS)
     draw, coarse = problem(script)
     with measured(monkeypatch) as found:
         draw(tmp_path, **coarse)

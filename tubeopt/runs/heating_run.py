@@ -18,11 +18,11 @@ from ..files.checked import Positive, in_file, require_one
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.controller import HeatingLaw
-from ..shaping.heating.feedback_design import design_feedback
 from ..shaping.heating.plan import HeatingPlan
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.replanning import Leader, planner_for
 from ..shaping.heating.rig import Rig
+from ..shaping.heating.robust import design_feedback
 from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model

@@ -17,21 +17,18 @@ from ..files.fields import asking, made
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
-from ..shaping.heating.calibration import BIAS, FACTORS, RigFit, calibrate
+from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
 from ..shaping.heating.controller import Feedback, wilson
-from ..shaping.heating.feedback_design import design_feedback
-from ..shaping.heating.files import slot_milliseconds
-from ..shaping.heating.logged import HeatingLog
-from ..shaping.heating.plan import HeatingPlan
+from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
-from ..shaping.heating.robust import Band, assess, charge_tables, most_likely
+from ..shaping.heating.robust import Band, assess, charge_tables, design_feedback, most_likely
 from ..shaping.heating.sensors import SENSORS, Sensor
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import heating_for
-from ..shaping.mold.robot import RobotMold, chosen_tubes
+from ..shaping.mold.mold import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Array, Progress

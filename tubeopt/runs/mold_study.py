@@ -16,8 +16,8 @@ from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import HeatSpec
 from ..shaping.mold.mandrel import Mandrel, plan_mandrel
+from ..shaping.mold.mold import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
-from ..shaping.mold.robot import RobotMold, chosen_tubes, plan_robot_mold
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Calibration, Springback, calibrate_springback
 from ..typing import Progress

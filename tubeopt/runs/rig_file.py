@@ -20,7 +20,7 @@ from ..files.shipped import found
 from ..files.units import MM, decimal, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
-from ..shaping.heating.logged import HeatingLog
+from ..shaping.heating.calibration import HeatingLog
 from ..shaping.heating.rig import Battery, Rig
 from ..typing import Array
 

@@ -1,17 +1,13 @@
 """How the tubes of a robot are made: molds, heating."""
 
-from .heating.settings import HeatingSolver, RigSolver
 from .materials import CALCIUM_SILICATE, GLASS_MICA, MDF, MOLD_MATERIALS, STEEL, MoldMaterial, mold_material
 from .mold.checks import Check
 from .mold.files import write_mold
 from .mold.heat import ColdEnd, HeatSpec, cold_end, heat_drawn, heat_flow, thermal_growth
-from .mold.holes import Hole
-from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube
-from .mold.mandrel_files import write_mandrel
-from .mold.mold import Clamp, Groove, Mold, plan_mold
+from .mold.layout import Hole
+from .mold.mandrel import Mandrel, plan_mandrel, predict_wound_tube, write_mandrel
+from .mold.mold import Clamp, Groove, Mold, plan_mold, predict_tube, predict_tubes
 from .mold.ranking import MaterialRating, rank_mold_materials
-from .mold.robot import predict_tube, predict_tubes
-from .mold.settings import MoldSolver
 from .mold.spec import ClampSpec, EndMill, GrooveSpec, MillingSpec, MoldSpec, PlateSpec, VentSpec
 from .mold.springback import Calibration, Springback, calibrate_springback
 
@@ -30,17 +26,14 @@ __all__ = [
     "Groove",
     "GrooveSpec",
     "HeatSpec",
-    "HeatingSolver",
     "Hole",
     "Mandrel",
     "MaterialRating",
     "MillingSpec",
     "Mold",
     "MoldMaterial",
-    "MoldSolver",
     "MoldSpec",
     "PlateSpec",
-    "RigSolver",
     "Springback",
     "VentSpec",
     "calibrate_springback",

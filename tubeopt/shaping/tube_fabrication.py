@@ -23,11 +23,23 @@ from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.spec import HeatingSpec
 from .heating.thermal import gap_of, gap_transfer, groove_gap, own_gap, vent_profile
+from .materials import recipe_for
 from .mold.heat import heating_for
-from .mold.holes import open_area
+from .mold.layout import open_area
 from .mold.mold import Groove, Mold, plan_mold
 from .mold.spec import GrooveSpec, MoldSpec
-from .recipes import recipe_for
+
+MOLDS = 5
+"""Molds that are drawn at most."""
+
+SAME_LENGTH = 1e-5
+"""Lengths of mold and heating that differ by less are equal, m."""
+
+LONGER_LEAD = 1e-3
+"""Length of the leads beyond cold ends that reach into the curved part, m."""
+
+LEAD_PEAK = 0.98
+"""Share of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
 
 VENT_PLACES = 41
 """Places from the end of the mold to its middle at which the rig as drawn says how far it is vented."""
@@ -94,8 +106,7 @@ def plan_tube(
     heated, remarks = _with_thermal_data(tube)
     remarks += _air(heated, rig)
     on, known, plan, drawn = rig, None, None, None
-    solver = heating.solver.fabrication
-    for round_ in range(1, solver.molds + 1):
+    for round_ in range(1, MOLDS + 1):
         try:
             following = plan_mold(heated, mold_spec_for(on, heated, asked, heating, known, rig), numbers=[number])
         except InputError as error:
@@ -103,7 +114,7 @@ def plan_tube(
                 raise
             return TubeFabrication(tube, drawn, on, plan, round_ - 1, f"{_needed(plan)}: {error}", remarks)
         drawn, before, on = following, on, rig_as_drawn(rig, following)
-        if plan is None or not _alike(before, on, solver.same_length):
+        if plan is None or not _alike(before, on):
             # As it lies in its groove: bent so, its curved part as long as the bend.
             plan = plan_heating(following.grooves[0].held, on, heating)
         elif _settled(drawn, plan):
@@ -111,9 +122,9 @@ def plan_tube(
         known = _known(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
-    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + solver.same_length
+    short = plan.cold_end > _lead_and_gap(drawn.grooves[0]) + SAME_LENGTH
     words = _needed(plan) if short else "the mold as drawn still changes"
-    return TubeFabrication(tube, drawn, on, plan, solver.molds, f"{words} after {solver.molds} rounds", remarks)
+    return TubeFabrication(tube, drawn, on, plan, MOLDS, f"{words} after {MOLDS} rounds", remarks)
 
 
 def mold_spec_for(
@@ -233,7 +244,7 @@ def _air(tube: Tube, rig: Rig) -> tuple[str, ...]:
 
 def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
     """What the heating tells the next mold; leads that are too short, or let too much current flow, get longer."""
-    held, end, solver = _lead_and_gap(groove), plan.cold_end, spec.solver.fabrication
+    held, end = _lead_and_gap(groove), plan.cold_end
     if math.isinf(end):
         # The whole tube is cold, for which no lead helps.
         end = groove.cold.length
@@ -241,7 +252,7 @@ def _known(groove: Groove, plan: HeatingPlan, spec: HeatingSpec) -> Known:
     clamps = float(plan.clamp_temperature[hot]) + ZERO_CELSIUS
     # The plate makes leads longer than they are asked to be, by as much again next time.
     asked = groove.cold.length + _length_for_peak(plan, spec) - held
-    return Known(max(end if end <= held + solver.same_length else end + solver.longer_lead, asked), plan.growth, clamps)
+    return Known(max(end if end <= held + SAME_LENGTH else end + LONGER_LEAD, asked), plan.growth, clamps)
 
 
 def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
@@ -250,7 +261,7 @@ def _length_for_peak(plan: HeatingPlan, spec: HeatingSpec) -> float:
     The current is greatest through the cold tube at rest, whose resistance grows as its length.
     """
     tube, rig = plan.tube, plan.rig
-    now, most = full_current(tube, rig, leaking=False), spec.solver.fabrication.lead_peak * rig.circuit.peak_limit
+    now, most = full_current(tube, rig, leaking=False), LEAD_PEAK * rig.circuit.peak_limit
     whole = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
     ohm = rig.battery.voltage / now - rig.battery.internal_resistance - rig.circuit.resistance
     needed = whole * (1 + rig.battery.voltage * (1 / most - 1 / now) / ohm)
@@ -263,12 +274,12 @@ def _lead_and_gap(groove: Groove) -> float:
     return groove.gaps[0] + groove.centreline.lead_in.length
 
 
-def _alike(a: Rig, b: Rig, same: float) -> bool:
-    """Whether two rigs as drawn are the same to the heating, to lengths of `same`, m."""
+def _alike(a: Rig, b: Rig) -> bool:
+    """Whether two rigs as drawn are the same to the heating, to lengths of `SAME_LENGTH`."""
     lengths = [abs(getattr(a.mold, name) - getattr(b.mold, name)) for name in ("lead", "gap", "width", "thickness")]
     lengths.append(abs(a.clamps.clearance - b.clamps.clearance))
     vents = (vent_profile(rig, np.linspace(0.0, 1.0, VENT_PLACES)) for rig in (a, b))
-    return max(lengths) < same and float(np.abs(next(vents) - next(vents)).max()) < same
+    return max(lengths) < SAME_LENGTH and float(np.abs(next(vents) - next(vents)).max()) < SAME_LENGTH
 
 
 def _settled(mold: Mold, plan: HeatingPlan) -> bool:
@@ -277,11 +288,10 @@ def _settled(mold: Mold, plan: HeatingPlan) -> bool:
     uneven = abs(groove.centreline.lead_in.length - groove.centreline.lead_out.length)
     differences = [groove.free_length - plan.free_length, uneven, groove.growth - plan.growth]
     short = 0.0 if math.isinf(plan.cold_end) else plan.cold_end - _lead_and_gap(groove)
-    same = plan.spec.solver.fabrication.same_length
-    return max(abs(x) for x in differences) < same and short < same
+    return max(abs(x) for x in differences) < SAME_LENGTH and short < SAME_LENGTH
 
 
 def _needed(plan: HeatingPlan) -> str:
-    need = 1e3 * (plan.cold_end + plan.spec.solver.fabrication.longer_lead)
+    need = 1e3 * (plan.cold_end + LONGER_LEAD)
     have = 1e3 * (plan.rig.clamps.clearance + plan.rig.mold.lead)
     return f"the heating needs {need:.1f} mm from clamp to bend, the mold has {have:.1f} mm"

@@ -14,11 +14,8 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_study import Heating, Success
 from ..runs.rig_file import rig_to_dict, save_rig
-from ..shaping.heating.calibration import BIAS, Estimate, RigFit
-from ..shaping.heating.files import arduino_header, schedule_csv
-from ..shaping.heating.logged import UNITS, kind_of
-from ..shaping.heating.plan import HeatingPlan
-from ..shaping.heating.remedies import Cure
+from ..shaping.heating.calibration import BIAS, UNITS, Estimate, RigFit, kind_of
+from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
 from .quantities import Quantity, line, within

@@ -8,8 +8,7 @@ from typing import Any
 
 from ..robots.tubes import Tube
 from ..shaping.mold.checks import pressing_strain
-from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube
-from ..shaping.mold.mandrel_files import write_mandrel
+from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
 from .quantities import Quantity
 from .report import Report
 

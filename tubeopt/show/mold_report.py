@@ -17,10 +17,9 @@ from ..runs.mold_study import Ranking
 from ..shaping.mold.checks import Check
 from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clear_room, programs_of
-from ..shaping.mold.holes import Hole
-from ..shaping.mold.mold import Clamp, Groove
+from ..shaping.mold.layout import Hole
+from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
-from ..shaping.mold.robot import RobotMold, predict_tube
 from ..shaping.mold.springback import Calibration, Springback
 from .quantities import Quantity, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks

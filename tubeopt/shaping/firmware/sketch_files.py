@@ -15,11 +15,9 @@ from ...files.files import write_text
 from ...typing import Array
 from ..heating.controller import Feedback, HeatingLaw
 from ..heating.counts import full_current
-from ..heating.feedback_design import prolonged
-from ..heating.files import slot_milliseconds
-from ..heating.plan import HeatingPlan
+from ..heating.plan import HeatingPlan, slot_milliseconds
 from ..heating.rig import COUNTS, Rig
-from ..heating.robust import at_charge
+from ..heating.robust import at_charge, prolonged
 from .boards import CONVERTERS, Wiring, divider, hall_slope
 
 NAME = "tube_heater"

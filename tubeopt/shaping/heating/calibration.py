@@ -6,13 +6,16 @@ over factors x on loss, even gap of the groove, contact resistance, resistivity 
 log determines. Factors are fitted as logarithms, so that they stay positive; the Jacobian comes from simulating all
 perturbed rigs at once. The noise of every channel is estimated from its own residuals. Intervals are those of the
 noise, with the error of the model's own grid to spare.
+
+A thermometer that shows the same all the time although the tube is heated is dead; one that stays at its greatest
+reading is saturated there; one that does not begin where the tube does is shifted.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,17 +23,286 @@ import scipy
 
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
-from ...errors import InputError, choice, positive, undoubted
+from ...errors import InputError, choice, finite, positive, undoubted
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
 from ...solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ...typing import Array
-from .logged import LEAST_NOISE, NOISE, HeatingLog, believable, kind_of, step_of, unexplained
 from .rig import COUNTS, Rig
 from .sensors import followed, tube_at
-from .settings import DEFAULT_RIG_SOLVER, RigSolver
 from .simulation import State, advance, at_rest, current
 from .thermal import COARSE, FINE, ThermalModel, gap_of, stack, thermal_model
+
+# --- logged heatings: what was measured when, and which of it can be believed -----------------------------------------
+
+
+FLAT = 3
+"""Readings in a row at a channel's greatest value that are more than chance."""
+
+HEATED = 30.0
+"""Rise that the rig's file must expect of a thermometer before it is called dead or saturated, K."""
+
+SHIFTED = 5.0
+"""Difference of a thermometer from the ambient temperature before heating that gets a remark, K."""
+
+RARE = 1e-4
+"""Probability below which a deviation is no accident of noise."""
+
+NOISE = {"temperature": 5.0, "voltage": 0.05, "current": 0.5}
+"""Noise of the channels to begin with, K, V, A."""
+
+LEAST_NOISE = {"temperature": 0.05, "voltage": 1e-3, "current": 1e-2}
+"""No instrument is better."""
+
+POSSIBLE = {
+    "temperature": (ZERO_CELSIUS - 60.0, ZERO_CELSIUS + 2500.0),
+    "voltage": (-1.0, 150.0),
+    "current": (-50.0, 5000.0),
+}
+"""What thermometers, battery and current of such a rig can show, K, V, A."""
+
+UNITS = {"temperature": "K", "voltage": "V", "current": "A"}
+
+
+@dataclass(frozen=True, eq=False)
+class HeatingLog:
+    """A logged heating; NaN where nothing was read.
+
+    Raises:
+        InputError: fewer than 3 rows, times that do not increase, duties out of range, or nothing that was measured.
+    """
+
+    time: Array
+    """(T,) times, s, increasing."""
+    duty: Array
+    """(T,) counts 0-255, held from each row to the next."""
+    temperature: Array | None = None
+    """(T,) of the tube, K; (T, S) of several thermometers, or of the pixels of a camera."""
+    voltage: Array | None = None
+    """(T,) at the battery while the MOSFET conducts, V."""
+    current: Array | None = None
+    """(T,) from the battery while the MOSFET conducts, A."""
+    position: float | Sequence[float] | Array = 0.0
+    """Position of the thermometer from the middle of the curved part, m; (S,) for several."""
+    lag: float | Array = 0.0
+    """Time constant of the thermometer, s; (S,) for several different ones."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if value is not None and f.name not in ("position", "lag"):
+                object.__setattr__(self, f.name, _column(f.name, value))
+        count = len(self.time)
+        if count < 3:
+            raise InputError(f"the log has {count} rows; it must have at least 3")
+        for name in ("duty", *NOISE):
+            value = getattr(self, name)
+            if value is not None and value.shape[:1] != (count,):
+                raise InputError(
+                    f"{name} of the log has shape {value.shape}; it must have {count} numbers, one per time"
+                )
+        if not (np.diff(self.time) > 0).all():
+            raise InputError("time of the log must increase from row to row")
+        for name, (low, high) in POSSIBLE.items():
+            values = getattr(self, name)
+            if values is not None and np.isfinite(values).any():
+                extremes = float(np.nanmin(values)), float(np.nanmax(values))
+                if extremes[0] < low or extremes[1] > high:
+                    zero, sign = (ZERO_CELSIUS, "degC") if name == "temperature" else (0.0, UNITS[name])
+                    raise InputError(
+                        f"{name} of the log is {extremes[0] - zero:g} to {extremes[1] - zero:g} {sign}; it must be "
+                        f"{low - zero:g} to {high - zero:g} {sign}"
+                    )
+        if not ((self.duty >= 0) & (self.duty <= COUNTS)).all():
+            raise InputError("duty of the log must be from 0 to 255")
+        places = np.abs([finite("position", x) for x in np.atleast_1d(np.asarray(self.position, dtype=float))])
+        seen = 1 if self.temperature is None or self.temperature.ndim == 1 else self.temperature.shape[1]
+        if len(places) != seen:
+            raise InputError(f"position of the log has {len(places)} numbers; it must have {seen}, one per thermometer")
+        lags = np.asarray(self.lag, dtype=float)
+        if lags.shape not in ((), (seen,)) or not (np.isfinite(lags) & (lags >= 0)).all():
+            raise InputError(
+                f"lag of the log is {self.lag}; it must be at least 0 s, one number or one per thermometer"
+            )
+        object.__setattr__(self, "position", float(places[0]) if seen == 1 else places)
+        if not any(np.isfinite(values).any() for values in self.channels.values()):
+            raise InputError("the log has neither temperature nor voltage nor current; it must have one of them")
+
+    @property
+    def positions(self) -> Array:
+        """(S,) distances of the thermometers from the middle of the curved part, m."""
+        return np.atleast_1d(np.asarray(self.position, dtype=float))
+
+    @property
+    def thermometers(self) -> tuple[str, ...]:
+        """Names of the channels of temperature: of several with their places."""
+        if len(self.positions) == 1:
+            return ("temperature",)
+        return tuple(f"temperature {k} at {1e3 * x:g} mm" for k, x in enumerate(self.positions, start=1))
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """The measured channels by name."""
+        found: dict[str, Array] = {}
+        if self.temperature is not None:
+            columns = self.temperature.reshape(len(self.time), -1).T
+            found |= dict(zip(self.thermometers, columns, strict=True))
+        return found | {name: getattr(self, name) for name in ("voltage", "current") if getattr(self, name) is not None}
+
+    def with_camera(self, time: Array, positions: Array, temperature: Array) -> HeatingLog:
+        """A copy with the readings of a camera: temperatures (C, P), K, at its own times (C,) and positions (P,), m.
+
+        Duties are those of this log. The camera has no lag. A missing reading is no reading of the other either.
+
+        Raises:
+            InputError: as of the class, or a camera that saw nothing during the log.
+        """
+        inside = (time >= self.time[0]) & (time <= self.time[-1])
+        if not inside.any():
+            raise InputError(
+                f"the camera saw the tube from {time.min():g} to {time.max():g} s; the log goes from {self.time[0]:g} "
+                f"to {self.time[-1]:g} s"
+            )
+        both = np.union1d(self.time, time[inside])
+
+        def spread(at: Array, values: Array) -> Array:
+            table = np.full((len(both), *values.shape[1:]), np.nan)
+            table[np.searchsorted(both, at)] = values
+            return table
+
+        others = {name: spread(self.time, v) for name, v in self.channels.items() if name in ("voltage", "current")}
+        before = [] if self.temperature is None else [spread(self.time, self.temperature.reshape(len(self.time), -1))]
+        known = self.positions if before else np.zeros(0)
+        return HeatingLog(
+            both,
+            self.duty[np.searchsorted(self.time, both, side="right") - 1],
+            temperature=np.hstack([*before, spread(time[inside], temperature[inside])]),
+            position=np.concatenate([known, positions]),
+            lag=np.concatenate([np.broadcast_to(self.lag, len(known)), np.zeros(len(positions))]),
+            **others,
+        )
+
+    def kept(self, channels: dict[str, Array]) -> HeatingLog:
+        """A copy with other temperature readings."""
+        columns = [channels[name] for name in self.thermometers]
+        table = columns[0] if len(columns) == 1 else np.column_stack(columns)
+        return replace(self, temperature=table)
+
+
+def _column(name: str, value: Any) -> Array:
+    try:
+        column = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} of the log is {value!r}; it must be a list of numbers") from None
+    if column.ndim != 1 and not (name == "temperature" and column.ndim == 2):
+        raise InputError(f"{name} of the log has shape {column.shape}; it must be one number per row")
+    return column
+
+
+def kind_of(channel: str) -> str:
+    """Temperature, voltage or current."""
+    return channel.split()[0]
+
+
+def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[HeatingLog, tuple[str, ...]]:
+    """The log without readings of a saturated thermometer, and what to know of its thermometers.
+
+    Args:
+        expected: channels (T,) as the rig's file predicts them.
+
+    Raises:
+        InputError: a thermometer that is dead.
+    """
+    if log.temperature is None:
+        return log, ()
+    channels, words = dict(log.channels), []
+    for name in log.thermometers:
+        read = np.flatnonzero(np.isfinite(channels[name]))
+        if len(read) < 2 * FLAT:
+            continue
+        values, rise = channels[name][read], float(np.ptp(expected[name][read]))
+        if rise > HEATED and np.ptp(values) == 0:
+            raise InputError(
+                f"{name} of the log is {values[0] - ZERO_CELSIUS:.1f} degC in all "
+                f"{len(values)} readings; the rig file predicts a rise of {rise:.0f} K: the "
+                "thermometer is broken; leave it out"
+            )
+        top = np.flatnonzero(values == values.max())
+        stays = len(top) >= FLAT and len(top) == top[-1] - top[0] + 1
+        if stays and float(np.ptp(expected[name][read[top]])) > 0.2 * HEATED and rise > HEATED:
+            channels[name] = channels[name].copy()
+            channels[name][read[top]] = np.nan
+            words.append(
+                f"{name} stays at {values.max() - ZERO_CELSIUS:.1f} degC for {len(top)} readings, as a saturated "
+                "thermometer does: they are left out"
+            )
+        off = float(values[0] - rig.ambient)
+        if log.time[read[0]] == log.time[0] and abs(off) > SHIFTED:
+            words.append(
+                f"{name} begins {abs(off):.1f} K {'above' if off > 0 else 'below'} the rig's ambient temperature: the "
+                "thermometer is shifted, or the tube was not cold; fit bias estimates the shift"
+            )
+    return log.kept(channels), tuple(words)
+
+
+def step_of(values: Array) -> float:
+    """Least difference between readings (N,) that differ: the step of an instrument that reads in steps; 0 where all
+    are equal."""
+    different = np.diff(np.unique(values))
+    return float(different.min()) if len(different) else 0.0
+
+
+def unexplained(
+    channel: str,
+    residual: Array,
+    stated: float | None,
+    unknowns: float,
+    step: float = 0.0,
+) -> tuple[str, ...]:
+    """What residuals (N,), in time, say against the model: more than the stated noise, or in long waves.
+
+    The first by the chi-square test, the second by the mean number of runs of one sign (Wald and Wolfowitz).
+
+    Args:
+        unknowns: that were fitted to this channel.
+        step: in which the channel is read; waves within half of one are what rounding makes of a slow change.
+    """
+    words, unit = [], UNITS[kind_of(channel)]
+    count = len(residual)
+    spread = float(np.sqrt((residual**2).sum() / max(count - unknowns, 1.0)))
+    if stated is not None and scipy.stats.chi2.sf((residual**2).sum() / stated**2, max(count - unknowns, 1.0)) < RARE:
+        words.append(
+            f"residuals of {channel} are {spread:.3g} {unit}, {spread / stated:.1f} times the stated noise of "
+            f"{stated:g} {unit}: the model does not explain the log, and intervals are too narrow"
+        )
+    signs = residual > 0
+    above, below = int(signs.sum()), int((~signs).sum())
+    if min(above, below) >= 5 and spread > step / 2:
+        runs = 1 + int((signs[1:] != signs[:-1]).sum())
+        mean = 1 + 2 * above * below / count
+        deviation = np.sqrt((mean - 1) * (mean - 2) / (count - 1))
+        if scipy.stats.norm.cdf((runs - mean) / deviation) < RARE:
+            words.append(
+                f"residuals of {channel} change sign {runs - 1} times in {count} readings, noise would {mean - 1:.0f} "
+                "times: the model misses something, and intervals are too narrow"
+            )
+    return tuple(words)
+
+
+# --- the fit ----------------------------------------------------------------------------------------------------------
+
+
+STEP = 0.5
+"""Longest step of the simulation of a log, s."""
+
+PERTURBATION = 1e-3
+"""Step of the logarithm of a factor in finite differences."""
+
+BIAS_SIZE = 25.0
+"""Bias of a thermometer that counts as much as a factor of e, K."""
+
+WEAK = 0.4
+"""Standard error of a factor's logarithm above which the log does not determine it, and it is fixed."""
 
 BIAS = "bias"
 """What can be fitted besides factors: by how much every thermometer is off, K."""
@@ -99,17 +371,15 @@ class RigFit(Displayed):
     """In words, what the log does not determine, and what the model does not explain."""
 
 
-def predict(
-    tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE, *, step: float = DEFAULT_RIG_SOLVER.step
-) -> dict[str, Array]:
-    """(T, B) what the log's channels would show on each rig, simulated in steps of at most `step`, s."""
+def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE) -> dict[str, Array]:
+    """(T, B) what the log's channels would show on each rig, simulated in steps of at most `STEP`, s."""
     model = stack([thermal_model(tube, rig, grid) for rig in rigs])
     state = at_rest(model)
     lags = np.broadcast_to(log.lag, len(log.positions))[:, None]
     touched = shown = _touched(model, state, log)
     rows = [_seen(model, state, shown)]
     for duty, span in zip(log.duty.tolist(), np.diff(log.time).tolist(), strict=False):
-        steps = math.ceil(span / step)
+        steps = math.ceil(span / STEP)
         for _ in range(steps):
             state = advance(model, state, duty / COUNTS, span / steps, 1)
             before, touched = touched, _touched(model, state, log)
@@ -138,7 +408,6 @@ def calibrate(
     *,
     noise: Mapping[str, float] | None = None,
     confidence: float = 0.95,
-    solver: RigSolver = DEFAULT_RIG_SOLVER,
 ) -> RigFit:
     """The rig that explains a log, from any subset of temperature, voltage and current.
 
@@ -148,7 +417,6 @@ def calibrate(
     Args:
         parameters: names of FACTORS, and "bias" for that of every thermometer.
         noise: stated standard deviations by "temperature", "voltage", "current", K, V, A.
-        solver: how it is calibrated.
 
     Raises:
         InputError: an unknown factor, none, a confidence outside of (0, 1), or a thermometer that is dead.
@@ -161,17 +429,17 @@ def calibrate(
         raise InputError(f"parameters is empty; it must have at least one of {', '.join(FACTORS)}")
     if not 0 < confidence < 1:
         raise InputError(f"confidence is {confidence:g}; it must be between 0 and 1")
-    expected = {name: values[:, 0] for name, values in predict(tube, [rig], log, step=solver.step).items()}
-    log, doubts = believable(log, rig, expected, solver)
+    expected = {name: values[:, 0] for name, values in predict(tube, [rig], log).items()}
+    log, doubts = believable(log, rig, expected)
     names = [
         each for name in names for each in ((f"{BIAS} of {t}" for t in log.thermometers) if name == BIAS else (name,))
     ]
-    problem = _Problem(tube, rig, log, solver)
+    problem = _Problem(tube, rig, log)
     free, remarks = list(names), list(doubts)
     while True:
         x, sigma, J, errors = problem.solve(free)
         weak = int(np.argmax(errors)) if len(free) else 0
-        if not len(free) or errors[weak] < solver.weak:
+        if not len(free) or errors[weak] < WEAK:
             break
         remarks.append(f"{free[weak]} is not determined by the log; it is held at what the file says")
         free.pop(weak)
@@ -179,24 +447,22 @@ def calibrate(
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
     room = reach * errors + np.abs(problem.shift(free, x, sigma, J))
     values = dict(zip(free, zip(x, room, strict=True), strict=True))
-    estimates = tuple(_estimate(name, values.get(name), solver.bias) for name in names)
+    estimates = tuple(_estimate(name, values.get(name)) for name in names)
     before, after = problem.before_and_after(free, x)
     for channel, read in problem.read.items():
         share = len(free) * float(read.sum()) / problem.count
         logged = log.channels[channel][read]
         residual = after[channel][read] - logged
-        remarks += unexplained(
-            channel, residual, stated.get(kind_of(channel)), share, step_of(logged), rare=solver.rare
-        )
+        remarks += unexplained(channel, residual, stated.get(kind_of(channel)), share, step_of(logged))
     return RigFit(problem.rig(free, x), estimates, confidence, sigma, before, after, log, tuple(remarks))
 
 
-def _estimate(name: str, value: tuple[float, float] | None, bias: float) -> Estimate:
+def _estimate(name: str, value: tuple[float, float] | None) -> Estimate:
     if value is None:
         return Estimate(name, *((0.0, -math.inf) if name.startswith(BIAS) else (1.0, 0.0)), math.inf, True)
     x, room = value
     if name.startswith(BIAS):
-        return Estimate(name, bias * x, bias * (x - room), bias * (x + room), False)
+        return Estimate(name, BIAS_SIZE * x, BIAS_SIZE * (x - room), BIAS_SIZE * (x + room), False)
     return Estimate(name, float(np.exp(x)), float(np.exp(x - room)), float(np.exp(x + room)), False)
 
 
@@ -236,8 +502,8 @@ class _Logged:
 class _Problem:
     """Residuals of a log over logarithms of factors."""
 
-    def __init__(self, tube: Tube, rig: Rig, log: HeatingLog, solver: RigSolver) -> None:
-        self.tube, self.given, self.log, self.solver = tube, rig, log, solver
+    def __init__(self, tube: Tube, rig: Rig, log: HeatingLog) -> None:
+        self.tube, self.given, self.log = tube, rig, log
         self.read = {name: np.isfinite(values) for name, values in log.channels.items()}
         self.count = int(sum(read.sum() for read in self.read.values()))
 
@@ -252,13 +518,13 @@ class _Problem:
         return rig
 
     def _predicted(self, rigs: Sequence[Rig], grid: Resolution = FINE) -> dict[str, Array]:
-        return predict(self.tube, rigs, self.log, grid, step=self.solver.step)
+        return predict(self.tube, rigs, self.log, grid)
 
     def biases(self, names: Sequence[str], x: Array) -> dict[str, float]:
         """What each thermometer shows too much, K."""
         start = f"{BIAS} of "
         found = zip(names, x, strict=True)
-        return {name.removeprefix(start): self.solver.bias * float(v) for name, v in found if name.startswith(start)}
+        return {name.removeprefix(start): BIAS_SIZE * float(v) for name, v in found if name.startswith(start)}
 
     def before_and_after(self, names: Sequence[str], x: Array) -> tuple[dict[str, Array], dict[str, Array]]:
         """(T,) channels as the rig's file predicts them, and as at x."""
@@ -276,11 +542,11 @@ class _Problem:
 
     def perturbed(self, names: Sequence[str], x: Array) -> dict[str, Array]:
         """(T, 1 + P) the same at x and with each unknown perturbed."""
-        return self.differences(names, x + self.solver.perturbation * np.vstack([np.zeros(len(x)), np.eye(len(x))]))
+        return self.differences(names, x + PERTURBATION * np.vstack([np.zeros(len(x)), np.eye(len(x))]))
 
     def quotients(self, now: dict[str, Array]) -> Array:
         """(N, P) derivatives by the unknowns, of what is `perturbed`."""
-        return np.vstack([(d[:, 1:] - d[:, :1]) / self.solver.perturbation for d in now.values()])
+        return np.vstack([(d[:, 1:] - d[:, :1]) / PERTURBATION for d in now.values()])
 
     def spread(self, sigma: dict[str, float]) -> Array:
         """(N,) noise of every reading."""

@@ -26,6 +26,24 @@ from .thermal import ThermalModel, leak_resistance, seen, thermal_data
 
 Counts = NDArray[np.int64]
 
+COLDER = 4.0
+"""Largest loss of temperature by counts left out for the ramp, K."""
+
+WATCHED = 10.0
+"""Time of the hold for which every count is checked, s: later no duty comes near the ramp."""
+
+SPARED = 0.005
+"""Share of the ramp that counts leave unused, for the error of the quick simulation beside them."""
+
+DECIDED = 0.5
+"""Least time for which a duty of the hold is chosen, s; shorter slots share it."""
+
+STALL, SOONER = 10.0, 2.0
+"""Time over which the warming of the coldest point is checked, s, and how much faster it may warm later."""
+
+PROBE = 8.0
+"""Counts between which temperatures at the end of a slot are taken as linear."""
+
 CLOSE = 0.05
 """Counts by which one that need not be whole may be below the greatest that is kept."""
 
@@ -97,10 +115,10 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     given, asked = 0.0, kept_by_one(model, spec, rig)
     now = Instant.of(model, at_rest(model), asked)
     slow, fast = idle_rates(model, now.state)
-    owed = 0.5 + spec.solver.counts.colder * COUNTS / (spec.slot * float((fast - slow).max()))
+    owed = 0.5 + COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
     hurried = hurried and asked != (spec, rig)
     heated = int(np.count_nonzero(duty))
-    watched = heated - spec.hold_slots + math.ceil(spec.solver.counts.watched / spec.slot)
+    watched = heated - spec.hold_slots + math.ceil(WATCHED / spec.slot)
     k = 0
     # Without a look, all that is owed would be given at once.
     while k < heated and (k < watched or sums[k - 1] - given > 0.5 + 1e-9):
@@ -139,7 +157,7 @@ class Instant:
         """That of a state."""
         spec, rig = asked
         slow, fast, now = warming_span(model, state.cells, state.lumped)
-        room = ((1 - spec.solver.counts.spared) * spec.ramp - slow[0]) / np.maximum(fast[0] - slow[0], 1e-9)
+        room = ((1 - SPARED) * spec.ramp - slow[0]) / np.maximum(fast[0] - slow[0], 1e-9)
         # What a pulse loses does not warm, but it flows.
         lost, bound = rig.circuit.lost_share, min(rig.circuit.current_limit / float(now[0]), 1.0)
         free = model.resolution.grip
@@ -195,7 +213,7 @@ def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -
 def kept_by_one(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> tuple[HeatingSpec, Rig]:
     """What is asked for, with the least ramp and mean current that one count keeps for a slot from rest where it breaks
     the limits: no count that heats breaks them by less."""
-    kept = 1 - spec.solver.counts.spared
+    kept = 1 - SPARED
     warms = count_warms(model, rig, spec)
     if warms > kept * spec.ramp:
         spec = replace(spec, ramp=(1 + 1e-6) * warms / kept)
@@ -242,14 +260,14 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
     counts, looked, asked = [], [], (spec, rig)
     now = Instant.of(model, at_rest(model), asked)
-    slots, apart = int(spec.longest_heating / spec.slot), max(round(spec.solver.counts.stall / spec.slot), 1)
+    slots, apart = int(spec.longest_heating / spec.slot), max(round(STALL / spec.slot), 1)
     for k in range(slots):
         coldest = float(seen(model, now.state.cells[0, :, 0])[0])
         if coldest >= low:
             break
         if k % apart == 0:
             looked.append(coldest)
-            if _stalls(looked, low, spec.solver.counts.sooner * (slots - k) / apart):
+            if _stalls(looked, low, SOONER * (slots - k) / apart):
                 return None
         now = _greatest(model, now, asked, float(int(now.most)), (spec.slot, high))
         counts.append(int(now.count))
@@ -284,15 +302,14 @@ def _greatest(
     found = sustained(model, now, asked, most, goal[0], whole=whole)
     if _hottest(found.state) <= goal[1]:
         return found
-    probe = asked[0].solver.counts.probe
-    count = COUNTS * _level(model, now.state, found.count / COUNTS, (*goal, probe))
+    count = COUNTS * _level(model, now.state, found.count / COUNTS, (*goal, PROBE))
     return sustained(model, now, asked, float(int(count + 1e-9)) if whole else count, goal[0], whole=whole)
 
 
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
     """(H,) duties that bring the curved part to the middle of the window and keep it there."""
     middle = 0.5 * sum(spec.window_degC)
-    together = max(round(spec.solver.counts.decided / spec.slot), 1)
+    together = max(round(DECIDED / spec.slot), 1)
     levels: list[float] = []
     while len(levels) < spec.hold_slots:
         span = together * spec.slot
@@ -301,7 +318,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
-            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, spec.solver.counts.probe))
+            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, PROBE))
             after = advance(model, state, level, span)
             if level < (most - spared) / COUNTS or seen(model, after.cells[0, :, 0])[0] >= coldest:
                 break

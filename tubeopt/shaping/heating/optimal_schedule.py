@@ -19,12 +19,52 @@ from ...physics.heat_functions import SAG as SAGGED
 from ...robots.tubes import Tube
 from ...typing import Array
 from .counts import count_rate, full_current
-from .instant import AMPERE, CHARGE, DRIVE, DURATION, LENGTH, OHM, RISE, SAG, VENTS, physics
-from .program import WINDOW, WISHES, Program, Structure, program
+from .optimal_control import (
+    AMPERE,
+    CHARGE,
+    DRIVE,
+    DURATION,
+    LENGTH,
+    OHM,
+    RISE,
+    SAG,
+    VENTS,
+    WINDOW,
+    WISHES,
+    Program,
+    Structure,
+    physics,
+    program,
+)
 from .rig import COUNTS, Rig
 from .simulation import History, State, simulate, simulate_feedback, warming_span
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, joined, thermal_model, vent_profile
+
+# The program limits the ramp at its collocation points only; between them, and on the fine grid, it is a little more.
+RAMP_KEPT = 0.03
+"""Share of the ramp that is kept for the fine grid."""
+
+# Where room for counts would take nearly all of the ramp, the heating would never end.
+RAMP_LEFT = 0.15
+"""Share of the ramp that is left at least when room is made for whole counts."""
+
+# More than any tube misses a window by: with it the program is always feasible, at a price.
+MOST_MISS = 1500.0
+"""Largest miss of the window, K."""
+
+# Drives are linear between some 25 nodes; a duty is their quotient by a current that changes slowly, so 16 points on
+# each interval follow it to a thousandth of a count.
+DUTY_POINTS = 401
+"""Points of the piecewise linear duty over heating and hold."""
+
+# Half a time step of the fine grid: the guess obeys the ramp to a few K/s.
+GUESS_SLOT = 0.25
+"""Slot of the controller that finds the starting schedule, s."""
+
+# From a small miss IPOPT takes the slack back in a few steps; where the start is far off, a slack of 0 takes a hundred.
+GUESS_MISS = 20.0
+"""Miss of the window by the starting schedule above which the program starts with slack, K."""
 
 WEIGHTS = {
     "time": {"w_time": 1.0, "w_energy": 0.0, "w_centre": 0.02, "w_miss": 1.0, "w_drive": 0.01},
@@ -130,7 +170,7 @@ def solve_ideal(
         SolveError: IPOPT did not converge; the message says at what the worst constraint is.
     """
     structure = Structure(PROGRAM, clear=below and spec.objective == "margin", chosen=spec.free)
-    made = program(structure, spec.solver.program.ipopt, spec.solver.program.again_iterations)
+    made = program(structure)
     x = guess.x if guess is not None else first_guess(made, tube, rig, spec)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(made, shift)
@@ -173,9 +213,9 @@ def _solved(
 
 def planned_ramp(tube: Tube, rig: Rig, spec: HeatingSpec, room: float) -> float:
     """The ramp less what the fine grid takes of it and `room` counts, K/s."""
-    ramp, count = (1 - spec.solver.program.ramp_kept) * spec.ramp, count_rate(tube, rig)
+    ramp, count = (1 - RAMP_KEPT) * spec.ramp, count_rate(tube, rig)
     # Rounded to the nearest count a duty is up to half a count greater. Where one is too much, no room would do.
-    return max(ramp - room * count, spec.solver.program.ramp_left * spec.ramp) if count < ramp else ramp
+    return max(ramp - room * count, RAMP_LEFT * spec.ramp) if count < ramp else ramp
 
 
 def _wishes(spec: HeatingSpec, tube: Tube, rig: Rig, reserve: tuple[float, float], room: float) -> Array:
@@ -219,7 +259,7 @@ def _unknown_bounds(s: Structure, tube: Tube, rig: Rig, spec: HeatingSpec) -> tu
         "circuit": (0.0, np.inf),
         "drive": (0.0, drives),
         "durations": (0.5 / DURATION, spec.longest_heating / DURATION),
-        "misses": (-1e3 if spec.objective == "margin" else 0.0, spec.solver.program.most_miss),
+        "misses": (-1e3 if spec.objective == "margin" else 0.0, MOST_MISS),
         "design": [np.concatenate(side) for side in zip(lengths.T, opened, strict=True)],
         "copies": (-np.inf, np.inf),
     }
@@ -250,7 +290,7 @@ def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iter
     heating = DURATION * float(duration[0, 0])
     faces, points = made.structure.mesh.times(heating, spec.covered_time)
     # The drive is linear between the nodes, the current is known at the points: the duty is curved a little.
-    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], spec.solver.program.duty_points)]))
+    fine = np.unique(np.concatenate([faces, np.linspace(0.0, faces[-1], DUTY_POINTS)]))
     ampere = AMPERE * np.interp(fine, points, circuit[0])
     duty = DRIVE * np.interp(fine, faces, u.ravel()) / ampere**2
     clamps, mold = rig.clamps, rig.mold
@@ -304,7 +344,7 @@ def _led(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, planned: float)
     s = made.structure
     model = thermal_model(tube, rig, s.resolution)
     (target, ramp), hold = _aim(spec), spec.covered_time
-    count = int(np.clip(np.ceil((planned + hold) / spec.solver.program.guess_slot), 200, 2000))
+    count = int(np.clip(np.ceil((planned + hold) / GUESS_SLOT), 200, 2000))
     slot = (planned + hold) / count
 
     def controller(time: float, state: State) -> float:
@@ -325,7 +365,7 @@ def _start_miss(made: Program, model: ThermalModel, spec: HeatingSpec, z: Array)
     held = joined(model, tube) - ZERO_CELSIUS
     low, high = spec.window_degC
     miss = max(low - float(held.min()), float(held.max()) - high)
-    return 1.1 * miss if miss > spec.solver.program.guess_miss else 0.0
+    return 1.1 * miss if miss > GUESS_MISS else 0.0
 
 
 def duty_for(model: ThermalModel, state: State, wanted: float, slot: float, current_limit: float) -> float:

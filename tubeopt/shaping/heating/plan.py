@@ -1,4 +1,4 @@
-"""What a heating plan holds: the schedule, the temperatures that it makes, and what they mean for the tube."""
+"""A heating plan: the schedule, the temperatures that it makes, what they mean for the tube, and its files."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
+from ...errors import InputError
+from ...files.csv_file import to_csv
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.tubes import Tube
 from ...typing import Array, Delegate, StatusEnum
 from .controller import Feedback
-from .counts import Counts, heating_rate
+from .counts import Counts, heating_rate, stops
 from .outcome import Outcome, hold_slots, remarks
-from .reasons import reasons_of
-from .remedies import Cure
 from .rig import COUNTS, Rig
-from .schedule import Schedule
+from .schedule import HOPELESS, Schedule
 from .simulation import stored
 from .spec import HeatingSpec
 from .thermal import thermal_data
@@ -43,6 +43,22 @@ class HeatingStatus(StatusEnum):
 
     HELD = "window, limits and ramp are satisfied"
     MISSED = "the best schedule violates a requirement"
+
+
+@dataclass(frozen=True)
+class Cure:
+    """A change, in words, and what would still be wrong with it."""
+
+    change: str
+    shortfall: float
+    """By how much the window would be missed, K."""
+    broken: tuple[str, ...] = ()
+    """What of ramp and currents would not be kept."""
+
+    @property
+    def cures(self) -> bool:
+        """Whether all would be kept, by a schedule of whole counts."""
+        return self.shortfall <= 0.0 and not self.broken
 
 
 @dataclass(frozen=True)
@@ -343,3 +359,115 @@ def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
         f"for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af changes. This is {than} than the "
         f"{SHORTEST:.0f} s of the shortest published treatment (BIOMED2007, p. 89). Measure Af of the remaining tube",
     )
+
+
+# --- what keeps a schedule from its window ----------------------------------------------------------------------------
+
+
+WORTH = 0.1
+"""Relative change that is worth being reported: of a miss, and of the time to the longest heating."""
+
+LEAST_SHARE = 0.1
+"""Share of the time to the end of the hold from which on a limit is named that allows no count more."""
+
+
+def reasons_of(found: Schedule) -> tuple[str, ...]:
+    """What keeps a schedule from its window; empty where the window is kept.
+
+    Far below the limit of temperature, these are the limits that allow no count more. Near that limit, a count more
+    makes one place too hot while another is too cold.
+    """
+    outcome, spec, rig = found.outcome, found.spec, found.run.rig
+    if outcome.shortfall <= 0:
+        return ()
+    _, last = hold_slots(spec, found.run.start)
+    states = [found.checked.state(k) for k in range(last)]
+    stopped = stops(found.run.model, spec, rig, found.counts[:last], states)
+    words = {
+        "duty": "the switch conducts all the time",
+        "current": f"the mean current of {rig.circuit.current_limit:g} A allows no count more",
+        "ramp": f"the ramp of {spec.ramp:g} K/s allows no count more",
+    }
+    held = {limit: stopped.count(limit) for limit in words}
+    until = f"of the {spec.slot * last:g} s to the end of the hold"
+    said = [
+        f"{words[limit]} in {spec.slot * slots:g} {until}"
+        for limit, slots in held.items()
+        if slots > LEAST_SHARE * last
+    ]
+    if said and found.run.start > (1 - WORTH) * spec.longest_heating:
+        said.append(f"the heating may last {spec.longest_heating:g} s at most")
+    if not said or outcome.hottest + outcome.mesh.hottest > spec.limit - HOPELESS:
+        said.insert(
+            0,
+            f"in the hold the curved part is at {outcome.lowest:.1f} to {outcome.highest:.1f} degC while the hottest "
+            f"point of the tube reaches {outcome.hottest:.1f} degC of {spec.limit:g} degC",
+        )
+    return tuple(said)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+PER_LINE = 16
+
+
+def schedule_csv(plan: HeatingPlan) -> str:
+    """A row for every slot: its beginning, the duty (0-255), and what the simulation tells.
+
+    `coldest_degC` and `hottest_degC` are of the curved part, `limit_point_degC` is the hottest of the whole tube;
+    voltage and current are those while the MOSFET conducts.
+    """
+    curved = plan.temperature[:, plan.curved]
+    columns = {
+        "time_s": (plan.time, ".3f"),
+        "duty": (plan.duty, "d"),
+        "ideal_duty": (plan.ideal_duty, ".3f"),
+        "coldest_degC": (curved.min(1), ".2f"),
+        "hottest_degC": (curved.max(1), ".2f"),
+        "limit_point_degC": (plan.temperature.max(1), ".2f"),
+        "voltage_V": (plan.voltage, ".3f"),
+        "current_A": (plan.current, ".2f"),
+    }
+    rows = zip(*([f"{value:{form}}" for value in values] for values, form in columns.values()), strict=True)
+    comment = (
+        f"{plan.rig.name or 'rig'}: every duty holds for {plan.spec.slot:g} s; hold from {plan.hold_start:g} to "
+        f"{plan.hold_end:g} s; battery at {plan.rig.battery.voltage:.2f} V at rest"
+    )
+    return to_csv(tuple(columns), rows, comment)
+
+
+def arduino_header(plan: HeatingPlan) -> str:
+    """A C header with the duties as bytes, for `analogWrite` every SLOT_MS ms; errors as `slot_milliseconds`."""
+    duty, milliseconds = plan.duty.tolist(), slot_milliseconds(plan.spec.slot)
+    lines = [", ".join(f"{d:3d}" for d in duty[k : k + PER_LINE]) for k in range(0, len(duty), PER_LINE)]
+    body = ",\n".join(f"    {line}" for line in lines)
+    return f"""/* Heating schedule for a shape-setting rig: duty (0-255) of the PWM, one byte for every slot.
+   For a battery of {plan.rig.battery.voltage:.2f} V at rest. The last duty is 0: the tube is off. */
+#ifndef HEATING_SCHEDULE_H
+#define HEATING_SCHEDULE_H
+
+#include <stdint.h>
+#ifdef __AVR__
+#include <avr/pgmspace.h> /* pgm_read_byte(&HEATING_DUTY[k]) */
+#else
+#define PROGMEM
+#endif
+
+#define HEATING_SLOT_MS {milliseconds}u
+#define HEATING_SLOTS {len(duty)}u
+
+static const uint8_t HEATING_DUTY[HEATING_SLOTS] PROGMEM = {{
+{body}
+}};
+
+#endif
+"""
+
+
+def slot_milliseconds(slot: float) -> int:
+    """A slot (s) in ms; raises InputError where that is no whole number."""
+    milliseconds = round(1000 * slot)
+    if abs(milliseconds - 1000 * slot) > 1e-9 or milliseconds < 1:
+        raise InputError(f"slot is {slot:g} s; for an Arduino it must be a whole number of milliseconds")
+    return milliseconds

@@ -17,13 +17,21 @@ import scipy
 from ...typing import Array
 from .controller import HeatingLaw
 from .counts import most_count
-from .feedback_design import Response, response
 from .plan import HeatingPlan
 from .rig import COUNTS
+from .robust import Response, response
 from .sensors import Felt, Sensor
-from .settings import ReplanningSolver
 from .simulation import State
 from .thermal import PROGRAM, ThermalModel, thermal_model
+
+MOST_STRENGTH, STRENGTH_CHANGE = 0.5, 0.01
+"""Largest relative deviation of the heating power from the model, and its change in a slot."""
+
+DRIFT, ROUGH = 1.0, 2.0
+"""Drift of the temperature in a slot, and error of the model in a reading beside the sensor's noise, K."""
+
+PROBE = 0.05
+"""Relative increase of a planned duty that tests the response."""
 
 MOST_SLOTS = 12
 """Of one lead: the board goes on alone where no other comes before it ends; it takes no more than 20."""
@@ -69,15 +77,15 @@ def planner_for(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor) -> Planner:
     """The planner for a rig that a law leads."""
     model = thermal_model(plan.tube, plan.rig, PROGRAM)
     found = response(model, sensor, law)
-    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise, plan.spec.solver.replanning))
+    return Planner(plan, law, sensor, model, observer_gains(found, law.slot, sensor.noise))
 
 
-def observer_gains(found: Response, slot: float, noise: float, solver: ReplanningSolver) -> tuple[float, float]:
+def observer_gains(found: Response, slot: float, noise: float) -> tuple[float, float]:
     """Gains of the Kalman filter in the long run, of temperature and strength."""
     kept = float(np.exp(-slot / found.time_constant))
     A = np.array([[kept, found.gain * (1 - kept)], [0.0, 1.0]])
     C = np.array([[1.0, 0.0]])
-    expected, wrong = np.diag([solver.drift**2, solver.strength**2]), noise**2 + solver.rough**2
+    expected, wrong = np.diag([DRIFT**2, STRENGTH_CHANGE**2]), noise**2 + ROUGH**2
     P = scipy.linalg.solve_discrete_are(A.T, C.T, expected, [[wrong]])
     gain = P @ C.T / (C @ P @ C.T + wrong)
     return float(gain[0, 0]), float(gain[1, 0])
@@ -93,8 +101,7 @@ def observed(planner: Planner, before: Estimate, reading: float, count: float, s
     change = planner.gains[0] * error
     cells = felt.state.cells.copy()
     cells[0, :, 0] += change * rise
-    most = planner.plan.spec.solver.replanning.share
-    strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -most, most))
+    strength = float(np.clip(before.strength + planner.gains[1] * error * rise.max(), -MOST_STRENGTH, MOST_STRENGTH))
     part = float(rise.max()) * change
     now = Felt(State(cells, felt.state.lumped), felt.target + part, felt.lagged + part)
     return _after(planner, Estimate(now, strength), max(count - planner.law.lost, 0.0), span)
@@ -109,7 +116,7 @@ def _after(planner: Planner, now: Estimate, planned: float, span: float) -> Esti
 def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
     """The rest of the heating from a slot of the schedule on: counts with which the sensor reads what the law wants as
     each slot ends, within what the law may change and what ramp and current allow."""
-    law, share, probe = planner.law, planner.law.share, planner.plan.spec.solver.replanning.probe
+    law, share = planner.law, planner.law.share
     planned, reading = [], []
     for k in range(place, len(law.planned)):
         ends, begins = (float(law.reference[min(at, len(law.reference) - 1)]) for at in (k + 1, k))
@@ -117,9 +124,9 @@ def replanned(planner: Planner, now: Estimate, place: int) -> Rest:
         wanted = ends + planner.sensor.lag * (ends - begins) / law.slot
         usual = float(law.planned[k])
         low, high = usual * (1 - share), usual * (1 + share)
-        probes = usual, usual * (1 + probe)
+        probes = usual, usual * (1 + PROBE)
         first, second = (float(_after(planner, now, level, law.slot).felt.target[0]) for level in probes)
-        slope = (second - first) / max(probe * usual, 1e-9)
+        slope = (second - first) / max(PROBE * usual, 1e-9)
         level = float(np.clip(usual + (wanted - first) / max(slope, 1e-6), low, high))
         if k < law.hold[0]:
             most = most_count(planner.model, now.felt.state, planner.plan.spec, planner.plan.rig)

@@ -15,18 +15,169 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import Counts, guarded_counts, ripple, soonest
-from .nearest import Nearest, capped, nearest_hold
+from .counts import DECIDED, Counts, Pace, guarded_counts, paced, ripple, soonest, would_centre
 from .optimal_schedule import Ideal, Shift, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
-from .simulation import History, resimulate, simulate
+from .simulation import History, at_rest, resimulate, simulate
 from .spec import HeatingSpec
 from .thermal import COARSE, FINE, ThermalModel, joined, thermal_model
+
+# --- the hold that misses a window by least, by mean duties: searched over when it is, and how hot --------------------
+
+
+PLACES = 800
+"""Times at which the hold may begin, at least half a second apart."""
+
+BRANCHES = 9
+"""Times from which on the curved part is brought to the window's middle."""
+
+SETTLING = 60.0
+"""Time after which such a hold begins at the latest, s."""
+
+BURST = 20.0
+"""Length of a hold up to which a colder wait before it may pay, s."""
+
+WAITS = 0.6, 0.85
+"""Temperatures of the wait, as shares of the limit's rise over ambient."""
+
+RISES, BEFORE = (2.0, 5.0, 10.0, 20.0, 40.0), 5.0
+"""By how much the hold begins below the limit, to which it rises, K; and how long before the hold, s."""
+
+SAME_MISS = 0.02
+"""Misses that differ by less are equal, K: the soonest is taken."""
+
+CAPS = 4
+"""Limits of the hottest point that are tried until its counts come to just below the limit."""
+
+ROOM, MORE_ROOM = 0.75, 1.0
+"""Reserve below the ramp, as the warming by so many counts; and the larger one, if counts fall behind with it."""
+
+ROUNDS = 4
+"""Rounds of the optimal control problem; each is corrected by the difference of its grid from the fine one."""
+
+TRIMS = 8
+"""How often duties are scaled down until no point is above the limit."""
+
+COOLING = 10.0
+"""Simulated time after the hold, the tube still in the mold, s."""
+
+SAME_SHIFT = 0.3
+"""Change of the correction below which another round would change nothing, K."""
+
+HOPELESS = 5.0
+"""Miss of the window after the first round that no correction repairs, K."""
+
+SETTLED = 2.0
+"""Miss of the window by the corrected program that no further round repairs, K."""
+
+FINE_SWING = 0.5
+"""Largest ripple by the rounding of duties with which the estimate without counts is accurate enough, K."""
+
+FIRST_ERROR = 0.004
+"""Mesh error before it is known, as a fraction of the rise in temperature."""
+
+RESERVE = 0.3
+"""Kept from the window's ends beyond rounding and mesh error, K."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Mean duties to the end of a hold, with which of them it begins, and by how much it misses the window, K."""
+
+    pace: Pace
+    first: int
+    missed: float
+
+
+def nearest_hold(tube: Tube, rig: Rig, spec: HeatingSpec) -> Nearest:
+    """The mean duties that miss the window by least, wherever the hold is and at whatever temperature.
+
+    More power never makes anything colder. So it heats as fast as ramp and currents allow, until the hottest point is
+    at the limit; at some time it lets the curved part spread evenly about the window's middle, as far as the limit
+    allows; and it holds where that misses by least. All times are searched on a grid over all that may be; then holds
+    that rise to the limit, and short ones after a colder wait, in which the tube is more even.
+    """
+    (model, rough), swing = (thermal_model(tube, rig, grid) for grid in (FINE, COARSE)), ripple(tube, rig, spec)
+    guess = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    found = placed(model, rig, spec, spec.limit - guess - swing)
+    # What the mesh adds is known of these duties.
+    runs = ((m, simulate(m, found.pace.span, found.pace.levels)) for m in (rough, model))
+    start = found.first * found.pace.span
+    error = mesh_error(next(runs), next(runs), replace(spec, slot=found.pace.span), start)
+    return capped(model, rig, spec, found, guess - error.hottest - RESERVE)
+
+
+def capped(model: ThermalModel, rig: Rig, spec: HeatingSpec, found: Nearest, higher: float) -> Nearest:
+    """The same policy with caps that are so much `higher`, K."""
+    policy = found.pace.caps + higher, found.pace.centred
+    pace = paced(model, spec, rig, policy, at_start(model, found.pace.span))
+    return Nearest(pace, found.first, float(missed_by(model, spec, pace, len(pace.levels) - found.first)[-1]))
+
+
+def at_start(model: ThermalModel, span: float) -> Pace:
+    """Before the first duty."""
+    return Pace(span, np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool), (at_rest(model),))
+
+
+def placed(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> Nearest:
+    """The mean duties with which no point is hotter than `cap`, degC, that miss the window by least."""
+    slots = int(spec.longest_heating / spec.slot)
+    each = max(round(DECIDED / spec.slot), math.ceil(slots / PLACES), 1)
+    span, longest, hold = each * spec.slot, slots // each, -(-spec.hold_slots // each)
+    rest, places = at_start(model, span), np.arange(longest + hold)
+    tried: list[tuple[float, int, Pace]] = []
+
+    def follow(caps: Array, centred: NDArray[np.bool_], known: Pace, least: int = 1) -> Pace:
+        pace = paced(model, spec, rig, (caps, centred), known)
+        missed = missed_by(model, spec, pace, hold)[: longest + 1]
+        missed[:least] = np.inf
+        # The soonest of those that are as good.
+        first = int(np.argmax(missed <= missed.min() + SAME_MISS))
+        tried.append((float(missed[first]), first, pace))
+        return pace
+
+    hottest = follow(np.full(len(places), cap), places < 0, rest)
+    free = np.flatnonzero(would_centre(model, spec, hottest)[: longest + 1])
+    if len(free):
+        settle = round(SETTLING / span)
+        spread = np.geomspace(1, longest + 1, BRANCHES).astype(int) - 1
+        for at in sorted({int(free[0]), *(int(at) for at in spread if at >= free[0])}):
+            until = at + settle + hold if at > free[0] else len(places)
+            follow(hottest.caps[:until], places[:until] >= at, hottest, max(at, 1))
+    if spec.hold_time <= BURST:
+        ambient = model.ambient - ZERO_CELSIUS
+        for share in WAITS:
+            rise = math.ceil((1 - share) * (cap - ambient) / spec.ramp / span)
+            waiting = places < longest - 2 * rise
+            follow(
+                np.where(waiting, ambient + share * (cap - ambient), cap), places < 0, rest, max(longest - 2 * rise, 1)
+            )
+    _, first, pace = min(tried, key=lambda one: one[0])
+    last, before = first + hold, round(BEFORE / span)
+    for lower in RISES:
+        rising = np.clip((last - places[:last]) / hold, 0.0, 1.0) * lower
+        caps = pace.caps[:last] - np.where(places[:last] >= first - before, rising, 0.0)
+        follow(caps, pace.centred[:last], pace, max(first - before, 1))
+    missed, first, pace = min(tried, key=lambda one: one[0])
+    last = first + hold
+    kept = Pace(span, pace.levels[:last], pace.caps[:last], pace.centred[:last], pace.states[: last + 1])
+    return Nearest(kept, first, missed)
+
+
+def missed_by(model: ThermalModel, spec: HeatingSpec, pace: Pace, hold: int) -> Array:
+    """(P,) by how much the window is missed where the hold, `hold` duties long, begins with each of the duties, K."""
+    coldest, hottest, _ = np.lib.stride_tricks.sliding_window_view(pace.seen(model), hold + 1, axis=1)
+    low, high = spec.window_degC
+    return np.asarray(np.maximum(low - coldest.min(1), hottest.max(1) - high))
+
+
+# --- schedules of whole counts ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,21 +247,21 @@ def checked(spec: HeatingSpec, run: Run, counts: Counts, program: Programmed | N
 
 def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
     """The schedule that keeps everything, or the one that misses the window by least."""
-    room, more = spec.solver.program.room, spec.solver.program.more_room
+    room, more = ROOM, MORE_ROOM
     hasty, fixed = spec.objective == "time", not spec.free
     if hasty and fixed and (sooner := _hastened(tube, rig, spec)) is not None:
         return sooner
     # Nothing is farther from the window's ends than what does not fall behind.
     first = more if spec.objective == "margin" else room
     nearest = nearest_hold(tube, rig, spec) if hasty and fixed else None
-    far, counted = nearest is not None and nearest.missed > spec.solver.hopeless, None
+    far, counted = nearest is not None and nearest.missed > HOPELESS, None
     if nearest is not None and far:
         # No program missed by less than this search where one count alone keeps the limits.
         counted = _counted(tube, rig, spec, nearest, None)
         if not counted.breaks and not counted.outcome.excess:
             return counted
-    found = _corrected(tube, rig, spec, first, rounds=1 if far else spec.solver.rounds)
-    if hasty and not fixed and found.outcome.shortfall <= spec.solver.hopeless:
+    found = _corrected(tube, rig, spec, first, rounds=1 if far else ROUNDS)
+    if hasty and not fixed and found.outcome.shortfall <= HOPELESS:
         sooner = _hastened(tube, found.run.rig, spec)
         if sooner is not None and not (found.kept and sooner.run.start >= found.run.start):
             return sooner
@@ -118,7 +269,7 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
         return found
     same = planned_ramp(tube, rig, spec, first) == planned_ramp(tube, rig, spec, more)
     if not (far or same) and _behind(found, spec):
-        found = min(found, _corrected(tube, rig, spec, more, rounds=spec.solver.rounds), key=_missing)
+        found = min(found, _corrected(tube, rig, spec, more, rounds=ROUNDS), key=_missing)
     if nearest is None and found.outcome.shortfall > 0:
         nearest = nearest_hold(tube, found.run.rig, spec)
     hopeless = nearest is None or nearest.missed > found.outcome.shortfall
@@ -131,12 +282,12 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule:
 def programmed(tube: Tube, rig: Rig, spec: HeatingSpec) -> Programmed:
     """What the program says of a schedule before any correction."""
     reserve = _first_reserve(tube, rig, spec)
-    return Programmed(solve_ideal(tube, rig, spec, reserve=reserve, room=spec.solver.program.room), None, reserve)
+    return Programmed(solve_ideal(tube, rig, spec, reserve=reserve, room=ROOM), None, reserve)
 
 
 def _first_reserve(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[float, float]:
     """What is kept from the window's ends before rounding and mesh error are known, K."""
-    error = spec.solver.first_error * (spec.limit + ZERO_CELSIUS - rig.ambient)
+    error = FIRST_ERROR * (spec.limit + ZERO_CELSIUS - rig.ambient)
     return 2 * (ripple(tube, rig, spec) + error,)
 
 
@@ -167,7 +318,7 @@ def foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
 def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
     """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
     # Other charges are rounded anew: half a count is left for that.
-    least, model = spec.solver.reserve + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
+    least, model = RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
     # What the mesh adds is told by the same on a coarse one.
     rough = soonest(model, spec, rig, least)
     if rough is None:
@@ -179,7 +330,7 @@ def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, fl
     answer = soonest(fine, spec, rig, error.most + least)
     if answer is None:
         return None
-    cooling = np.zeros(math.ceil(spec.solver.cooling / spec.slot))
+    cooling = np.zeros(math.ceil(COOLING / spec.slot))
     return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
 
 
@@ -188,19 +339,19 @@ def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, fl
 
 def _counted(tube: Tube, rig: Rig, spec: HeatingSpec, nearest: Nearest, program: Programmed | None) -> Schedule:
     """The schedule of whole counts in the place of mean duties, whose hottest point comes to just below the limit."""
-    model, solver, best = thermal_model(tube, rig, FINE), spec.solver, None
-    for _ in range(solver.nearest.caps):
+    model, best = thermal_model(tube, rig, FINE), None
+    for _ in range(CAPS):
         pace, first = nearest.pace, nearest.first
         each = round(pace.span / spec.slot)
         heated = np.repeat(pace.levels, each)[: first * each + spec.hold_slots]
-        levels = np.append(heated, np.zeros(math.ceil(solver.cooling / spec.slot)))
+        levels = np.append(heated, np.zeros(math.ceil(COOLING / spec.slot)))
         found = _guarded(tube, spec, _run(tube, rig, spec, levels, first * pace.span), 1.0, program)
         best = found if best is None else min(best, found, key=_missing)
         spare = spec.limit - found.outcome.hottest - found.outcome.mesh.hottest
-        reached = float(pace.seen(model)[2].max()) > pace.caps.max() - solver.same_shift
-        if 0 <= spare <= 4 * solver.reserve or (spare > 0 and not reached):
+        reached = float(pace.seen(model)[2].max()) > pace.caps.max() - SAME_SHIFT
+        if 0 <= spare <= 4 * RESERVE or (spare > 0 and not reached):
             break
-        nearest = capped(model, rig, spec, nearest, spare - solver.reserve)
+        nearest = capped(model, rig, spec, nearest, spare - RESERVE)
     assert best is not None
     return best
 
@@ -209,7 +360,7 @@ def _far(model: ThermalModel, spec: HeatingSpec, history: History, start: float)
     """Whether the window is missed by so much that no grid would change it."""
     (low, high), (first, last) = spec.window_degC, hold_slots(spec, start)
     held = joined(model, history.tube[first : last + 1, 0]) - ZERO_CELSIUS
-    return bool(max(low - held.min(), held.max() - high) > spec.solver.hopeless)
+    return bool(max(low - held.min(), held.max() - high) > HOPELESS)
 
 
 def _run(tube: Tube, rig: Rig, spec: HeatingSpec, levels: Array, start: float) -> Run:
@@ -223,12 +374,12 @@ def _behind(found: Schedule, spec: HeatingSpec) -> bool:
     run = found.run
     start = round(run.start / spec.slot)
     lag = joined(run.model, run.exact.tube[start, 0] - found.checked.tube[start, 0])
-    return 0 < found.outcome.shortfall < float(lag.max()) + spec.solver.hopeless
+    return 0 < found.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
 def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: int) -> Schedule:
     """The schedule after as many corrections as it takes, in so many rounds at most, with `room` below the ramp."""
-    swing, solver = ripple(tube, rig, spec), spec.solver
+    swing = ripple(tube, rig, spec)
     reserve = _first_reserve(tube, rig, spec)
     ideal: Ideal | None = None
     shift: Shift | None = None
@@ -240,20 +391,20 @@ def _corrected(tube: Tube, rig: Rig, spec: HeatingSpec, room: float, *, rounds: 
         run = _run(tube, ideal.rig, spec, commanded(slots(ideal, spec), ideal.rig), hold_start(ideal, spec))
         lost = (swing, 4 * swing)
         # No counts keep what mean duties miss by far: before the correction, which may keep the limit, none are asked.
-        if round_ or rounds == 1 or swing > solver.fine_swing or not _hopeless(ideal, run, spec):
+        if round_ or rounds == 1 or swing > FINE_SWING or not _hopeless(ideal, run, spec):
             found = _guarded(tube, spec, run, 1.0, Programmed(ideal, shift, reserve))
             # The margin is that of the fine grid only after a correction.
             if best is None or spec.objective == "margin" or found.outcome.shortfall <= best.outcome.shortfall:
                 best = found
             if found.outcome.shortfall <= 0 and (spec.objective != "margin" or round_):
                 break
-            if ideal.miss > (solver.settled if round_ else 10 * solver.hopeless):
+            if ideal.miss > (SETTLED if round_ else 10 * HOPELESS):
                 break
             lost = _rounded(found, spec)
         before, shift = shift, Shift.between(ideal, tube, run.model, run.exact, slots_on(ideal, spec))
-        if before is not None and before.near(shift, solver.same_shift):
+        if before is not None and before.near(shift, SAME_SHIFT):
             break
-        reserve = (lost[0] + run.error.most + solver.reserve, lost[1] + run.error.most + solver.reserve)
+        reserve = (lost[0] + run.error.most + RESERVE, lost[1] + run.error.most + RESERVE)
     assert best is not None
     return _trimmed(tube, spec, best)
 
@@ -266,14 +417,14 @@ def _guarded(tube: Tube, spec: HeatingSpec, run: Run, scale: float, program: Pro
         return found
     # Limits that one count breaks already are broken by more only where that keeps much more of the window.
     hurried = checked(spec, run, guarded_counts(run.model, spec, run.rig, levels, hurried=True), program)
-    return hurried if hurried.outcome.shortfall < found.outcome.shortfall - spec.solver.hopeless else found
+    return hurried if hurried.outcome.shortfall < found.outcome.shortfall - HOPELESS else found
 
 
 def _hopeless(ideal: Ideal, run: Run, spec: HeatingSpec) -> bool:
     """Whether the window is missed by far, but by so little, or with so hot a point, that a correction changes much."""
     hottest = float(run.exact.tube.max()) - ZERO_CELSIUS + run.error.hottest
-    corrigible = ideal.miss <= 10 * spec.solver.hopeless or hottest > spec.limit
-    return ideal.miss > spec.solver.hopeless and corrigible and _far(run.model, spec, run.exact, run.start)
+    corrigible = ideal.miss <= 10 * HOPELESS or hottest > spec.limit
+    return ideal.miss > HOPELESS and corrigible and _far(run.model, spec, run.exact, run.start)
 
 
 def realised(tube: Tube, spec: HeatingSpec, ideal: Ideal) -> Outcome:
@@ -294,12 +445,12 @@ def _outcome(tube: Tube, rig: Rig, spec: HeatingSpec, counts: Counts, start: flo
 def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
     """With counts of the duties scaled down until no point is above the limit, less the mesh's error."""
     run, scale = found.run, 1.0
-    for _ in range(spec.solver.trims):
+    for _ in range(TRIMS):
         excess = found.outcome.excess
         if excess <= 0:
             break
         # Temperatures rise nearly in proportion to the duty.
-        scale *= 1 - (excess + spec.solver.reserve) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
+        scale *= 1 - (excess + RESERVE) / (spec.limit + ZERO_CELSIUS - run.model.ambient)
         found = _guarded(tube, spec, run, scale, found.program)
     return found
 
@@ -307,7 +458,7 @@ def _trimmed(tube: Tube, spec: HeatingSpec, found: Schedule) -> Schedule:
 def slots(ideal: Ideal, spec: HeatingSpec) -> Array:
     """(T,) ideal mean duty in every slot: heating, hold, and 0 while the tube cools in the mold."""
     levels = ideal.duty(spec.slot, slots_on(ideal, spec))
-    return np.concatenate([levels, np.zeros(math.ceil(spec.solver.cooling / spec.slot))])
+    return np.concatenate([levels, np.zeros(math.ceil(COOLING / spec.slot))])
 
 
 def commanded(duty: Array, rig: Rig) -> Array:

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from ...display import Displayed
-from ...errors import InputError, choice, finite, instance, items, positive, vector
+from ...errors import InputError, choice, finite, items, positive, vector
 from ...files.field_metadata import POSITIVE, OneOf, Range, Typical, check_fields, key, unit
-from .settings import DEFAULT_HEATING, HeatingSolver
 
 OBJECTIVES = ("time", "energy", "margin")
 QUENCHES = ("water", "air")
@@ -77,13 +76,10 @@ class HeatingSpec(Displayed):
         Range(above=0.0, most=0.5),
         "largest open fraction of the tube's surface, with --free vents",
     ] = 0.4
-    solver: HeatingSolver = DEFAULT_HEATING
-    """Settings of the search."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         check_fields(self)
-        instance("solver", self.solver, HeatingSolver)
         set_field(self, "window_degC", _pair("window_degC", self.window_degC))
         low, high = self.window_degC
         limit = high if self.limit_degC is None else finite("limit_degC", self.limit_degC)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from ...errors import InputError
 from ...robots.tubes import Tube
 from .groove import Point
-from .nesting import SLACK, Blank
-from .setting import bend_direction, tube_in_mold
+from .layout import SLACK, Blank
 from .spec import EndMill, MoldSpec
+from .springback import bend_direction, tube_in_mold
 
 OVERRUN = 1e-3
 """The cutter's edge clears the plate by this much (m) before it goes down or up."""

@@ -14,8 +14,7 @@ from ...solvers.time_limit import TIME_LIMIT, limited
 from ..heating.plan import HeatingPlan
 from ..heating.planning import plan_heating
 from ..heating.rig import Rig
-from ..materials import MOLD_MATERIALS, MoldMaterial
-from ..recipes import check_temperatures
+from ..materials import MOLD_MATERIALS, MoldMaterial, check_temperatures
 from .heat import HeatSpec, heat_drawn, heat_flow, heating_for, thermal_data
 from .spec import PlateSpec
 
@@ -149,9 +148,8 @@ def _rate(tube: Tube, material: MoldMaterial, heat: HeatSpec, plate: PlateSpec) 
 
 def _planned(tube: Tube, heat: HeatSpec, rig: Rig, material: MoldMaterial) -> HeatingPlan:
     """The heating of a tube on a rig with a mold of a material; nothing that would help is searched for."""
-    spec = heating_for(heat)
-    spec = replace(spec, solver=replace(spec.solver, cures=replace(spec.solver.cures, most=0)))
-    return plan_heating(tube, replace(rig, mold=replace(rig.mold, material=material)), spec)
+    on = replace(rig, mold=replace(rig.mold, material=material))
+    return plan_heating(tube, on, heating_for(heat), cures=False)
 
 
 def _reasons(rating: MaterialRating, heat: HeatSpec, least: float) -> tuple[str, ...]:

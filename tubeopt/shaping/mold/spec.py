@@ -10,7 +10,6 @@ from ...errors import InputError, instance, numbers, positive, vector
 from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Named, OneOf, Range, Typical, check_fields, key, unit
 from ..materials import CALCIUM_SILICATE, MOLD_MATERIALS, MoldMaterial, mold_material
 from .heat import HeatSpec
-from .settings import DEFAULT_MOLD, MoldSolver
 from .springback import Springback
 
 ENDS = ("proximal", "distal")
@@ -265,8 +264,6 @@ class MoldSpec(Displayed):
     clamps: Annotated[ClampSpec, "the clamps outside the plate"] = field(default_factory=ClampSpec)
     vents: Annotated[VentSpec, "vents of the top plate over the bend"] = field(default_factory=VentSpec)
     heat: Annotated[HeatSpec, "heating conditions of the mold design"] = field(default_factory=HeatSpec)
-    solver: MoldSolver = DEFAULT_MOLD
-    """Settings of the search and of the drawings."""
 
     def __post_init__(self) -> None:
         if isinstance(self.material, str):
@@ -274,4 +271,3 @@ class MoldSpec(Displayed):
         if isinstance(self.springback, (int, float)):
             object.__setattr__(self, "springback", Springback(self.springback))
         check_fields(self, "the mold")
-        instance("solver", self.solver, MoldSolver)

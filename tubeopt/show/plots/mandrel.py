@@ -9,8 +9,7 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...shaping.mold.mandrel import Cylinder, Mandrel
-from ...shaping.mold.mandrel_files import rotation_table
+from ...shaping.mold.mandrel import Cylinder, Mandrel, rotation_table
 from ...typing import Array
 from ..colours import tube_colour
 from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows

@@ -11,7 +11,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
-from ...shaping.mold.drawing import draw_plate
+from ...shaping.mold.files import draw_plate
 from ...shaping.mold.gcode import clear_room
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.mold import Groove, Mold
