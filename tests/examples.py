@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from tubeopt import ConcentricRobot, Material, Tube, load_robot
 from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem
-from tubeopt.equilibrium.member import Point
-from tubeopt.equilibrium.unloaded import PlainPoint, Unloaded
+from tubeopt.equilibrium.member import PlainPoint, Point, Unloaded
 from tubeopt.robots.assembly import Assembly, assemble
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.solvers.newton import NewtonResult

@@ -147,7 +147,7 @@ FORBIDDEN = {
     "planning/motion.py": ("from ..design import task", "questions do not know each other"),
     "inverse/custom_terms.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
     "show/formatting.py": ("from ..cli import output", "what is shown does not know the commands"),
-    "equilibrium/along.py": ("import casadi", "CasADi is used where programs are stated"),
+    "equilibrium/linearised.py": ("import casadi", "CasADi is used where programs are stated"),
     "control/command.py": ("import yaml", "YAML is used where files are read and written"),
     "show/solids.py": ("import matplotlib", "Matplotlib is used where pictures are drawn"),
 }

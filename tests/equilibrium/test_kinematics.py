@@ -30,7 +30,7 @@ from tubeopt import ConcentricRobot, Discretisation, Equilibrium, InputError, Ne
 from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.file import ALONG_THE_ARM, ARRAYS
 from tubeopt.equilibrium.kinematics import forward_kinematics
-from tubeopt.equilibrium.method import METHODS
+from tubeopt.equilibrium.problem import METHODS
 from tubeopt.typing import Array
 
 SOME_POSES = settings(max_examples=40)
@@ -342,7 +342,7 @@ def test_equal_tubes_twisted_by_half_a_turn_find_a_lower_energy_if_they_can() ->
 def test_own_settings_of_newton_are_those_of_the_general_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     here = forward_kinematics(THESIS, [0.5, 0.2, 0.0])
     usual = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here)
-    monkeypatch.setattr("tubeopt.equilibrium.compiled.solve_compiled", None)  # the kernel is not asked
+    monkeypatch.setattr("tubeopt.equilibrium.kinematics.solve_compiled", None)  # the kernel is not asked
     own = forward_kinematics(THESIS, [1.5, 0.2, 0.0], start=here, method=Newton(iterations=30))
     assert own.tip_position == pytest.approx(usual.tip_position, abs=1e-13)
 

@@ -25,14 +25,12 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.postprocess import evaluate_arm
 from tubeopt.block.transcription.responsive import Responsive
-from tubeopt.equilibrium.along import curvature_at
 from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import derivatives_of
-from tubeopt.equilibrium.linearised import Linearised, linearise
-from tubeopt.equilibrium.member import Point
+from tubeopt.equilibrium.linearised import Linearised, curvature_at, linearise
+from tubeopt.equilibrium.member import Point, Unloaded
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly
-from tubeopt.equilibrium.unloaded import Unloaded
 from tubeopt.robots.robot import Robot, resized
 from tubeopt.typing import Array
 

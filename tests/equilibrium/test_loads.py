@@ -30,7 +30,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.equilibrium.answer import point_of, to_equilibrium
 from tubeopt.equilibrium.continuation import Family, reach
-from tubeopt.equilibrium.loaded import Loaded
+from tubeopt.equilibrium.member import Loaded
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.robots.load import between
 from tubeopt.robots.tubes import mass_per_length
@@ -426,8 +426,8 @@ def test_far_ways_from_a_guess_are_those_of_the_general_solver(monkeypatch: pyte
     ways = (turned, load, here), (alpha, load.scaled(0.5), here), (alpha, load, elsewhere), (turned, None, elsewhere)
     ends = [forward_kinematics(robot, a, shift, load=q, start=g) for a, q, g in ways]
     with monkeypatch.context() as patch:
-        patch.setattr("tubeopt.equilibrium.compiled.loaded", lambda *arguments: None)
-        patch.setattr("tubeopt.equilibrium.compiled.unloaded", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.kinematics.loaded", lambda *arguments: None)
+        patch.setattr("tubeopt.equilibrium.kinematics.unloaded", lambda *arguments: None)
         for end, (a, q, g) in zip(ends, ways, strict=True):
             general = forward_kinematics(robot, a, shift, load=q, start=g)
             assert np.allclose(end.tip_position, general.tip_position, rtol=0, atol=1e-12)

@@ -31,7 +31,7 @@ from tubeopt import (
     forward_kinematics_batch,
     load_robot,
 )
-from tubeopt.equilibrium import compiled
+from tubeopt.equilibrium import kinematics
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
 from tubeopt.robots.robot import Robot, is_general
@@ -52,7 +52,7 @@ SEGMENTED = SegmentedEccentricRobot(
 def general_solver() -> Iterator[None]:
     """Forward kinematics without the kernel."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "solve_compiled", lambda *_: None)
+        patch.setattr(kinematics, "solve_compiled", lambda *_: None)
         yield
 
 
@@ -359,7 +359,7 @@ def test_loaded_equilibria_are_those_of_the_general_solver(load: Load) -> None:
         one = forward_kinematics(THESIS, alpha, shift, load=load)
         warm = forward_kinematics(THESIS, turned, shift, load=load, start=one)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(compiled, "solve_loaded_compiled", lambda *_: None)
+            patch.setattr(kinematics, "solve_loaded_compiled", lambda *_: None)
             check_same_loaded(one, forward_kinematics(THESIS, alpha, shift, load=load))
             check_same_loaded(warm, forward_kinematics(THESIS, turned, shift, load=load, start=one))
 

@@ -12,7 +12,7 @@ from tests.examples import CRL, DEG, THESIS, TWO_TUBE, configurations, descend, 
 from tubeopt import ConcentricRobot, Discretisation
 from tubeopt.block.transcription.reduced import Evaluation, ReducedProblem, evaluate, residual
 from tubeopt.block.transcription.second_variation import margin
-from tubeopt.equilibrium import unloaded as module
+from tubeopt.equilibrium import member as module
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.solvers.newton import leave_saddle
 from tubeopt.solvers.settings import Newton

@@ -31,7 +31,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import LoadedProblem, evaluate
 from tubeopt.equilibrium.answer import point_of
 from tubeopt.equilibrium.continuation import Family, reach
-from tubeopt.equilibrium.loaded import Loaded
+from tubeopt.equilibrium.member import Loaded
 from tubeopt.stability.certificate import Bundle, bundle_of
 from tubeopt.stability.folds import slide
 from tubeopt.stability.stroke import stroke_slopes

@@ -26,7 +26,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.orientation import tangents
 from tubeopt.equilibrium.answer import point_of
-from tubeopt.equilibrium.margin_change import beside, unit_of
+from tubeopt.equilibrium.jacobian import beside, unit_of
 from tubeopt.stability.folds import fall
 from tubeopt.stability.load_limit import find_loss
 from tubeopt.typing import Array

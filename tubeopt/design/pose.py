@@ -18,9 +18,8 @@ from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.responsive import Responsive
 from ..equilibrium.directions import Change, Directions
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.member import Point
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import reduced_assembly
-from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import SolveError
 from ..robots.assembly import assemble
 from ..robots.concentric import ConcentricRobot

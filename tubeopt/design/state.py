@@ -12,13 +12,12 @@ import numpy as np
 
 from ..block.quantities import PoseNumber, Quantity
 from ..block.transcription.buffered import mapped
-from ..equilibrium.along import curvature_at, position_at
 from ..equilibrium.answer import sure_margin, to_equilibrium
 from ..equilibrium.arm_change import PLACES
 from ..equilibrium.directions import Change, Directions
+from ..equilibrium.jacobian import margin_slopes
 from ..equilibrium.kinematics import under_load
-from ..equilibrium.linearised import linearise
-from ..equilibrium.margin_change import margin_slopes
+from ..equilibrium.linearised import curvature_at, linearise, position_at
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..physics.strain import bend_from_own, surface_strain

@@ -18,8 +18,7 @@ from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_SHIFT
 from ..typing import Array
-from .loaded import Loaded
-from .member import Member, Place, Point
+from .member import Loaded, Member, Place, Point, Unloaded
 from .problem import (
     DEFAULT_DISCRETISATION,
     LOADED_DISCRETISATION,
@@ -30,7 +29,6 @@ from .problem import (
     loading_of,
 )
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
-from .unloaded import Unloaded
 
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""

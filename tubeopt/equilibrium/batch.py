@@ -25,8 +25,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, StatusEnum
 from .answer import largest_error, sample_arms
 from .kinematics import forward_kinematics
-from .method import TOLERANCE
-from .problem import check_load, loaded_rules
+from .problem import TOLERANCE, check_load, loaded_rules
 from .result import Equilibrium
 
 CHUNK = 2048

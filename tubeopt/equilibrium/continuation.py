@@ -14,11 +14,9 @@ from ..robots.load import Load, between
 from ..robots.robot import Robot
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array, Index
-from .loaded import Loaded
-from .member import Member, Place, Point
+from .member import Loaded, Member, Place, Point, Unloaded
 from .problem import DEFAULT_DISCRETISATION, Discretisation
 from .result import Equilibrium
-from .unloaded import Unloaded
 
 P = TypeVar("P", bound=Place)
 

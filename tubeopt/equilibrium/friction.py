@@ -44,11 +44,9 @@ from ..solvers.settings import NEWTON, ONWARD
 from ..typing import Array, Index
 from .answer import answered, at_points, sample_rotation
 from .continuation import steps_along
-from .loaded import Loaded
-from .member import Point
+from .member import Loaded, Point, Unloaded, lever
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
-from .unloaded import Unloaded, lever
 
 ROUND_OFF = 1e-13
 """Of a least eigenvalue."""

@@ -298,7 +298,7 @@ class Equilibrium(Displayed):
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
         several the innermost."""
-        found: Array = lazy_import("tubeopt.equilibrium.compliance.compliance_of")(self)
+        found: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_of")(self)
         return found
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
@@ -314,13 +314,13 @@ class Equilibrium(Displayed):
         Raises:
             InputError: an arc length outside the arm, a tube that is not there, a load without an energy.
         """
-        found: Array = lazy_import("tubeopt.equilibrium.compliance.compliance_at")(self, arc_length, tube)
+        found: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_at")(self, arc_length, tube)
         return found
 
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
-        found: Array = lazy_import("tubeopt.equilibrium.compliance.base_wrench_of")(self)
+        found: Array = lazy_import("tubeopt.equilibrium.jacobian.base_wrench_of")(self)
         return found
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
@@ -331,7 +331,7 @@ class Equilibrium(Displayed):
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
         """(Q,) derivatives of the margin as those of `jacobian`, also under a load without an energy, where `jacobian`
         has NaN: they take a hundred times as long there. NaN where breakpoints meet, too."""
-        found: Array = lazy_import("tubeopt.equilibrium.margin_change.margin_slopes_of")(self, wrt)
+        found: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
         return found
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:

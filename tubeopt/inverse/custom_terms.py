@@ -11,7 +11,7 @@ import numpy as np
 
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
-from ..equilibrium.along import curvature_at, place_at, position_at
+from ..equilibrium.linearised import curvature_at, place_at, position_at
 from ..errors import InputError
 from ..stability import snap_free_certificate
 from ..typing import Array

@@ -16,8 +16,8 @@ from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.linearised import Linearised
+from ..equilibrium.member import PlainPoint
 from ..equilibrium.result import Equilibrium, refuse_load
-from ..equilibrium.unloaded import PlainPoint
 from ..errors import InputError, SolveError
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array, Delegate

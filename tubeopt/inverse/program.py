@@ -14,8 +14,7 @@ import numpy as np
 
 from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
 from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.member import Point
-from ..equilibrium.unloaded import Unloaded
+from ..equilibrium.member import Point, Unloaded
 from ..errors import InputError
 from ..solvers.ipopt import inside_points
 from ..solvers.named_program import ProblemSolution, ProblemStatus

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..equilibrium.jacobian import position_slopes
-from ..equilibrium.method import TOLERANCE
+from ..equilibrium.problem import TOLERANCE
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.assembly import ROUND_OFF

@@ -13,9 +13,8 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, JointPath
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.member import Point
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.result import Equilibrium, refuse_load
-from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_turn
 from ..robots.robot import Robot, shifts

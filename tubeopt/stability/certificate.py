@@ -16,9 +16,8 @@ from ..block.transcription.responsive import Responsive
 from ..block.transcription.second_variation import least as least_value
 from ..display import Displayed
 from ..equilibrium.linearised import Linearised
-from ..equilibrium.member import Point
+from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
-from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import InputError, positive
 from ..physics.certificate import APART, OPPOSED, PARAMETERS, Pattern, largest_eigenvalue, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly, merge

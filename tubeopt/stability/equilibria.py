@@ -20,11 +20,9 @@ from ..block.transcription.green import reach
 from ..block.transcription.reduced import ReducedProblem
 from ..equilibrium.answer import sample_rotation, to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.loaded import Loaded, LoadedPoint
-from ..equilibrium.member import Member, Place, Point
+from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, PlainPoint, Point, Unloaded
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.unloaded import PlainPoint, Unloaded
 from ..errors import Settings, SolveError
 from ..robots.assembly import Assembly
 from ..robots.load import Load

@@ -13,8 +13,7 @@ from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
 from ..equilibrium.continuation import Family, reach
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.loaded import Loaded, LoadedPoint
-from ..equilibrium.member import Place
+from ..equilibrium.member import Loaded, LoadedPoint, Place
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..display import Displayed
 from ..equilibrium.answer import point_of, to_equilibrium
-from ..equilibrium.compiled import along
 from ..equilibrium.continuation import SHARPEST_STEP, SHORTEST_STEP, Family, JointPath, Milestone, follow, step_to
+from ..equilibrium.kinematics import along
 from ..equilibrium.member import Place
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics

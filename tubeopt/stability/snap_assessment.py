@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.reduced import ReducedProblem
 from ..display import Displayed
-from ..equilibrium.member import Point
+from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from ..equilibrium.unloaded import Unloaded
 from ..errors import SolveError
 from ..robots.robot import Robot
 from ..solvers.blas import small

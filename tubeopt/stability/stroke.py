@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
 from ..block.transcription.mesh import needs
+from ..equilibrium.jacobian import STEP, Side, sides_of
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.margin_change import STEP, Side, sides_of
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, positive

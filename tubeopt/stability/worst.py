@@ -14,9 +14,8 @@ from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
 from ..block.transcription.second_variation import margin, softenings
 from ..display import Displayed
 from ..equilibrium.answer import to_equilibrium
-from ..equilibrium.member import Point
+from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
-from ..equilibrium.unloaded import Unloaded
 from ..errors import InputError, Settings, vector
 from ..robots.robot import Robot, shifts
 from ..solvers.blas import small
