@@ -102,6 +102,7 @@ CALLS: dict[str, Call] = {
     "energy_map": (tubeopt.energy_map, _joints(samples=5)),
     "stability_map": (tubeopt.stability_map, lambda: {"robot": THESIS, "samples": 2, "directions": 2}),
     "certify": (tubeopt.certify, lambda: {"robot": PAIR}),
+    "snap_distance": (tubeopt.snap_distance, lambda: {"equilibrium": home()}),
     "snap_free_certificate": (tubeopt.snap_free_certificate, lambda: {"robot": PAIR}),
     "deflection_bound": (tubeopt.deflection_bound, lambda: {"robot": PAIR, "max_force": 1e-3}),
     "assess_snapping": (tubeopt.assess_snapping, lambda: {"robot": PAIR}),

@@ -23,6 +23,7 @@ SAMPLES = {
     "design_pair": 3,
     "heating_led": 20,
     "load_snap_directions": 3,
+    "thesis_snap_distance": 4,
     "own_certified_dexterity": 2,
     "own_dexterity": 1,
     "own_shape_estimation": 1,

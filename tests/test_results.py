@@ -28,6 +28,7 @@ from tubeopt import (
     Proof,
     Snap,
     SnapAssessment,
+    SnapDistance,
     StabilityMap,
     Trajectory,
     Tube,
@@ -59,6 +60,7 @@ from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
 from tubeopt.stability.motion import SnapStatus
 from tubeopt.stability.snap_assessment import SnapAssessmentStatus
+from tubeopt.stability.snap_distance import SnapDistanceStatus
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
 from tubeopt.validation.force import ForceStatus
@@ -82,6 +84,7 @@ ANSWERS = (
     StabilityMap,
     Trajectory,
     SnapAssessment,
+    SnapDistance,
     Workspace,
 )
 
@@ -103,6 +106,7 @@ STATUSES = (
     SnapStatus,
     Status,
     SnapAssessmentStatus,
+    SnapDistanceStatus,
 )
 
 

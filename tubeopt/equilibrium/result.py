@@ -294,6 +294,12 @@ class Equilibrium(Displayed):
         return self.energy - self.work
 
     @cached_property
+    def snap_distance(self) -> float:
+        """Angle by which every tube may turn either way, and nothing can snap: proved, rad; see `snap_distance`."""
+        found: float = lazy_import("tubeopt.stability.snap_distance.snap_distance")(self).turn
+        return found
+
+    @cached_property
     def compliance(self) -> Array:
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of

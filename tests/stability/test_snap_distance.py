@@ -1,0 +1,217 @@
+"""The distance from a snap: folds by independent shooting, two tubes, legs inside the ball, symmetry."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.examples import CONFIGS, THESIS, TWO_TUBE, nested
+from tubeopt import (
+    ConcentricRobot,
+    Friction,
+    InputError,
+    Load,
+    find_equilibria,
+    follow,
+    forward_kinematics,
+    load_robot,
+    snap_distance,
+    snap_free_certificate,
+)
+from tubeopt.equilibrium.result import Equilibrium
+from tubeopt.stability.snap_distance import PairForm, SnapDistanceStatus
+from tubeopt.typing import Array
+
+FOUR = nested((0.15, 0.05, 18.0), (0.1, 0.05, 14.0), (0.05, 0.06, 8.0), (0.0, 0.08, 6.0))
+
+
+def turned(robot: ConcentricRobot, degrees: list[float]) -> Equilibrium:
+    """The equilibrium to which the branch from home leads."""
+    path = follow(robot, [np.zeros(robot.n_tubes), np.radians(degrees)])
+    assert not path.snaps
+    return path.equilibria[-1]
+
+
+REFERENCE = (
+    # degrees; snaps by one tube, backward and forward (DOP853 shooting); nearest snap; proved ball
+    ([0.0, 0.0, 0.0], [[-214.222427, 214.222427], [-189.724198, 189.724198]], 94.862099, 80.502791),
+    (
+        np.degrees([0.0, 1.0, 2.0]).tolist(),
+        [[-130.333395, 289.177034], [-244.481796, 173.411155]],
+        65.166697,
+        51.908375,
+    ),
+    (
+        [200.0, 0.0, 0.0],
+        [[-414.222427, 14.222427], [-22.804801, 434.069277], [-31.696137, 175.139414]],
+        7.111214,
+        7.107897,
+    ),
+)
+
+
+@pytest.mark.parametrize(("degrees", "one_tube", "nearest", "ball"), REFERENCE)
+def test_the_robot_of_the_thesis_is_that_far_from_a_snap(
+    degrees: list[float], one_tube: list[list[float]], nearest: float, ball: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules[snap_distance.__module__], "PRECISION", 1e-9)
+    distance = snap_distance(turned(THESIS, degrees))
+    assert np.degrees(distance.turn) == pytest.approx(ball, rel=1e-6)
+    found = np.degrees(distance.one_tube)
+    assert found[: len(one_tube)] == pytest.approx(np.array(one_tube), abs=2e-6)
+    assert np.isnan(found[len(one_tube) :]).all()
+    assert distance.status is SnapDistanceStatus.PROVED
+    assert distance.value == distance.turn
+
+
+@pytest.mark.parametrize(("degrees", "nearest"), [(case[0], case[2]) for case in REFERENCE])
+def test_the_nearest_snap_that_is_found(degrees: list[float], nearest: float) -> None:
+    distance = snap_distance(turned(THESIS, degrees))
+    assert np.degrees(distance.nearest) == pytest.approx(nearest, abs=2e-6)
+    assert distance.turn < distance.nearest
+
+
+def test_two_tubes_are_half_their_one_fold_away() -> None:
+    # Turning one tube by 2 r, or both against each other by r each, is the same motion but for a turn of the whole.
+    robot = load_robot(CONFIGS / "till_snapping_pair.yaml")
+    e = forward_kinematics(robot, [0.0, 0.4])
+    distance = snap_distance(e)
+    fold = np.nanmin(np.abs(distance.one_tube))
+    assert distance.nearest == pytest.approx(fold / 2, rel=1e-9)
+    assert distance.one_tube[0, 0] == pytest.approx(-distance.one_tube[1, 1], rel=1e-9)
+    assert 0.99 * fold / 2 < distance.turn < fold / 2
+
+
+def robots() -> list[tuple[str, ConcentricRobot]]:
+    names = ("thesis_ctr", "crl_ctr", "toronto_ctr", "rvim_ctr", "till_snapping_pair", "example_pieces", "thamo_ctr")
+    found = [(name, load_robot(CONFIGS / f"{name}.yaml")) for name in names]
+    return [*((name, robot) for name, robot in found if isinstance(robot, ConcentricRobot)), ("four", FOUR)]
+
+
+@pytest.mark.parametrize(("name", "robot"), robots(), ids=[name for name, _ in robots()])
+def test_no_leg_inside_the_ball_snaps(name: str, robot: ConcentricRobot) -> None:
+    random, n = np.random.default_rng(len(name)), robot.n_tubes
+    finite = 0
+    for _ in range(3):
+        e = forward_kinematics(robot, random.uniform(-np.pi, np.pi, n))
+        r = snap_distance(e).turn
+        if not e.stable or r == np.inf:
+            continue
+        finite += 1
+        corners = r * 0.9999 * random.choice([-1.0, 1.0], (12, n))
+        path = follow(robot, np.vstack([e.rotations, e.rotations + corners, e.rotations]), start=e)
+        assert not path.snaps
+        assert path.equilibria[-1].tip_position == pytest.approx(e.tip_position, abs=1e-8)
+    assert finite or snap_free_certificate(robot) > 0
+
+
+def test_angles_in_the_ball_are_in_the_box() -> None:
+    # The proof is that the equilibria at all rotations of the ball have their angles in the box that it closes.
+    e = turned(THESIS, [40.0, -30.0, 10.0])
+    form, r = PairForm.of(e), snap_distance(e).turn * 0.99
+    y = form.boxes(r)
+    u = y
+    for _ in range(500):
+        u = form.image(y, u)[0]
+    low, high = -u[:, : len(form.psi)].max(0), u[:, len(form.psi) :].max(0)
+    random = np.random.default_rng(4)
+    touched = 0.0
+    for corner in random.choice([-1.0, 1.0], (24, 3)):
+        there = follow(THESIS, [e.rotations, e.rotations + r * corner], start=e).equilibria[-1]
+        x = PairForm.of(there).psi - form.psi
+        assert (low - 1e-9 <= x).all()
+        assert (x <= high + 1e-9).all()
+        touched = max(touched, float((x / high).max()))
+    assert touched > 0.8  # nor is the box much too large
+
+
+def test_the_form_is_the_equilibrium() -> None:
+    e = turned(THESIS, [150.0, -20.0, 30.0])
+    form = PairForm.of(e)
+    hessian = np.eye(form.A.shape[1]) + form.A.T @ ((form.w * np.cos(form.psi))[:, None] * form.A)
+    assert np.linalg.eigvalsh(hessian)[0] == pytest.approx(e.margin, abs=1e-9)
+    assert form.defect.max() < 1e-13
+    # J by differences of equilibria.
+    step = 1e-5
+    for k in range(3):
+        sides = [
+            PairForm.of(forward_kinematics(THESIS, e.rotations + side * step * np.eye(3)[k], start=e)).psi
+            for side in (-1, 1)
+        ]
+        assert form.J[:, k] == pytest.approx((sides[1] - sides[0]) / (2 * step), abs=1e-6)
+
+
+def test_the_range_of_h_is_its_range() -> None:
+    random, count = np.random.default_rng(2), 40
+    psi, one = random.uniform(-4, 4, count), np.eye(count)
+    # With G = 1 and w = 1 the image of a box is the range of h itself.
+    form = PairForm(psi, np.ones(count), one, one, one, np.zeros(count))
+    u = random.uniform(0, 3, (1, 2 * count))
+    image = form.image(np.zeros((1, 2 * count)), u)[0][0]
+    for k in range(count):
+        h = form.h(np.linspace(-u[0, k], u[0, count + k], 4001)[:, None] * one[k])[:, k]
+        assert image[count + k] == pytest.approx(h.max(), abs=1e-6)
+        assert image[k] == pytest.approx(-h.min(), abs=1e-6)
+        assert image[count + k] >= h.max()
+        assert image[k] >= -h.min()
+
+
+def test_a_tube_curved_backwards_is_one_turned_by_half() -> None:
+    backwards = replace(THESIS.tubes[1], curvature=-THESIS.tubes[1].curvature)
+    robot = ConcentricRobot((THESIS.tubes[0], backwards, THESIS.tubes[2]))
+    at = np.array([0.2, 0.5, -0.3])
+    distance = snap_distance(forward_kinematics(robot, at)).turn
+    same = snap_distance(forward_kinematics(ConcentricRobot(THESIS.tubes), at + np.array([0, np.pi, 0]))).turn
+    assert distance == pytest.approx(same, rel=1e-5)
+
+
+def test_turning_all_tubes_alike_changes_nothing() -> None:
+    one, other = (snap_distance(forward_kinematics(THESIS, np.array([0.1, 1.2, 2.0]) + by)).turn for by in (0.0, 0.9))
+    assert one == pytest.approx(other, rel=1e-5)
+
+
+def test_a_certified_robot_never_snaps() -> None:
+    shift = [-0.02, 0.0, 0.0]
+    robot = load_robot(CONFIGS / "crl_ctr.yaml")
+    assert snap_free_certificate(robot, shift) > 0
+    distance = snap_distance(forward_kinematics(robot, [0.3, 2.0, -1.0], shift))
+    assert distance.turn == np.inf
+    assert distance.status is SnapDistanceStatus.NEVER
+    assert distance.nearest == np.inf
+    assert np.isnan(distance.one_tube).all()
+
+
+def test_an_equilibrium_by_another_search_is_as_far() -> None:
+    e = forward_kinematics(THESIS, [0.0, 1.0, 2.0])
+    again = find_equilibria(THESIS, [0.0, 1.0, 2.0])[0]
+    assert snap_distance(e).turn == pytest.approx(snap_distance(again).turn, rel=1e-5)
+    assert e.snap_distance == snap_distance(e).turn
+
+
+def test_what_has_no_distance_is_refused() -> None:
+    at: Array = np.array([0.0, 1.0, 2.0])
+    with pytest.raises(InputError, match=r"equilibrium has a load; it must have none"):
+        snap_distance(forward_kinematics(THESIS, at, load=Load((1e-3, 0, 0))))
+    rubbed = follow(TWO_TUBE, [[0.0, 0.0], [0.0, 0.5]], friction=Friction(torque=1e-3)).equilibria[-1]
+    with pytest.raises(InputError, match="friction"):
+        snap_distance(rubbed)
+    unstable = next(e for e in find_equilibria(THESIS, np.radians([200, 0, 0])) if not e.stable)
+    with pytest.raises(InputError, match=r"equilibrium has a margin of -0\.782; it must be above 0"):
+        snap_distance(unstable)
+
+
+@pytest.mark.parametrize(("at", "ball"), [([0.0, 0.0, 0.0], 70.476432), ([0.0, 1.0, 2.0], 50.566318)])
+def test_one_box_for_more_tubes_proves_less(at: list[float], ball: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[snap_distance.__module__], "SECTORS", 2)
+    assert np.degrees(snap_distance(forward_kinematics(THESIS, at)).turn) == pytest.approx(ball, rel=3e-6)
+
+
+def test_a_search_that_stops_early_proves_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What Newton's method finds is only a candidate: the check that the box is mapped into itself is the proof.
+    e = turned(THESIS, [150.0, -20.0, 30.0])
+    whole = snap_distance(e).turn
+    monkeypatch.setattr(sys.modules[snap_distance.__module__], "NEWTON_STEPS", 1)
+    assert snap_distance(e).turn < 0.5 * whole
