@@ -45,7 +45,7 @@ def main(out: Path, samples: int = 40) -> list[Path]:
 
 
 class Distances(NamedTuple):
-    """Margin, proved distance, and half a turn of one tube to its snap (T,), by rotations of tube 1 up to `last`; deg."""
+    """Margin, proved distance and half a turn of one tube to its snap (T,), by rotations of tube 1 up to `last`."""
 
     angles: Array
     last: float

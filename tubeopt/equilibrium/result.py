@@ -295,7 +295,7 @@ class Equilibrium(Displayed):
 
     @cached_property
     def snap_distance(self) -> float:
-        """Angle by which every tube may turn either way, and nothing can snap: proved, rad; see `snap_distance`."""
+        """Largest turn of every tube, either way, that is proved to cause no snap, rad; see `snap_distance`."""
         found: float = lazy_import("tubeopt.stability.snap_distance.snap_distance")(self).turn
         return found
 

@@ -38,7 +38,7 @@ from ..equilibrium.answer import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError
-from ..solvers.parallel.blas import small
+from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, StatusEnum
 from .certificate import snap_free_certificate
@@ -94,11 +94,11 @@ class SnapDistance(Displayed):
     equilibrium: Equilibrium
     """The equilibrium."""
     turn: float
-    """Angle by which every tube may turn either way, in any order, and nothing can snap: proved, rad. It is a lower
+    """Largest turn of every tube, either way and in any order, that is proved to cause no snap, rad. It is a lower
     bound of the true distance, 0.93 of it in the median. inf where the certificate at the translations is positive.
     """
     status: SnapDistanceStatus
-    """What is known."""
+    """Result of the proof."""
     statistics: SnapDistanceStatistics
     """Effort."""
 
