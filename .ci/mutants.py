@@ -23,7 +23,7 @@ AREAS = {
             "loaded_certificate", "stroke", "friction_band", "simplex", "verdict",
         )),
     ),
-    "guards": ("control/guard.py", "control/servo.py", "robots/limits.py", "control/c/servo.c", "control/c/robot.c",
+    "guards": ("control/servo.py", "robots/limits.py", "control/c/servo.c", "control/c/robot.c",
                "control/c/chords.c", "control/c/sides.c", "control/c/contacts.c"),
     "firmware": ("shaping/firmware/sketch/heater.cpp", "shaping/firmware/sketch/converter.h"),
     "units": ("files/units.py", "files/fields.py", "files/field_metadata.py", "robots/file.py", "robots/piece_file.py",

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tubeopt import ConcentricRobot, load_robot
-from tubeopt.control.c_library import header_text, library_text
-from tubeopt.control.c_loads import loads_text
+from tubeopt.control.c_library import header_text, library_text, loads_text
 from tubeopt.robots.materials import MATERIALS
 from tubeopt.robots.robot import is_general
 from tubeopt.solvers.compiled.library import cache_directory, kernel_text

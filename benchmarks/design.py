@@ -19,10 +19,10 @@ from tests.design.tasks import closed_form, equal_pair, tightest
 from tests.examples import THESIS
 from tubeopt import ConcentricRobot, SolveError, forward_kinematics, optimize_design
 from tubeopt.design import DesignSolution, Reach, count_snaps
+from tubeopt.design.infeasibility import best_of
 from tubeopt.design.multistart import rank, solve_from, start_values
-from tubeopt.design.optimize import settle
+from tubeopt.design.optimize import add_worst_cases
 from tubeopt.design.program import compile_task
-from tubeopt.design.relaxation import best_of
 from tubeopt.design.requirements import of_kind
 from tubeopt.design.solve import solve
 from tubeopt.runs.design_study import DesignStudy
@@ -97,7 +97,7 @@ def random_starts(count: int) -> Row:
     for start in track(start_values(program, 7, count + 1)[1:], description="random starts"):
         found = solve_from(program, start)
         try:
-            settle(best_of(rank([found])))
+            add_worst_cases(best_of(rank([found])))
             good += 1
         except SolveError as error:
             reported += bool(getattr(error, "relaxations", ()))

@@ -243,3 +243,19 @@ def test_programs_of_a_mold_stay_finite(run: Run, tmp_path: Path) -> None:
 )
 def test_sentences_of_the_library_come_in_the_units_that_are_typed(said: str, typed: str) -> None:
     assert as_typed(said) == typed
+
+
+def test_obstacles_typed_as_text_are_named_by_their_flag(run: Run) -> None:
+    for text, words in (("[{radius_mm: 3}]", "--obstacles[0] has no kind"), ("{radius_mm: 3}", "--obstacles is {")):
+        (line,) = refused(run("ik", THESIS, "--target-mm", "0,0,100", "--obstacles", text))
+        assert line.startswith(words)
+
+
+def test_a_missing_server_package_is_reported_before_the_robot_is_compiled(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled: list[object] = []
+    monkeypatch.setattr("tubeopt.control.server.find_spec", lambda name: None)
+    monkeypatch.setattr("tubeopt.cli.control.servo_of", lambda *_, **__: compiled.append(0))
+    assert refused(run("serve", THESIS)) == ["websockets is missing; pip install 'tubeopt[control]' brings it"]
+    assert not compiled

@@ -11,8 +11,7 @@ from tests.examples import CRL, PIECES, THESIS
 from tubeopt import ConcentricRobot, InputError, follow, forward_kinematics
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command, ServoOptions, Why
-from tubeopt.control.horizon import Knots
-from tubeopt.control.lookahead import PredictiveServo
+from tubeopt.control.lookahead import Knots, PredictiveServo
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.tip_coordinates import TipCoordinates
@@ -97,8 +96,6 @@ def test_what_cannot_be_led_to_is_refused_and_what_is_out_of_reach_is_approached
     seed = forward_kinematics(THESIS, [0.0, 1.0, 2.0], [-0.05, -0.03, -0.02])
     with pytest.raises(InputError, match="knots is 1"):
         PredictiveServo(THESIS, seed, knots=1)
-    with pytest.raises(InputError, match="solver is 3; it must be a HorizonSolver"):
-        PredictiveServo(THESIS, seed, solver=3)  # type: ignore[arg-type]
     ahead = PredictiveServo(THESIS, seed)
     with pytest.raises(InputError, match="follows a position"):
         ahead.step(Command(velocity=(0.01, 0, 0)), DT)

@@ -76,7 +76,7 @@ def test_tubes_of_pieces_are_observed_too() -> None:
 
 def test_what_cannot_be_is_left_out_and_what_is_late_is_compared_with_its_own_time() -> None:
     seed = forward_kinematics(THESIS, *SEED)
-    observer = Observer(seed, ObserverOptions(memory=0.5))
+    observer = Observer(seed)
     assert "no joint values" in observer.measured(0.0, seed.tip_position).words
     observer.sent(0.0, *SEED)
     observer.sent(1.0, np.array(SEED[0]) + 0.2, SEED[1])

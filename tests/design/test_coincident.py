@@ -11,10 +11,8 @@ import pytest
 from tests.examples import CONFIGS
 from tubeopt import ConcentricRobot, load_robot
 from tubeopt.design import Free
-from tubeopt.design.layout import FixedPose, FreePose, Layout
-from tubeopt.design.parameters import design_space
-from tubeopt.design.pieces import as_pieces
-from tubeopt.design.state import State
+from tubeopt.design.parameters import as_pieces, design_space
+from tubeopt.design.state import FixedPose, FreePose, Layout, State
 from tubeopt.typing import Array
 
 ROTATIONS = (0.3, 2.9, 0.5)

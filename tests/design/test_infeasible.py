@@ -31,14 +31,12 @@ from tubeopt.design import (
     SnapFree,
     Strain,
     Target,
-    attempt,
+    solve,
 )
-from tubeopt.design.infeasibility import shown_infeasible
+from tubeopt.design.infeasibility import apply_changes, best_of, shown_infeasible
 from tubeopt.design.multistart import multistart
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.design.program import Program, compile_task
-from tubeopt.design.relaxation import apply_changes, best_of
-from tubeopt.design.settings import COLLOCATION, OptimumSearch, OrderSearch, RelaxationSearch, StartSearch
 from tubeopt.solvers.time_limit import LateError, within
 from tubeopt.typing import Array
 
@@ -68,12 +66,7 @@ def test_relaxation_is_enough_and_not_more_than_needed() -> None:
     target = Reach((Target((0.05, -0.06, 0.11)),))
     free = (Free("curvature", (0,), 5.0, 15.0),)
     strain = Strain((0.008,), in_poses=False)
-    few = DesignSolver(
-        StartSearch(retries=1, restarts=0, poses=64),
-        OptimumSearch(iterations=40, ball_iterations=10),
-        OrderSearch(most=2),
-        relaxation=RelaxationSearch(starts=1),
-    )
+    few = DesignSolver(retries=1, poses=64, iterations=40, orders=2)
     task = DesignTask(two_tubes(), free, (SnapFree(0.1), strain, target), Objective("change"), solver=few)
     error = refused(task)
     way = error.relaxations[0]
@@ -90,10 +83,10 @@ def test_failures_are_counted_by_what_failed() -> None:
     )
     error = refused(task, "the certified margin is at most")
     assert "of 4 starts, 4 failed most at the certified margin" in str(error)
-    error = refused(replace(task, solver=DesignSolver(StartSearch(retries=1))), "the certified margin")
+    error = refused(replace(task, solver=DesignSolver(retries=1)), "the certified margin")
     assert "of 1 starts, 1 failed most at the certified margin" in str(error)
     with pytest.raises(InputError, match="retries is 0; it must be at least 1"):
-        StartSearch(retries=0)
+        DesignSolver(retries=0)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 45.0], ids=["across", "between", "diagonal"])
@@ -102,7 +95,7 @@ def test_tolerance_rises_to_the_distance_of_the_target(turn: float) -> None:
     straight = ConcentricRobot((Tube(1.0 * MM, 0.8 * MM, 0.1, 0.1, 0.0),))
     place = (5 * MM * np.cos(np.radians(turn)), 5 * MM * np.sin(np.radians(turn)), 0.1)
     free = (Free("curved_length", (0,), 0.05, 0.15),)
-    few = DesignSolver(StartSearch(retries=1), relaxation=RelaxationSearch(starts=1))
+    few = DesignSolver(retries=1)
     error = refused(DesignTask(straight, free, (Reach((Target(place),)),), Objective("length"), solver=few))
     assert "tolerance of target 1 must rise from 0.1 mm to 5 mm" in str(error)
 
@@ -116,7 +109,7 @@ def test_a_limit_that_bounds_allow_exactly_is_told_as_such() -> None:
     assert optimize_design(error.relaxations[0].task).objective == pytest.approx(0.19, abs=1e-8)
 
 
-QUICK = DesignSolver(StartSearch(retries=1, poses=16, restarts=0), relaxation=RelaxationSearch(starts=1))
+QUICK = DesignSolver(retries=1, poses=16)
 
 
 def drawn(task: DesignTask, count: int = 400) -> list[ConcentricRobot]:
@@ -193,7 +186,7 @@ def test_a_search_that_time_ends_says_what_it_found() -> None:
 def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time ends after the first feasible point of IPOPT: that design is the answer, and keeps what was asked."""
     task, count = snap_free_thesis(0.05), 0
-    plain = attempt.evaluate
+    plain = solve.evaluate
 
     def evaluated(program: Program, x: Array) -> Any:
         nonlocal count
@@ -203,19 +196,10 @@ def test_the_best_on_the_way_is_the_answer_where_time_ends(monkeypatch: pytest.M
             raise LateError
         return plain(program, x)
 
-    monkeypatch.setattr(attempt, "evaluate", evaluated)
+    monkeypatch.setattr(solve, "evaluate", evaluated)
     ranking = multistart(compile_task(task))
     monkeypatch.undo()
     (found,) = ranking.designs
     assert found.late
     assert ranking.late == 1
     assert snap_free_certificate(found.robot) >= 0.05 - 1e-6
-
-
-def test_a_collocated_program_that_does_not_converge_is_no_missing_design() -> None:
-    few = DesignSolver(collocation=replace(COLLOCATION, iterations=2))
-    task = replace(snap_free_thesis(0.05), solver=few)
-    found = optimize_design(task, turns=0, method="collocation")
-    assert found.verification.kept
-    assert found.objective == pytest.approx(optimize_design(task, turns=0).objective, rel=1e-3)
-    assert any("method 'collocation' failed at the convergence" in remark for remark in found.remarks)

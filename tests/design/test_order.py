@@ -11,8 +11,8 @@ import pytest
 
 from tubeopt import ConcentricRobot, DesignTask, InputError, inverse_kinematics, optimize_design, plan_trajectory
 from tubeopt.design import DesignSolution, Free, Objective, Poses, SnapFree
-from tubeopt.design.order import Place, worst_order
 from tubeopt.design.requirements import Requirement
+from tubeopt.design.task import Place, worst_order
 
 from .tasks import three_tubes, two_tubes
 

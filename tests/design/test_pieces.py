@@ -41,17 +41,15 @@ from tubeopt.design import (
     Strain,
     Target,
 )
-from tubeopt.design.anatomy import SHARES, arm_points, arm_slopes
-from tubeopt.design.attempt import robot_at
+from tubeopt.design.evaluation import robot_at
 from tubeopt.design.exchange import reachable
-from tubeopt.design.layout import FixedPose, FreePose, Layout
-from tubeopt.design.parameters import design_space
-from tubeopt.design.pieces import as_pieces
+from tubeopt.design.infeasibility import DesignNotFoundError
+from tubeopt.design.parameters import as_pieces, design_space
+from tubeopt.design.pose import SHARES, arm_points, arm_slopes
 from tubeopt.design.program import compile_task, corners
-from tubeopt.design.rechecks import largest_strain
-from tubeopt.design.relaxation import DesignNotFoundError
-from tubeopt.design.settings import DesignSolver, OptimumSearch, OrderSearch
-from tubeopt.design.state import State
+from tubeopt.design.state import FixedPose, FreePose, Layout, State
+from tubeopt.design.task import DesignSolver
+from tubeopt.design.verify import largest_strain
 from tubeopt.equilibrium.answer import sure_margin
 from tubeopt.robots.pieces import Slots
 from tubeopt.runs.design_parts import FreeEntry
@@ -374,7 +372,7 @@ def test_a_box_is_covered_by_tubes_of_pieces() -> None:
     ]
     box = Coverage((-0.008, -0.008, 0.074), (0.008, 0.008, 0.074), 1e-3, 2)
     free = [Free("piece_curvature", (0, 1), -25.0, 25.0), Free("curved_length", (0, 1), 0.03, 0.12)]
-    quick = DesignSolver(optimum=OptimumSearch(iterations=40, ball_iterations=10), orders=OrderSearch(most=2))
+    quick = DesignSolver(iterations=40, orders=2)
     task = DesignTask(
         ConcentricRobot(tuple(tubes)), free, [box, SnapFreeInUse(0.1, paths=False)], Objective("length"), solver=quick
     )

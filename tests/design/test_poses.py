@@ -38,19 +38,18 @@ from tubeopt.design import (
     StrokeForce,
     Target,
 )
-from tubeopt.design.attempt import evaluate, state_at
+from tubeopt.design.evaluation import evaluate, state_at
 from tubeopt.design.program import Program, compile_task
-from tubeopt.design.rechecks import largest_strain
-from tubeopt.design.settings import OptimumSearch, OrderSearch
-from tubeopt.design.starts import with_joints
+from tubeopt.design.solve import with_joints
 from tubeopt.design.state import pose_strain
+from tubeopt.design.verify import largest_strain
 from tubeopt.typing import Array
 
 MM = 1e-3
 TURN = 2 * np.pi
 
 
-QUICK = DesignSolver(optimum=OptimumSearch(iterations=40, ball_iterations=10), orders=OrderSearch(most=2))
+QUICK = DesignSolver(iterations=40, orders=2)
 """For tests that ask what a design keeps, not whether it is the best."""
 
 
@@ -170,7 +169,7 @@ def test_reach_at_depth_avoids_a_sphere_and_sits_on_a_kink() -> None:
         free,
         requirements,
         Objective("reach_radius", depth=0.1),
-        solver=DesignSolver(optimum=OptimumSearch(iterations=40)),
+        solver=DesignSolver(iterations=40),
     )
     design = optimize_design(task, turns=1)
     (pose,) = design.equilibria

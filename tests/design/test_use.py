@@ -24,11 +24,11 @@ from tubeopt.design import (
     SnapFreeInUse,
     Strain,
 )
-from tubeopt.design.attempt import state_at
-from tubeopt.design.deployment import SHARES, retracted
+from tubeopt.design.evaluation import state_at
 from tubeopt.design.program import compile_task
-from tubeopt.design.rechecks import numbers_of
-from tubeopt.design.remarks import remarks
+from tubeopt.design.requirements import SHARES, retracted
+from tubeopt.design.sensitivities import remarks
+from tubeopt.design.verify import numbers_of
 from tubeopt.typing import Array
 
 assert isinstance(CRL, ConcentricRobot)
@@ -67,8 +67,6 @@ def test_dexterity_is_the_least_singular_value_or_a_little_less() -> None:
     before, after = (np.mean([least_motion(robot, *pose) for pose in posed(robot)]) for robot in (CRL, found.robot))
     assert 3 ** (-1 / 8) * after <= found.objective <= after * (1 + 1e-6)
     assert after > 1.5 * before
-    with pytest.raises(InputError, match="Jacobian"):
-        optimize_design(task("dexterity"), turns=0, method="collocation")
 
 
 def least_turn(robot: ConcentricRobot, rotations: Array, translations: Array) -> float:
@@ -216,7 +214,7 @@ def test_a_tube_that_hardly_bends_the_bundle_may_as_well_be_straight() -> None:
     hidden = replace(inner, straight_length=outer.straight_length, curved_length=0.1, curvature=1.0)
     out = replace(hidden, curved_length=0.15)
     useless, needed = (
-        [words for words in remarks(ConcentricRobot((tube, outer)), ()) if "as well be straight" in words]
+        [words for words in remarks(ConcentricRobot((tube, outer)), ()) if "may be straight" in words]
         for tube in (hidden, out)
     )
     assert not needed
@@ -224,7 +222,7 @@ def test_a_tube_that_hardly_bends_the_bundle_may_as_well_be_straight() -> None:
     weight = 6450 * np.pi / 4 * (1.5e-3**2 - 1.2e-3**2) * 9.81
     sag = weight * 0.1**4 / (8 * 50e9 * np.pi / 64 * (1.5e-3**4 - 1.2e-3**4))
     assert len(useless) == 1
-    assert f"less than the {sag * 1e3:.2g} mm by which tube 2" in useless[0]
+    assert f"Tube 2, the stiffest, sags by {sag * 1e3:.2g} mm" in useless[0]
 
 
 def test_a_polygon_needs_three_poses() -> None:

@@ -10,23 +10,31 @@ import numpy as np
 import pytest
 
 from tests.examples import nested
-from tubeopt import ConcentricRobot, SolveError, snap_free_certificate
-from tubeopt.bodies.obstacles import Sphere
+from tubeopt import ConcentricRobot, Piece, SolveError, Tube, forward_kinematics, snap_free_certificate
+from tubeopt.block.quantities import Quantity
+from tubeopt.bodies.obstacles import HalfSpace, Sphere
 from tubeopt.design import exchange, requirements, verify
 from tubeopt.design.program import Added
-from tubeopt.design.requirements import Avoid, Reach, SnapFree, SnapFreeInUse, StrokeForce, Target
+from tubeopt.design.requirements import (
+    Avoid,
+    Length,
+    Nesting,
+    Reach,
+    SnapFree,
+    SnapFreeInUse,
+    Strain,
+    Stroke,
+    StrokeForce,
+    Target,
+    Wall,
+)
 
 ROBOT = nested((0.0, 0.05, 3.0), (0.0, 0.05, 3.0))
 
 
 def program_of(*requirements: Any, ordered: bool = False) -> Any:
     """Of two poses, of which only this is known."""
-    task = SimpleNamespace(
-        requirements=requirements,
-        ordered=ordered,
-        places=(),
-        solver=SimpleNamespace(perturbed_robots=40, searched_translations=1),
-    )
+    task = SimpleNamespace(requirements=requirements, ordered=ordered, places=())
     return SimpleNamespace(
         task=task, task_poses=(0, 1), own=((0, 1),) * len(requirements), added=SimpleNamespace(points=())
     )
@@ -58,6 +66,7 @@ def test_a_certificate_is_kept_at_its_worst_translations_and_above_no_margin_tha
             raise SolveError("a fold")
         return SimpleNamespace(margin=found)
 
+    monkeypatch.setattr(verify, "SEARCHED_TRANSLATIONS", 1)
     monkeypatch.setattr(verify, "certified_at", lambda program, robot: [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     monkeypatch.setattr(verify, "snap_free_certificate", lambda robot, row: (0.9, least, 0.8)[int(row[0])])
     monkeypatch.setattr(verify, "worst_margin", search)
@@ -110,11 +119,12 @@ def test_tubes_that_are_off_are_tried_at_the_corners_of_their_errors(monkeypatch
 
     rows = [np.array([0.5, 0.0]), np.ones(2), np.array([0.7, 0.0])]
     assert certificate(ROBOT, rows[1]) == pytest.approx(snap_free_certificate(ROBOT), abs=1e-9)
+    monkeypatch.setattr(verify, "PERTURBED_ROBOTS", 400)
     monkeypatch.setattr(verify, "snap_free_certificate", certificate)
     worst = 1 - (1 - certificate(ROBOT, rows[1])) * 1.1**2 * 1.2 / 0.8
     for more, kept in ((-1e-9, True), (1e-9, False)):
         asked = SnapFree(worst + 1e-4 + 1e-6 + more, curvature_error=0.1, stiffness_error=0.2)
-        check = verify._erring(ROBOT, asked, rows, 400)[0]
+        check = verify._erring(ROBOT, asked, rows)[0]
         assert float(check.found) == pytest.approx(worst, abs=1e-5)
         assert check.kept == kept
 
@@ -212,3 +222,78 @@ def test_translations_of_a_box_are_added_where_less_than_the_floor_or_the_promis
         least = max(one.floor, promised or 0.0) - short
         monkeypatch.setattr(exchange, "worst_in_box", lambda *_, least=least: (least, (0.01, 0.0)))
         assert exchange.violations(program, np.array([promised or 0.0]))[0].translations == added
+
+
+UNEQUAL = nested((0.01, 0.05, 3.0), (0.01, 0.04, 5.0))
+
+
+def arms(*translations: list[float]) -> Any:
+    return tuple(SimpleNamespace(translations=np.array(each)) for each in translations)
+
+
+@pytest.mark.parametrize(
+    ("make", "limit", "sign"),
+    [
+        (lambda limit: Length("curved_length", 0, limit), 0.05, 1),
+        (lambda limit: Length("curved_length", 1, limit, least=True), 0.04, -1),
+        (lambda limit: Wall(limit), 1e-4, -1),
+        (lambda limit: Nesting(limit), 1e-4, -1),
+        (lambda limit: Stroke(limit), 0.03, 1),
+        (lambda limit: Strain((limit,), in_poses=False), max(tube.straightened_strain for tube in UNEQUAL.tubes), 1),
+    ],
+    ids=["length", "least length", "wall", "nesting", "stroke", "strain"],
+)
+def test_a_promise_about_tubes_is_kept_up_to_its_limit(make: Any, limit: float, sign: int) -> None:
+    """The carriages travel 30 mm and 10 mm."""
+    moved = arms([0.0, 0.0], [-0.03, -0.01])
+    for beyond, kept in ((2e-5, True), (-2e-5, False)):
+        assert verify.check_tubes(make(limit * (1 + sign * beyond)), UNEQUAL, moved)[0].kept == kept
+
+
+def test_the_room_of_an_arm_is_that_of_its_closest_place_less_the_tube_that_is_there() -> None:
+    wall, radius = HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), [tube.outer_diameter / 2 for tube in UNEQUAL.tubes]
+    for heights, room in (([1e-3, 9e-3, 3e-3], 3e-3 - radius[0]), ([1e-3, 3e-3, 3.1e-3], 3e-3 - radius[1])):
+        arm: Any = SimpleNamespace(
+            tube_end=np.array([0.05, 0.02]),
+            arc_length=np.array([0.0, 0.02, 0.03]),
+            position=np.array([[0.0, 0.0, height] for height in heights]),
+        )
+        assert verify.least_room(wall, UNEQUAL, arm) == pytest.approx(room, rel=1e-12)
+
+
+def test_the_strain_of_several_poses_is_the_largest_of_each() -> None:
+    one = Strain((0.01,), straightened=False)
+    poses = [forward_kinematics(UNEQUAL, angles) for angles in ([np.pi, 0.0], [0.0, 0.0])]
+    each = [verify.largest_strain(one, UNEQUAL, (pose,)) for pose in poses]
+    assert each[0].max() > 1.5 * each[1].max()
+    assert verify.largest_strain(one, UNEQUAL, tuple(poses)) == pytest.approx(np.max(each, axis=0), rel=1e-12)
+
+
+def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    one: Any = SimpleNamespace(expression=None, words="own", most=False, limit=1.0, factor=1.0, unit="", size=2.0)
+    for left, kept in ((-1.9e-6, True), (-2.1e-6, False)):
+        monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))
+        assert verify.check_own(one, UNEQUAL, ()).kept == kept
+
+
+def test_a_stroke_force_is_that_at_which_the_arm_buckles(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm: Any = SimpleNamespace(rotations=None, translations=None)
+    for found, force in ((SimpleNamespace(factor=0.3), 0.3), (None, verify.STRONGEST)):
+        monkeypatch.setattr(verify, "find_stroke_force", lambda *_, found=found, **__: found)
+        assert verify.numbers_of(UNEQUAL, [arm])(Quantity("stroke_force", 0)).tolist() == [force]
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_the_strain_counts_the_arm_on_both_sides_of_a_breakpoint(rising: bool) -> None:
+    """The precurvature of the outer tube rises to 20/m where it ends, or begins with 20/m and falls.
+
+    The straight inner tube is bent most on one side of that breakpoint. In one plane it has k2 20 / (k1 + k2) there.
+    """
+    law = (lambda s: 20.0 * s / 0.04) if rising else (lambda s: 20.0 * (1 - s / 0.04))
+    outer = Tube.of_pieces(1.3e-3, 1.1e-3, [Piece(0.02, 0.0), Piece(0.04, law)], straight_length=0.01)
+    inner = Tube(1.0e-3, 0.8e-3, 0.01, 0.08, 0.0)
+    robot = ConcentricRobot((inner, outer))
+    one, (k1, k2) = Strain((0.01,), straightened=False), (tube.bending_stiffness for tube in robot.tubes)
+    arm = forward_kinematics(robot, [0.0, 0.0])
+    exact = inner.outer_diameter / 2 * 20.0 * k2 / (k1 + k2)
+    assert verify.largest_strain(one, robot, (arm,))[0] == pytest.approx(exact, rel=1e-6)

@@ -15,7 +15,7 @@ from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
-from tubeopt.design.pieces import as_pieces
+from tubeopt.design.parameters import as_pieces
 from tubeopt.errors import InputError
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import start_at

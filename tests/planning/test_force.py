@@ -24,7 +24,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.loaded import evaluate
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.design.pieces import as_pieces
+from tubeopt.design.parameters import as_pieces
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.stability.certificate import bundle_of
 from tubeopt.stability.deflection import most_borne, under_any_force

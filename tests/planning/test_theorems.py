@@ -14,7 +14,7 @@ from tubeopt import InputError, forward_kinematics, verify_trajectory
 from tubeopt.block.transcription.standing import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
-from tubeopt.control.guard import Guard
+from tubeopt.control.servo import Guard
 from tubeopt.planning.branch import branch, least_root, whirled
 from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.cross_sections import Constants

@@ -18,7 +18,7 @@ from ..control.c_binding import servo_of
 from ..control.c_library import c_library, save_c_library
 from ..control.command import OBJECTIVES, ServoOptions
 from ..control.crtk import CrtkRobot
-from ..control.server import RobotServer, ServerOptions
+from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
 from ..runs.obstacle_file import Bodies
@@ -124,6 +124,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     token. The robot stops if commands stop. Ctrl-C ends the server (exit code 0). --json prints one object with
     address and token. It needs the extra `control`.
     """
+    check_websockets()
     robot = study.robot
     options = ServoOptions(
         **study.in_si(
@@ -138,7 +139,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     )
 
     def _ready() -> None:
-        address = f"ws://{server.options.host}:{server.port}"
+        address = f"ws://{HOST}:{server.port}"
         told(Served(robot, address, robot.name or "robot", server.token), output)
 
     with left_alone(), suppress(KeyboardInterrupt):

@@ -139,7 +139,7 @@ def asks(
         lacks = {f"{flag} is missing": f": {_about(keys.fields[key])}" for key, flag in missing.items()}
         with told_by_flag({key: keys.names[key] for key in given if typed[key] != usual[key]}, flag_of):
             try:
-                question = check(study, constant | given, "", names=keys.names | missing)
+                question = check(study, constant | given, "", names=keys.names_of(given) | missing)
             except InputError as error:
                 raise InputError("\n".join(line + lacks.get(line, "") for line in str(error).splitlines())) from None
             yield question
@@ -167,7 +167,8 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
         typed_sets = [one for one in study.either if not one.isdisjoint(given)]
         replaced = frozenset().union(*(one for one in study.either if typed_sets and one not in typed_sets))
         written = {key: value for key, value in load_yaml(path).items() if key not in replaced}
-        flags = {key: keys.names[key] for key in given}
+        named = keys.names_of(given)
+        flags = {key: named[key] for key in given}
         with told_by_flag(flags, {key: flag for key, flag in flags.items() if flag}):
             yield check_kind({kind: study}, {**written, **given}, path, names=flags)
 
@@ -250,13 +251,22 @@ class _Keys:
     where what is said begins with the name of a file, and else the flag."""
 
     def __init__(self, study: type[Entry], placed: Sequence[str] = (), flags: Mapping[str, str] | None = None) -> None:
-        known = study.model_fields.items()
+        known, self.placed = study.model_fields.items(), placed
         self.fields = {key: field for key, field in known if key != "kind" and _can_be_typed(field)}
         self.called = {key: (flags or {}).get(key, f"--{key.replace('_', '-')}") for key in self.fields}
         self.names = {
             key: "" if key in placed or _is_file(field) else _first(self.called[key])
             for key, field in self.fields.items()
         }
+
+    def names_of(self, given: Mapping[str, Any]) -> dict[str, str]:
+        """Names of all keys in messages: data typed in place of a file have no file name, so their flag names them."""
+        inline = {
+            key: _first(self.called[key])
+            for key, value in given.items()
+            if key not in self.placed and not isinstance(value, str)
+        }
+        return self.names | inline
 
     def given(self, typed: Mapping[str, Any]) -> dict[str, Any]:
         """What was typed, as the study's model takes it."""

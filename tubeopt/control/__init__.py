@@ -2,7 +2,6 @@
 
 from .c_library import CLibrary, c_library, save_c_library
 from .command import Command, ServoOptions, ServoStep, Why
-from .horizon import HorizonSolver
 from .lookahead import PredictiveServo
 from .observer import Correction, Observer, ObserverOptions
 from .servo import Servo
@@ -11,7 +10,6 @@ __all__ = [
     "CLibrary",
     "Command",
     "Correction",
-    "HorizonSolver",
     "Observer",
     "ObserverOptions",
     "PredictiveServo",

@@ -1,41 +1,67 @@
-"""A robot as a C library of its own: the compiled kernel and what a loop at 1 kHz asks of it, with the robot's numbers.
+"""A robot as a C library of its own: the compiled kernel and a loop at 1 kHz around it, with the numbers of the robot.
 
 It is the kernel that Python calls, the same text; `control/c` adds the memory that a caller gives, the motion along a
-branch, the quadratic program of a servo step, and its guard.
+branch, the quadratic program of a servo step, and its guard. With loads, it has the kernel of loaded arms too.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from math import ceil
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import __version__
 from ..arguments import typed
+from ..block.transcription.mesh import BEND_PER_PIECE, LOADED_WAVES, loaded_counts
+from ..constants import GRAVITY
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
 from ..inverse.joints import JointSpace, joint_space
+from ..physics.certificate import coupling_rate_function
+from ..robots.assembly import ROUND_OFF
+from ..robots.lengthwise import lengthwise
 from ..robots.limits import FAR, MOST_TURN
+from ..robots.load import Load, masses
+from ..robots.order import SAME_END
 from ..robots.robot import Robot, is_general
-from ..solvers.compiled.library import MOST_TUBES, ROOM, Room, kernel_text
+from ..solvers.compiled.binding import piece_sizes, piece_tables, tube_rows
+from ..solvers.compiled.constants import piece_constants
+from ..solvers.compiled.library import MOST_CUTS, MOST_TUBES, ROOM, Room, kernel_text
+from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array
-from .c_loads import SPARE, loaded_cases, loads_source
-from .c_text import C_FOLDER, HUSHED, pieces_text, tubes_text
 from .command import MOST_NUMBER
+
+C_FOLDER = Path(__file__).parent / "c"
+
+
+HUSHED = """/* CasADi writes for every function more than is used here; vectors are handed on within this file alone. */
+#if defined(__GNUC__) || defined(__clang__)
+#pragma GCC diagnostic ignored "-Wunused-function"
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC diagnostic ignored "-Wpsabi"
+#endif
+#define CASADI_SYMBOL_EXPORT static
+"""
+"""Warnings that what is generated, and the kernel's vectors, give rise to without need."""
+
 
 CASES = 24
 """Configurations whose answers the test of the library knows."""
+
 
 FOLLOWING = defined(
     {
@@ -229,3 +255,99 @@ def _cases(space: JointSpace) -> list[Array]:
 def _configurations(space: JointSpace) -> Iterable[Array]:
     yield 0.5 * space.inside() + 0.5 * space.middle()
     yield from space.sample(4 * CASES)
+
+
+def tubes_text(robot: Robot) -> str:
+    """The C struct Tubes, which points to PIECES."""
+    home = robot.assembly(robot.home_translations)
+    rows = ", ".join(f"{{{numbers(row)}}}" for row in tube_rows(robot))
+    return f"{{{rows}, {int(home.eccentric)}, &PIECES}}"
+
+
+def pieces_text(robot: Robot) -> str:
+    """The C struct PIECES of the tubes of a robot, and its tables."""
+    own = piece_tables(lengthwise(robot.tubes))
+    tables = {f"PIECES_{name}": array for name, array in own.items()}
+    entries = [*map(str, piece_sizes(own)), *tables, "0"]  # no refinement
+    return f"{c_tables(tables)}static const Pieces PIECES = {{{', '.join(entries)}}};\n"
+
+
+SEEN = re.compile(r"^(size_t (?:workspace|answer)_size|int solve_loaded|void solve_many_loaded)", re.MULTILINE)
+"""What the kernel shows to Python."""
+
+
+BEARABLE, SPARE = 10.0, 1.25
+"""Forces up to this times the stiffness of the tip over the square of the length have room on meshes of tubes made of
+pieces: they bend arms by more than half a circle; and by how much more room there is than some configurations need."""
+
+
+def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
+    """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations."""
+    home = robot.assembly(robot.home_translations)
+    if home.eccentric:
+        raise InputError("loads are requested; loads on eccentric robots are not supported")
+    mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -GRAVITY))), robot.n_tubes
+    pieces = _pieces_room(robot, shifts) if home.general else MOST_PIECES
+    data = f"{pieces_text(robot)}static const Tubes ROBOT = {tubes_text(robot)};\n"
+    return loads_text(name, n, f"{data}static const double MASS[] = {{{numbers(mass)}}};\n", pieces)
+
+
+def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
+    """The same of n tubes with room for so many pieces of mesh; `data` has PIECES, ROBOT and MASS as C."""
+    generator = ca.CodeGenerator("mechanics_of_loads.c")
+    generator.add(coupling_rate_function(n))
+    defines = {
+        "ECCENTRIC": 0,
+        "MOST_SECTIONS": pieces,
+        "MOST_CUTS": MOST_CUTS,
+        "ROUND_OFF_LENGTH": ROUND_OFF,
+        "SAME_END": SAME_END,
+        "WAVES_PER_ELEMENT": 1,  # of what is not loaded: not asked for
+        "LOADED_WAVES": LOADED_WAVES,
+        "BEND_PER_PIECE": BEND_PER_PIECE,
+    }
+    kernel = SEEN.sub(r"static \1", loaded_text(n, generator, pieces))
+    parts = [
+        f"/* {name} under load: made by tubeopt {__version__}; see the header. */\n",
+        f'#include "tubeopt_robot.h"\n\n{HUSHED}',
+        kernel,
+        defined(defines),
+        piece_constants(),
+        with_included(HERE / "pieces.c"),
+        with_included(HERE / "layout.c"),
+        data,
+        (C_FOLDER / "bear.c").read_text(),
+    ]
+    return "".join(parts)
+
+
+def _pieces_room(robot: Robot, shifts: Sequence[Array]) -> int:
+    """Pieces of the mesh of tubes made of pieces at most, at translations (n,) and others, under what they can bear."""
+    most = MOST_PIECES
+    for shift in shifts:
+        assembly = robot.assembly(shift)
+        length = assembly.total_length
+        tip = np.array([length * (1 - ROUND_OFF)])
+        bearable = BEARABLE * float(assembly.cross_sections(tip, tip).stiffness.sum()) / max(length, ROUND_OFF) ** 2
+        most = max(most, ceil(SPARE * loaded_counts(assembly, bearable, 0.0).sum()))
+    return most
+
+
+def loaded_cases(robot: Robot, cases: Sequence[Array]) -> list[Array]:
+    """(2n + 10,) joints, force, gravity, tip position and margin of configurations under load, from rows that begin
+    with the joints: a force that shifts the tip by 2 % of the arm, and the weight."""
+    n, found, random = robot.n_tubes, [], np.random.default_rng(0)
+    down = np.array([0.0, 0.0, -GRAVITY])
+    for case in cases:
+        rotations, translations = case[:n], case[n : 2 * n]
+        light = forward_kinematics(robot, rotations, translations, load=Load(gravity=tuple(down)))
+        assert light.compliance is not None
+        push = random.normal(size=3)
+        push *= 0.02 * light.arc_length[-1] / np.linalg.norm(light.compliance[:3, :3] @ push)
+        try:
+            load = Load(force=tuple(push), gravity=tuple(down))
+            pose = forward_kinematics(robot, rotations, translations, load=load)
+        except SolveError:
+            continue
+        found.append(np.concatenate([rotations, translations, push, down, pose.tip_position, [pose.margin]]))
+    return found

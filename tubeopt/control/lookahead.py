@@ -1,21 +1,37 @@
 """A servo that looks ahead: for goals behind a valley of the margin, or a body, at which one step after another ends.
 
-The way to the target is kept as knots, each an equilibrium (see `horizon`). Every step solves for them once and
-improves them by one quadratic program (real-time iteration; Diehl, Bock and Schloeder, SIAM J. Control Optim. 43
-(2005)), then goes along as far as rates allow, if all of the way is allowed, and if the guard agrees. A new target
-begins with the straight line to the joint values that inverse kinematics finds for it, through whatever is between.
-Where no way becomes allowed, or no joint values are known, and close to the target, one step ahead is looked.
+The path to the target is kept as knots. A knot is a point of the chart (tip rotations and translations), in which the
+equilibrium block is explicit: joint values, tip, shape and the Jacobi fields that state the margin are functions of it,
+and there is no snap at which their derivatives end. Linearised at N knots, the shortest path through all of them to the
+target is one quadratic program:
+
+    min  N sum |joints_k - joints_k-1|^2 + (tip_N - target)^2 w^2 + rho sum slack_k
+    with ranges and order of the joints, margin_k >= floor - slack_k, clearance_k >= wanted - slack_k, and changes of
+    at most `trust`.
+
+Every step solves for the knots once and improves them by this program (real-time iteration; Diehl, Bock and Schloeder,
+SIAM J. Control Optim. 43 (2005)). Then the robot goes along as far as rates allow, if the whole path is allowed, and if
+the guard agrees. A new target begins with the straight line to the joint values that inverse kinematics finds for it,
+through whatever is between. Where no path becomes allowed, or no joint values are known, and close to the target, the
+servo looks one step ahead.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
+from ..block.transcription.buffered import Buffered
+from ..block.transcription.explicit import Kind, explicit_arm
 from ..bodies.obstacles import Obstacle
+from ..bodies.scene import Scene
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, instance
+from ..errors import InputError, SolveError
 from ..inverse.configurations import Configuration
 from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
@@ -23,10 +39,266 @@ from ..inverse.tip_coordinates import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..typing import Array
+from ..typing import Array, Mask
 from .command import Command, ServoOptions, ServoStep, Why, check_places, time_step
-from .horizon import DEFAULT_HORIZON, Aim, HorizonSolver, Knots, improvement
 from .servo import Servo
+
+SOLVER, QUIET = "ipqp", {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
+"""CasADi's interior point method. On programs of 20 knots of the thesis' robot it took 0.7 ms of processor time, exact
+to 1e-6; qpOASES 3.9, HiGHS 4.8, OSQP 4.8 without reaching 1e-4 on half of them, ProxQP 17, qrqp failed."""
+
+
+# Rows of the program, each with the reserve that it keeps. Between two knots margin and clearance are less than at
+# them; the guard still stops the step that would fall below the limits themselves.
+MARGIN_RESERVE = 0.01
+CLEARANCE_RESERVE = 2e-4  # m
+
+# Largest violation of a path that the robot follows: of a Jacobi field, which is 1 without torsion, and of a
+# clearance over its reserve. It is below the reserves, so that such a path keeps the limits themselves at its knots.
+ALLOWED_VIOLATION = 0.02
+
+# Largest and smallest trust region: change of a knot by one program, in units of the scales. It is halved where a
+# change undoes the last one, as where tubes end together and derivatives differ to either side, and doubled where
+# not.
+LARGEST_TRUST, SMALLEST_TRUST = 0.3, 0.01
+
+# Weight of the tip's distance from the target over the robot's length, relative to the joint motion over its scales.
+# The last knot must end at the target: 1 % of the length counts as much as motion by a whole scale.
+TIP_WEIGHT = 100.0
+
+# Weight of the motion of the tip rotations, relative to that of the joints. Near a fold the tip rotations change much
+# while the joints hardly move: without the weight nothing would keep knots there close together.
+TURN_WEIGHT = 0.05
+
+# Price per unit of slack: of the smallest field, and of a clearance over a tenth of the robot's length. An exact
+# penalty needs a price above the multipliers of the constraints, of which the tip's weight is the scale.
+SLACK_PRICE = 30.0
+
+# Weight of changes of the knots: it makes the Hessian definite where joint motion does not depend on a knot.
+KNOT_DAMPING = 1e-6
+
+# Distance from obstacles, as a fraction of the robot's length, within which they count at a knot, and the largest
+# number of points that a knot keeps clear of. Bodies farther away become rows of a later program.
+BODY_REACH, MOST_CONTACTS = 0.05, 3
+
+# Places per step between points of the arm, on straight lines, at which its distance from bodies is measured.
+PLACES_PER_STEP = 4
+
+
+@lru_cache(maxsize=16)
+def _linearised(kind: Kind, knots: int, thread: int) -> Buffered:
+    """Rotations, fields, points and the last tangent of an arm, in one column, their derivatives by tip rotations and
+    translations, and arc lengths, of as many knots."""
+    tip, shift = ca.MX.sym("z", kind.n), ca.MX.sym("d", kind.n)
+    floor, robot = ca.MX.sym("mu"), ca.MX.sym("robot", kind.size)
+    rotations, fields, points, tangents, along = explicit_arm(kind)(tip, shift, floor, robot)
+    values = ca.vertcat(rotations, ca.vec(fields), ca.vec(points), tangents[:, -1])
+    slopes = ca.densify(ca.jacobian(values, ca.vertcat(tip, shift)))
+    return Buffered(ca.Function("knot", [tip, shift, floor, robot], [values, slopes, along]).map(knots))
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """K knots of a chart."""
+
+    chart: TipCoordinates
+    z: Array
+    """(K, m)."""
+    joints: Array
+    """(K, m) rad and m."""
+    fields: Array
+    """(K, f) above 0 where the margin is above its floor."""
+    points: Array
+    """(K, p, 3) of the arm, m."""
+    direction: Array
+    """(K, 3) of its tip."""
+    along: Array
+    """(K, p) arc lengths of the points, m."""
+    slopes: tuple[Array, Array, Array, Array]
+    """Of joints, fields, points and direction by z over the scales, with m columns behind."""
+
+    @staticmethod
+    def at(chart: TipCoordinates, z: Array, floor: float) -> Knots:
+        """Those of points (K, m), with a floor of the margin."""
+        n, (count, m) = chart.space.robot.n_tubes, z.shape
+        function = _linearised(chart.kind, count, threading.get_ident())
+        values, slopes, along = function(z[:, :n], chart.translations(z), floor, chart.parameters)
+        first, last = n + explicit_arm(chart.kind).numel_out(1), values.shape[1] - 3
+        spread = np.concatenate([np.eye(n, m), chart.space.spread[n:]]) * chart.space.scale
+        # In memory one column follows the other: (K, 2n, rows).
+        by_z = slopes.reshape(count, 2 * n, -1).transpose(0, 2, 1) @ spread
+        slide = np.tile(np.diag(chart.space.scale)[n:], (count, 1, 1))
+        parts = (
+            np.concatenate([by_z[:, :n], slide], axis=1),
+            by_z[:, n:first],
+            by_z[:, first:last].reshape(count, -1, 3, m),
+            by_z[:, last:],
+        )
+        joints = np.concatenate([values[:, :n], z[:, n:]], axis=1)
+        points = values[:, first:last].reshape(count, -1, 3).copy()
+        return Knots(chart, z, joints, values[:, n:first].copy(), points, values[:, last:].copy(), along.copy(), parts)
+
+    @property
+    def tip(self) -> Array:
+        """(K, 3) m."""
+        return self.points[:, -1]
+
+    def contacts(self, scene: Scene, clearance: float) -> tuple[Array, Array]:
+        """(K, C) how much farther from bodies than the clearance (m) arms are where they come closest, infinite
+        where there are none, and (K, C, m) its derivatives."""
+        space, (count, m) = self.chart.space, self.z.shape
+        most = MOST_CONTACTS
+        gap, slope = np.full((count, most), np.inf), np.zeros((count, most, m))
+        x = np.arange(PLACES_PER_STEP) / PLACES_PER_STEP
+        fine, along, moved = (_between(table, x) for table in (self.points, self.along, self.slopes[2]))
+        end = self.chart.translations(self.z) + [tube.length - tube.straight_length for tube in space.robot.tubes]
+        for k in range(count):
+            radius = np.where(along[k, :, None] <= end[k] + 1e-12, self.chart.radius, 0.0).max(1)
+            bodies = scene.close(fine[k], clearance + BODY_REACH * space.length + float(radius.max()))
+            if not bodies:
+                continue
+            distance = scene.distances(bodies, fine[k]) - radius - clearance
+            place = distance.argmin(1)
+            nearest = np.argsort(distance.min(1))[:most]
+            body, at = [bodies[i] for i in nearest], place[nearest]
+            gap[k, : len(at)] = distance[nearest, at]
+            away = scene.gradients(body, fine[k, at])
+            slope[k, : len(at)] = (away[:, None] @ moved[k, at])[:, 0]
+        return gap, slope
+
+
+def _between(table: Array, x: Array) -> Array:
+    """(K, p', ...) rows of (K, p, ...), and between each and the next those at shares x."""
+    shape = (1, 1, len(x), *[1] * (table.ndim - 2))
+    a, b = table[:, :-1, None], table[:, 1:, None]
+    inner = a + x.reshape(shape) * (b - a)
+    return np.concatenate([inner.reshape(len(table), -1, *table.shape[2:]), table[:, -1:]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """Where the tip shall be, m, and along which unit vector it shall point, or None."""
+
+    position: Array
+    direction: Array | None
+
+
+def improvement(knots: Knots, aim: Aim, contacts: tuple[Array, Array], trust: float) -> Array | None:
+    """(N, m) the change over the scales of all knots but the first by one quadratic program, each at most `trust`; None
+    where the solver finds no answer."""
+    (way, right), (rows, least) = _way(knots, aim), _rows(knots, contacts)
+    n, count, width = rows.shape
+    m = width - 1
+    hessian, matrix = np.zeros((n * width, n * width)), np.zeros((n, count, n, width))
+    own = (np.arange(n)[:, None] * width + np.arange(m)).ravel()
+    hessian[np.ix_(own, own)] = way.T @ way + KNOT_DAMPING * np.eye(n * m)
+    gradient = np.full((n, width), SLACK_PRICE)
+    gradient[:, :m] = -(right @ way).reshape(n, m)
+    matrix[np.arange(n), :, np.arange(n)] = rows
+    lower, upper = np.zeros((n, width)), np.full((n, width), np.inf)
+    lower[:, :m], upper[:, :m] = _range(knots, trust)
+    program = _program(n, m, count)
+    found = program(
+        h=_sparse(program.sparsity_in("h"), hessian),
+        a=_sparse(program.sparsity_in("a"), matrix.reshape(n * count, n * width)),
+        g=gradient.ravel(),
+        lba=least.ravel(),
+        lbx=lower.ravel(),
+        ubx=upper.ravel(),
+    )
+    answer = np.asarray(found["x"]).reshape(n, width)[:, :m]
+    return answer if program.stats()["success"] and np.isfinite(answer).all() else None
+
+
+def _way(knots: Knots, aim: Aim) -> tuple[Array, Array]:
+    """Rows and right-hand sides in least squares, over the scales: the way from knot to knot, and the tip's distance
+    from its aim."""
+    space, (count, m) = knots.chart.space, knots.z.shape
+    tubes, n, weight = space.robot.n_tubes, count - 1, np.sqrt(count - 1.0)
+    turned = np.tile(TURN_WEIGHT * np.eye(tubes, m), (count, 1, 1))
+    slope = np.concatenate([knots.slopes[0] / space.scale[:, None], turned], 1)
+    place = np.concatenate([knots.joints / space.scale, TURN_WEIGHT * knots.z[:, :tubes]], axis=1)
+    matrix = np.zeros((n, m + tubes, n, m))
+    each = np.arange(n)
+    matrix[each, :, each] = weight * slope[1:]
+    matrix[each[1:], :, each[:-1]] = -weight * slope[1:-1]
+    right = -weight * np.diff(place, axis=0)
+    wanted = [(aim.position - knots.tip[-1], knots.slopes[2][-1, -1])]
+    if aim.direction is not None:
+        wanted.append(((aim.direction - knots.direction[-1]) * space.length, knots.slopes[3][-1] * space.length))
+    last = np.zeros((3 * len(wanted), n * m))
+    last[:, -m:] = TIP_WEIGHT / space.length * np.concatenate([slope for _, slope in wanted])
+    gap = TIP_WEIGHT / space.length * np.concatenate([gap for gap, _ in wanted])
+    return np.concatenate([matrix.reshape(-1, n * m), last]), np.concatenate([right.ravel(), gap])
+
+
+def _rows(knots: Knots, contacts: tuple[Array, Array]) -> tuple[Array, Array]:
+    """(N, r, m + 1) and (N, r): rows of every knot but the first over the scales and its slack, and what they are at
+    least: ranges and order of the joints, margin, clearance."""
+    space, joints, slope = knots.chart.space, knots.joints, knots.slopes[0]
+    n = space.robot.n_tubes
+    turn, order = slope[:, :n], space.rows @ slope / space.length
+    gap, toward = contacts
+    size = 1 + np.abs(knots.fields)
+    rows = [turn, -turn, order, knots.slopes[1] / size[..., None], toward / (0.1 * space.length)]
+    least = [
+        (space.lower - joints)[:, :n],
+        (joints - space.upper)[:, :n],
+        (space.least - joints @ space.rows.T) / space.length,
+        -knots.fields / size,
+        -gap / (0.1 * space.length),
+    ]
+    hard = 2 * n + len(space.least)
+    matrix = np.concatenate(rows, axis=1)
+    slack = np.ones((*matrix.shape[:2], 1))
+    slack[:, :hard] = 0.0
+    return np.concatenate([matrix, slack], axis=2)[1:], np.concatenate(least, axis=1)[1:]
+
+
+def _range(knots: Knots, trust: float) -> tuple[Array, Array]:
+    """(N, m) least and largest change of every knot but the first, over the scales."""
+    space, z = knots.chart.space, knots.z[1:]
+    slides = np.arange(z.shape[1]) >= space.robot.n_tubes
+    low, high = ((end - z) / space.scale for end in (space.lower, space.upper))
+    return (
+        np.where(slides, np.clip(low, -trust, trust), -trust),
+        np.where(slides, np.clip(high, -trust, trust), trust),
+    )
+
+
+@lru_cache(maxsize=16)
+def _program(n: int, m: int, rows: int) -> ca.Function:
+    """The solver of the quadratic program of N knots, of m coordinates and a slack each, and of rows for each."""
+    near = np.abs(np.arange(n)[:, None] - np.arange(n)) <= 1
+    moved = np.append(np.ones(m, dtype=bool), False)
+    hessian = _pattern(np.kron(near, np.outer(moved, moved)))
+    matrix = _pattern(np.kron(np.eye(n, dtype=bool), np.ones((rows, m + 1), dtype=bool)))
+    return ca.conic("ahead", SOLVER, {"h": hessian, "a": matrix}, QUIET)
+
+
+def _pattern(mask: Mask) -> ca.Sparsity:
+    rows, columns = np.nonzero(mask)
+    return ca.Sparsity.triplet(mask.shape[0], mask.shape[1], rows.tolist(), columns.tolist())
+
+
+def _sparse(pattern: ca.Sparsity, dense: Array) -> ca.DM:
+    return ca.DM(pattern, dense[pattern.get_triplet()])
+
+
+# Distance of the tip from its target, as a fraction of the robot's length, below which a single step suffices: where
+# that step comes to rest before the target, the knots take over again. A step of the servo takes a tenth of the time.
+CLOSE = 0.01
+
+# Distance between targets, as a fraction of the robot's length, above which a path is planned anew. A target that
+# moves on by less is followed by the knots: each program carries the last one along.
+ELSEWHERE = 0.05
+
+# Steps that the robot waits for an allowed path, 0.4 s at 50 Hz. Each is one program; then the servo goes on without
+# a path.
+PATIENCE = 20
+
+# Duration of the search for joint values of a new target: longer than inverse kinematics takes where there are any.
+SEARCH_SECONDS = 1.0
 
 
 class PredictiveServo:
@@ -35,7 +307,7 @@ class PredictiveServo:
     Args:
         start, limits, obstacles: as for `Servo`.   options: see `ServoOptions`; priorities and objective apply where a
             single step suffices.
-        knots: number of knots of the planned path.   solver: settings of the planner.
+        knots: number of knots of the planned path.
 
     Raises:
         InputError, SolveError: as `Servo` does; fewer than 2 knots.
@@ -50,22 +322,20 @@ class PredictiveServo:
         obstacles: Sequence[Obstacle] = (),
         options: ServoOptions | None = None,
         knots: int = 20,
-        solver: HorizonSolver = DEFAULT_HORIZON,
     ) -> None:
         if knots < 2:
             raise InputError(f"knots is {knots}; it must be at least 2")
-        instance("solver", solver, HorizonSolver)
-        self.options, self.solver = options or ServoOptions(), solver
+        self.options = options or ServoOptions()
         self._servo = Servo(robot, start, limits=limits, obstacles=obstacles, options=self.options)
         self._guard = self._servo.guard
         self._bodies, self._limits = tuple(obstacles), limits
-        self._floor = self.options.min_margin + solver.margin_room
-        self._clearance = self.options.clearance + solver.clearance_room
+        self._floor = self.options.min_margin + MARGIN_RESERVE
+        self._clearance = self.options.clearance + CLEARANCE_RESERVE
         self._chart = TipCoordinates(self._guard.space)
         self._count = knots
         self._way: Array | None = None
         self._aim: Aim | None = None
-        self._trust, self._last = self.solver.trust, np.zeros((knots, len(self._guard.here.q)))
+        self._trust, self._last = LARGEST_TRUST, np.zeros((knots, len(self._guard.here.q)))
         self._waited, self._near = 0, True
 
     @property
@@ -93,7 +363,7 @@ class PredictiveServo:
             raise InputError("a servo with look-ahead follows a position, and a direction if one is given")
         aim = Aim(command.position, command.direction)
         told, here = self._guard.left(command), self._guard.here
-        if self._near and told[0] < self.solver.close * self._guard.space.length and not self._new(aim):
+        if self._near and told[0] < CLOSE * self._guard.space.length and not self._new(aim):
             step = self._servo.step(command, dt)
             # Where that comes to rest before it is there, one step ahead will not do.
             self._near = step.why & Why.HELD == 0
@@ -112,26 +382,26 @@ class PredictiveServo:
                     self._way = _places(self._way, np.linspace(passed, self._count, self._count + 1))
                 return ServoStep(there, lacking, *told)
         self._waited += 1
-        if self._waited <= self.solver.patience:
+        if self._waited <= PATIENCE:
             return ServoStep(here.equilibrium, lacking | Why.HELD, *told)
         return self._servo.step(command, dt)
 
     def _renew(self, knots: Knots) -> Why:
         """Improve the way; what the knots lack as they are."""
         assert self._aim is not None
-        contacts = knots.contacts(self._guard.scene, self._clearance, self.solver)
-        change = improvement(knots, self._aim, contacts, self._trust, self.solver)
+        contacts = knots.contacts(self._guard.scene, self._clearance)
+        change = improvement(knots, self._aim, contacts, self._trust)
         if change is None:  # it is begun anew
             self._aim = None
         else:
             undone = float((change * self._last).sum()) < 0
-            self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), self.solver.calm, self.solver.trust))
+            self._trust = float(np.clip(self._trust * (0.5 if undone else 2.0), SMALLEST_TRUST, LARGEST_TRUST))
             self._last = change
             self._way = np.concatenate([knots.z[:1], knots.z[1:] + change * self._guard.space.scale])
         lacking = Why(0)
-        if knots.fields[1:].min() < -self.solver.lacking:
+        if knots.fields[1:].min() < -ALLOWED_VIOLATION:
             lacking |= Why.MARGIN
-        if contacts[0].min(initial=np.inf) < -self.solver.clearance_room * (1 + self.solver.lacking):
+        if contacts[0].min(initial=np.inf) < -CLEARANCE_RESERVE * (1 + ALLOWED_VIOLATION):
             lacking |= Why.OBSTACLE
         return lacking
 
@@ -144,7 +414,7 @@ class PredictiveServo:
             self._way = None
             if end is None:
                 return None
-            self._trust, self._last = self.solver.trust, np.zeros_like(self._last)
+            self._trust, self._last = LARGEST_TRUST, np.zeros_like(self._last)
             self._waited, self._near = 0, True
             self._way = begin + np.linspace(0, 1, self._count + 1)[:, None] * (end - begin)
         if self._way is None:
@@ -159,7 +429,7 @@ class PredictiveServo:
         moved = float(np.linalg.norm(aim.position - self._aim.position)) / self._guard.space.length
         if aim.direction is not None and self._aim.direction is not None:
             moved = max(moved, float(np.linalg.norm(aim.direction - self._aim.direction)))
-        return moved > self.solver.elsewhere or (aim.direction is None) != (self._aim.direction is None)
+        return moved > ELSEWHERE or (aim.direction is None) != (self._aim.direction is None)
 
     def _goal(self, aim: Aim) -> Array | None:
         """The point of the chart of joint values that meet an aim, near the robot; None where none are known."""
@@ -172,7 +442,7 @@ class PredictiveServo:
                 min_margin=self._floor,
                 limits=self._limits,
                 obstacles=self._bodies,
-                options=InverseOptions(clearance=self._clearance, time_limit=self.solver.seconds),
+                options=InverseOptions(clearance=self._clearance, time_limit=SEARCH_SECONDS),
             )
         except SolveError:
             return None

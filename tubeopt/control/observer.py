@@ -20,17 +20,33 @@ from ..display import Displayed
 from ..equilibrium.jacobian import jacobian
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, finite, undoubted, vector, whole
+from ..errors import InputError, SolveError, finite, undoubted, vector
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
 
 BY = ("rotations", "bending_stiffness", "torsional_stiffness")
 
+# Drift of the parameters per square root of a second, as a fraction of their standard deviations. Without it the
+# covariance falls to 0, and offsets that change later are never seen. With it the variance of the prior is back after
+# 2500 s.
+DRIFT = 0.02
+
+# Duration of stored joint values, s: the largest delay of a measurement. Trackers are late by 10 to 100 ms.
+MEMORY = 1.0
+
+# Standard deviations per axis beyond which a measurement is left out: three normal numbers are as far off once in
+# 1e15 times.
+GATE = 5.0
+
+# Linearisations per update (iterated filter). The tip is nearly linear in offsets of a few degrees: the first brings it
+# within their square, the second within the fourth power.
+LINEARISATIONS = 3
+
 
 @dataclass(frozen=True)
 class ObserverOptions:
-    """Standard deviations of the uncertain parameters, and the memory of joint values."""
+    """Standard deviations of the measurement and of the uncertain parameters."""
 
     noise: float = 5e-4
     """Standard deviation of a measured position per axis, m."""
@@ -40,19 +56,10 @@ class ObserverOptions:
     """Relative standard deviation of every tube's stiffness."""
     offset: float = 1e-4
     """Standard deviation of the tip offset per axis, m."""
-    drift: float = 0.02
-    """Drift of the three offsets per square root of a second, as a fraction of their standard deviations."""
-    memory: float = 1.0
-    """Duration of stored joint values, s; largest delay of a measurement."""
-    gate: float = 5.0
-    """Standard deviations beyond which a measurement is left out."""
-    linearised: int = 3
-    """Times that an update linearises."""
 
     def __post_init__(self) -> None:
-        whole("linearised", self.linearised, 1)
         for name, value in vars(self).items():
-            if finite(name, value) < 0 or (name in ("noise", "memory", "gate") and value == 0):
+            if finite(name, value) < 0 or (name == "noise" and value == 0):
                 raise InputError(f"{name} is {value:g}; it must be more than 0")
 
 
@@ -125,7 +132,7 @@ class Observer:
         if self._past and not time > self._past[-1][0]:
             raise InputError(f"time is {time:g} s; it must be more than that of the last joint values")
         self._past.append((time, turn, shift))
-        while time - self._past[0][0] > self.options.memory and len(self._past) > 2:
+        while time - self._past[0][0] > MEMORY and len(self._past) > 2:
             self._past.popleft()
 
     def measured(self, time: float, position: ArrayLike) -> Correction:
@@ -136,7 +143,7 @@ class Observer:
             return Correction(False, "no joint values of its time are known", np.nan, np.nan)
         grown = self._cov
         if np.isfinite(self._time) and time > self._time:
-            grown = grown + np.diag((self.options.drift * self._prior) ** 2 * (time - self._time))
+            grown = grown + np.diag((DRIFT * self._prior) ** 2 * (time - self._time))
         try:
             return self._update(time, measured, joints, grown)
         except SolveError as error:
@@ -167,7 +174,7 @@ class Observer:
 
     def _update(self, time: float, measured: Array, joints: tuple[Array, Array], grown: Array) -> Correction:
         x, noise = self._x, self.options.noise**2 * np.eye(3)
-        for k in range(self.options.linearised):
+        for k in range(LINEARISATIONS):
             arm = self._arm_at(x, *joints)
             slope = self._slope(arm)
             gap = measured - arm.tip_position - x[2 * self._n :]
@@ -177,7 +184,7 @@ class Observer:
             gain = np.asarray(np.linalg.solve(spread, slope @ grown).T, dtype=float)
             if k == 0:
                 before = gap
-                if float(gap @ np.linalg.solve(spread, gap)) > 3 * self.options.gate**2:
+                if float(gap @ np.linalg.solve(spread, gap)) > 3 * GATE**2:
                     return Correction(False, "it is farther off than could be", *[float(np.linalg.norm(gap))] * 2)
             x = self._x + gain @ expected
         self._arm = self._arm_at(x, *joints)

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,20 @@ logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback
 
 REMEMBERED = 100_000
 """Steps of the loop whose times are kept."""
+
+# The server is for programs of one machine: who reaches its port could move the robot.
+HOST = "127.0.0.1"
+
+# Messages per second and client, above which they are read more slowly: twice the rate of the loop, which acts on the
+# last one only.
+MESSAGE_RATE = 2000.0
+
+# Time that a client has for its hello, s, and bytes of its longest message: no command has more than 1 kB.
+HELLO_SECONDS, LONGEST_MESSAGE = 5.0, 16_384
+
+# Each client costs a task and one copy of the state; a program that connects again and again must not use up the
+# sockets.
+MOST_CLIENTS = 256
 
 CLOSING = 1.0
 """Seconds that a client has to close its connection once the server ends."""
@@ -50,34 +65,20 @@ TURNS = 2e-4
 class ServerOptions:
     """How a robot is served."""
 
-    host: str = "127.0.0.1"
-    """This machine."""
     port: int = 8765
-    """0 is any that is free."""
+    """TCP port; 0 selects a free one."""
     token: str = ""
-    """What clients must know; "" makes one."""
+    """Password of the clients; "" makes a random one."""
     period: float = 1e-3
-    """Of the loop, s."""
+    """Period of the control loop, s."""
     publish: float = 40.0
-    """States per second."""
-    rate: float = 2000.0
-    """Messages per second and client, beyond which they are not read."""
-    patience: float = 5.0
-    """Until a client must have said hello, s."""
-    longest_message: int = 16_384
-    """Bytes, beyond which the connection ends."""
-    clients: int = 256
-    """At once, at most."""
+    """Rate of published states, 1/s."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.host, str) or self.host not in ("127.0.0.1", "localhost", "::1"):
-            raise InputError(f"host is {self.host!r}; it must be this machine: 127.0.0.1, localhost or ::1")
-        for name in ("period", "publish", "rate", "patience"):
+        for name in ("period", "publish"):
             if not 0 < finite(name, getattr(self, name)) < 1e6:
                 raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and less than 1e6")
         instance("token", self.token, str)
-        for name in ("longest_message", "clients"):
-            whole(name, getattr(self, name), 1)
         if not 0 <= whole("port", self.port) < 65536:
             raise InputError(f"port is {self.port}; it must be 0 to 65535")
 
@@ -126,6 +127,12 @@ def _turns(seconds: float) -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
+def check_websockets() -> None:
+    """Raise InputError where `websockets` is not installed, before anything that takes long."""
+    if find_spec("websockets") is None:
+        raise InputError("websockets is missing; pip install 'tubeopt[control]' brings it")
+
+
 @typed
 class RobotServer:
     """Serves one robot until it is stopped.
@@ -155,17 +162,16 @@ class RobotServer:
         Raises:
             InputError: the port is taken, or `websockets` is not installed.
         """
-        try:
-            from websockets.asyncio.server import serve
-        except ImportError:
-            raise InputError("websockets is missing; pip install 'tubeopt[control]' brings it") from None
+        check_websockets()
+        from websockets.asyncio.server import serve
+
         options = self.options
-        place = options.host, options.port
+        place = HOST, options.port
         try:
             listening = await serve(
                 self._welcome,
                 *place,
-                max_size=options.longest_message,
+                max_size=LONGEST_MESSAGE,
                 max_queue=16,
                 compression=None,
                 close_timeout=CLOSING,
@@ -245,11 +251,11 @@ class RobotServer:
         """One client from its hello to its end."""
         from websockets.exceptions import ConnectionClosed
 
-        client = _Client(socket, self.options.rate, self._clock())
+        client = _Client(socket, MESSAGE_RATE, self._clock())
         telling = None
         with suppress(ConnectionClosed):
             try:
-                hello = await asyncio.wait_for(socket.recv(), self.options.patience)
+                hello = await asyncio.wait_for(socket.recv(), HELLO_SECONDS)
                 self._admit(client, hello)
             except (InputError, TimeoutError) as error:
                 await socket.close(1008, str(error)[:120] or "no hello came")
@@ -273,8 +279,8 @@ class RobotServer:
             raise InputError("the first message must be a hello with the token")
         if not hmac.compare_digest(*(word.encode(errors="surrogatepass") for word in (token, self.token))):
             raise InputError("the token is wrong")
-        if len(self._clients) >= self.options.clients:
-            raise InputError(f"there are {self.options.clients} clients already")
+        if len(self._clients) >= MOST_CLIENTS:
+            raise InputError(f"there are {MOST_CLIENTS} clients already")
         role = told.get("role", "watcher")
         if role not in ROLES:
             raise InputError(f"role is {role!r}; it must be {' or '.join(ROLES)}")
@@ -292,7 +298,7 @@ class RobotServer:
 
     async def _hear(self, client: _Client, message: str | bytes) -> None:
         """A message of a client; what makes no sense is answered."""
-        now, rate = self._clock(), self.options.rate
+        now, rate = self._clock(), MESSAGE_RATE
         client.left = min(rate, client.left + max(now - client.since, 0.0) * rate)
         client.since = now
         if client.left < 1:

@@ -2,13 +2,10 @@
 
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Quantities
+from .infeasibility import Change, DesignNotFoundError, InfeasibleDesignError, Relaxation
 from .objectives import Objective
-from .optimize import DesignSolution, optimize_design
+from .optimize import DesignSolution, FrontPoint, ParetoFront, optimize_design, pareto_front
 from .parameters import Free
-from .pareto import FrontPoint, ParetoFront, pareto_front
-from .rechecks import Check
-from .relaxation import Change, DesignNotFoundError, InfeasibleDesignError, Relaxation
-from .remarks import Dimension
 from .requirements import (
     Avoid,
     Corridor,
@@ -27,12 +24,11 @@ from .requirements import (
     Wall,
 )
 from .search import SearchedDesign, SearchedPair, search_design, search_pair
-from .sensitivities import Sensitivity
-from .settings import DesignSolver
+from .sensitivities import Dimension, Sensitivity
 from .stock import Candidate, StockChoice, StockTube, choose_from_stock
-from .task import DesignTask
+from .task import DesignSolver, DesignTask
 from .tolerance import ToleranceAnalysis, Tolerances, tolerance_analysis
-from .verify import Verification, count_snaps
+from .verify import Check, Verification, count_snaps
 
 OwnObjective, OwnRequirement = CustomObjective, CustomRequirement  # names before 0.2, for one release
 

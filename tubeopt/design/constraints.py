@@ -13,8 +13,8 @@ import numpy as np
 
 from ..block.custom import CustomRequirement
 from ..block.quantities import Expression, PoseQuantities, Quantities, recorded
-from .deployment import SHARES
 from .requirements import (
+    SHARES,
     Avoid,
     Coverage,
     Length,

@@ -16,17 +16,25 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.sampling import sobol
 from ..stability import find_equilibria, follow, worst_certificate
 from ..typing import Array
-from .attempt import robot_at, state_at, to_feasibility, violation
-from .layout import FreePose
+from .evaluation import robot_at, state_at, violation
 from .parameters import Free
 from .pose import Twist
 from .program import Added, Program, compile_task, corners
 from .requirements import Coverage, Reach, Requirement, SnapFree, SnapFreeInUse, Target, of_kind
-from .starts import with_joints
+from .solve import to_feasibility, with_joints
+from .state import FreePose
 from .task import DesignTask
 
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 """Least and greatest translations."""
+
+# Rows of a joint path between two task poses. `follow` finds snaps between rows; the least margin is read at rows
+# only, and the tolerance on the margin of paths (1e-3) covers what 16 rows leave out.
+PATH_POINTS = 16
+
+# Every point adds a task pose with 2 n unknowns. The points farthest out of reach bring in their neighbours, so that
+# more than a few at once make the program larger and no better.
+POINTS_PER_ROUND = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +57,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     """The robot moved through its task poses in order, slowly; after a snap it goes on from the next pose anew."""
     state = state_at(program, x)
     joints = [state.joint_values(k) for k in program.task_poses]
-    count = program.task.solver.exchange.path_points
+    count = PATH_POINTS
     share = np.linspace(0.0, 1.0, count + 1)
     out = []
     start: Equilibrium | None = None
@@ -100,7 +108,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
         tables = list(added.points) or [corners(box) for box in boxes]
         for k, box in enumerate(boxes):
             missed = _missed(program, x, box)
-            new = [point for point in missed if point not in tables[k]][: program.task.solver.exchange.points]
+            new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
             tables[k] = (*tables[k], *new)
             why += [f"{len(missed)} points of the workspace box"] if new else []
         added = replace(added, points=tuple(tables))

@@ -14,10 +14,15 @@ from ..solvers.parallel import executor, run_all
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import LateError
 from ..typing import Array, Progress
-from .attempt import Attempt, Report
+from .evaluation import Attempt, Report
 from .program import Program
-from .solve import solve
-from .starts import with_joints
+from .solve import solve, with_joints
+
+# Random dimensions per start; only those whose tubes nest and fit become starts, which random diameters rarely do.
+DESIGNS_PER_START = 32
+
+# Steps of their scale. Far above the tolerance to which starts reach one optimum, far below what can be made.
+SAME_DESIGN = 1e-3
 
 NOTHING = "a first design, which time did not suffice for"
 """Where no design was looked at."""
@@ -45,14 +50,12 @@ class Ranking:
         return sum(self.found) + sum(self.failures.values())
 
 
-def solve_from(
-    program: Program, start: Array, report: Report | None = None, method: str = "reduced", *, keep: bool = False
-) -> Attempt:
+def solve_from(program: Program, start: Array, report: Report | None = None, *, keep: bool = False) -> Attempt:
     """`solve` on a copy of the program that remembers no poses of other starts, unless it is to `keep` them; the best
     on its way where a time limit ends it."""
     own = program if keep else replace(program, guesses={})
     try:
-        return solve(own, start, report, method)
+        return solve(own, start, report)
     except LateError:
         return cut_short(own)
 
@@ -86,7 +89,7 @@ def rank(attempts: Sequence[Attempt]) -> Ranking:
 def _same(a: Attempt, b: Attempt) -> bool:
     count = a.program.layout.designs
     gap = np.abs(a.x[:count] - b.x[:count]) / a.program.scale[:count]
-    return bool(gap.max() < a.program.task.solver.starts.same_design)
+    return bool(gap.max() < SAME_DESIGN)
 
 
 def multistart(
@@ -97,12 +100,11 @@ def multistart(
     workers: int = 1,
     progress: Progress | None = None,
     report: Report | None = None,
-    method: str = "reduced",
 ) -> Ranking:
     """Solve from the task's own dimensions and from `starts` - 1 others, on so many processes; with one only, `report`
     is told of every iteration. `seed` is of the other dimensions and of the first joint values."""
     begin, workers = start_values(program, seed, starts), min(workers, starts)
-    one = partial(solve_from, program, report=report if workers == 1 else None, method=method)
+    one = partial(solve_from, program, report=report if workers == 1 else None)
     with executor(workers) as pool:
         return rank(run_all(one, begin, pool, progress))
 
@@ -113,7 +115,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     space = layout.space
     if count == 1:
         return [with_joints(program, space.start, np.random.default_rng([seed, 0]))]
-    unit = sobol(layout.designs, program.task.solver.starts.designs * count, seed)
+    unit = sobol(layout.designs, DESIGNS_PER_START * count, seed)
     drawn = [space.lower + row * (space.upper - space.lower) for row in unit]
     # Dimensions of tubes that make a robot come first.
     designs = [space.start, *sorted(drawn, key=lambda design: not _makes_robot(program, design))]

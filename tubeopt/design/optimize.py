@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from ..arguments import typed
+from ..arguments import renamed, typed
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError, choice, instance, whole
+from ..errors import InputError, SolveError, finite, instance, whole
 from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
 from ..stability import snap_free_certificate
 from ..typing import Array, Progress, StatusEnum
-from .attempt import Attempt, Report
-from .collocation import check_collocation
+from .evaluation import Attempt, Report
 from .exchange import carry, certified_at, violations
+from .infeasibility import DesignNotFoundError, best_of
 from .multistart import Ranking, multistart, rank, solve_from
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, recompiled
-from .rechecks import Check
-from .relaxation import DesignNotFoundError, best_of
-from .remarks import Dimension, remarks
-from .requirements import Avoid, SnapFree, of_kind
-from .sensitivities import Sensitivity, sensitivities
-from .settings import DesignSolver
-from .solve import METHODS
+from .requirements import Avoid, SnapFree, SnapFreeInUse, of_kind
+from .sensitivities import Dimension, Sensitivity, remarks, sensitivities
 from .task import DesignTask
-from .verify import Verification, solve_again, verify
+from .verify import Check, Verification, solve_again, verify
 
 
 class DesignStatus(StatusEnum):
@@ -102,8 +97,7 @@ class DesignSolution(Displayed):
         kept = of_kind(self.task.requirements, Avoid)
         said = (words for one in kept for words in scene_of(one.obstacles).stands_for)
         late = ("the time limit ended the search: a better design may be near",) if self.out_of_time else ()
-        how = (*late, *filter(None, (self.attempt.remark,)))
-        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said), *how)
+        return (*remarks(self.robot, self.dimensions), *(f"the clearance is from {words}" for words in said), *late)
 
     @property
     def status(self) -> DesignStatus:
@@ -126,14 +120,25 @@ class DesignSolution(Displayed):
 SEARCH_SHARE = 0.8
 """Of the time limit, for the search; what was found is checked in the rest."""
 
+# Rounds of exchange. The worst case moves with the design, by less each round; where it still moves after twelve, a
+# program with all cases so far is no better start than another task would be.
+ROUNDS = 12
+
+# Designs tried for one that withstands a force: bisection of (0, 1) to FORCE_ACCURACY takes 9, and the secant steps
+# before a floor that suffices is known a few more.
+FORCE_ROUNDS = 16
+
+# Of the required certificate without force. Half of it takes one design more, each as long as the whole search
+# without force.
+FORCE_ACCURACY = 2e-3
+
 
 @typed
 @small
 @limited
-def optimize_design(  # noqa: PLR0913
+def optimize_design(
     task: DesignTask,
     *,
-    method: str = "reduced",
     starts: int = 1,
     seed: int = 0,
     workers: int = 1,
@@ -150,10 +155,6 @@ def optimize_design(  # noqa: PLR0913
     are added case by case where they are violated. At the end independent code checks everything again.
 
     Args:
-        method: "reduced", as above, or "collocation". The latter continues from the feasible design with one program:
-            the equilibria of all poses are unknowns too, as blocks with exact second derivatives. It supports
-            requirements on tubes, certificates, margins at poses, targets, and custom ones, and keeps the order of
-            breakpoints of its start. Use it to confirm and to compose; the reduced program is faster.
         starts: number of starts: the dimensions of the task, then random ones. If none gives a feasible design, up to 4
             are tried.
         seed: seed of the random starts.
@@ -166,8 +167,8 @@ def optimize_design(  # noqa: PLR0913
             `DesignStatus.STOPPED`; a fifth of the time is reserved for its checks.
 
     Raises:
-        InputError: no task, fewer than one start or worker, a seed or turns below 0. A requirement that the method does
-            not support, or a custom requirement or objective with an invalid expression.
+        InputError: no task, fewer than one start or worker, a seed or turns below 0. A custom requirement or
+            objective with an invalid expression.
         DesignNotFoundError: (a SolveError) no start gives a feasible design. The message names the limits that were
             violated most, and limits that can be met.
         InfeasibleDesignError: (a DesignNotFoundError) no feasible design exists, which is proved.
@@ -186,10 +187,8 @@ def optimize_design(  # noqa: PLR0913
     instance("task", task, DesignTask)
     for name, value, least in (("starts", starts, 1), ("workers", workers, 1), ("seed", seed, 0), ("turns", turns, 0)):
         whole(name, value, least)
-    if choice("method", method, METHODS) == "collocation":
-        check_collocation(task)
     began = time.perf_counter()
-    search = partial(_searched, method=method, starts=starts, seed=seed, workers=workers, progress=progress)
+    search = partial(_searched, starts=starts, seed=seed, workers=workers, progress=progress)
     one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
     share = SEARCH_SHARE * time_left()
     if one is not None:
@@ -207,7 +206,6 @@ def _searched(
     task: DesignTask,
     begin: Attempt | None = None,
     *,
-    method: str,
     starts: int,
     seed: int,
     workers: int,
@@ -215,16 +213,16 @@ def _searched(
 ) -> tuple[Ranking, int]:
     """All designs that were found, the best of them for the worst cases, and how often these were added."""
     report: Report | None = getattr(progress, "iteration", None)
-    search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report, method=method)
+    search = partial(multistart, seed=seed, workers=workers, progress=progress, report=report)
     added = None if begin is None else begin.program.added
     if begin is None:
         ranking = search(compile_task(task), starts=starts)
     else:
-        ranking = rank([solve_from(recompiled(task, begin.program), begin.x, report, method, keep=True)])
-    retries = task.solver.starts.retries
+        ranking = rank([solve_from(recompiled(task, begin.program), begin.x, report, keep=True)])
+    retries = task.solver.retries
     if not ranking.designs and starts < retries and not ranking.late:
         ranking = search(compile_task(task, added), starts=retries)
-    best, rounds = add_worst_cases(best_of(ranking), report, method)
+    best, rounds = add_worst_cases(best_of(ranking), report)
     others = [one for one in ranking.designs[1:] if one.program.layout is best.program.layout]
     late = ranking.late + best.late
     return replace(ranking, designs=(best, *(others or ranking.designs[1:])), late=late), rounds
@@ -262,7 +260,7 @@ def _bearing(
 
     try:
         with within(share):
-            floor, late = _bisect_floor(one, bears, task.solver), False
+            floor, late = _bisect_floor(one, bears), False
     except LateError:
         kept = [floor for floor, (_, check) in known.items() if check.kept]
         if not kept:
@@ -290,21 +288,21 @@ def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tup
     return value, Check(words, f"{value:.5f}", value >= one.margin)
 
 
-def _bisect_floor(one: SnapFree, bears: Callable[[float], float], solver: DesignSolver) -> float:
-    """The least floor, to `force_accuracy`, whose design bears the force; `bears` tells the certificate under it."""
+def _bisect_floor(one: SnapFree, bears: Callable[[float], float]) -> float:
+    """The least floor, to FORCE_ACCURACY, whose design bears the force; `bears` tells the certificate under it."""
     low, high = one.margin, None
     floor = one.margin
-    for _ in range(solver.force_rounds):
+    for _ in range(FORCE_ROUNDS):
         short = one.margin - bears(floor)
         if short <= 0:
             high = floor
-            if high - low <= solver.force_accuracy:
+            if high - low <= FORCE_ACCURACY:
                 return high
             # What is in hand, but not all of it: the two certificates do not fall alike.
             floor = max((low + high) / 2, high + 0.9 * short)
             continue
         low = floor
-        floor = min(floor + 1.1 * short + solver.force_accuracy / 2, (low + (1.0 if high is None else high)) / 2)
+        floor = min(floor + 1.1 * short + FORCE_ACCURACY / 2, (low + (1.0 if high is None else high)) / 2)
     if high is None:
         raise SolveError(
             f"no design was found that is certified for {one.max_force * 1e3:g} "
@@ -313,7 +311,7 @@ def _bisect_floor(one: SnapFree, bears: Callable[[float], float], solver: Design
     return high
 
 
-def add_worst_cases(found: Attempt, report: Report | None = None, method: str = "reduced") -> tuple[Attempt, int]:
+def add_worst_cases(found: Attempt, report: Report | None = None) -> tuple[Attempt, int]:
     """A design for which all cases hold, and how many rounds of adding the worst of them that took; where a time limit
     ends that, the last one."""
     rounds = 0
@@ -324,11 +322,11 @@ def add_worst_cases(found: Attempt, report: Report | None = None, method: str = 
             return replace(found, late=True), rounds
         if not why:
             return found, rounds
-        if rounds >= found.program.task.solver.exchange.rounds:
+        if rounds >= ROUNDS:
             raise SolveError(f"worst cases remain after {rounds} rounds: {why}")
         rounds += 1
         program, start = carry(found.program, added, found.x, rounds)
-        found = best_of(rank([solve_from(program, start, report, method, keep=True)]))
+        found = best_of(rank([solve_from(program, start, report, keep=True)]))
 
 
 def solution_of(task: DesignTask, found: tuple[Ranking, int], turns: int, began: float) -> DesignSolution:
@@ -378,3 +376,92 @@ def dimensions(program: Program, x: Array) -> tuple[Dimension, ...]:
             before, after = (getattr(some[i], one.field) * factor for some in (space.robot_tubes, tubes))
             out.append(Dimension(f"{NAMES[one.field]} of tube {i + 1}", unit, before, after, bound))
     return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPoint:
+    """One design of the front: margin demanded, objective in its own sign (SI), and the robot."""
+
+    margin: float
+    objective: float
+    robot: ConcentricRobot
+
+
+@dataclass(frozen=True, eq=False)
+class ParetoFront:
+    """Designs in order of the margin demanded, up to the greatest for which one was found."""
+
+    task: DesignTask
+    objective: str
+    """The kind of what is traded for it."""
+    points: tuple[FrontPoint, ...]
+    ended: float | None
+    """The first margin demanded for which no design was found near the front, None where one was for all."""
+    out_of_time: bool = False
+    """Whether the time limit ended the front there."""
+
+
+def front_tasks(task: DesignTask, margins: Sequence[float]) -> list[tuple[float, DesignTask]]:
+    """Margins in order of size, each with the task in which it is demanded."""
+    if not len(margins):
+        raise InputError("margins is empty; a front needs at least one")
+    if len(task.objectives) > 1 or key_of(task.objectives[0]) == "margin":
+        raise InputError("a front needs one objective, and that other than the margin itself")
+    margined = SnapFree | SnapFreeInUse
+    if not any(isinstance(one, margined) for one in task.requirements):
+        raise InputError("a front needs a certificate or a margin in use among the requirements")
+    out = []
+    for margin in sorted(finite("a margin of the front", m) for m in margins):
+        asked = [replace(one, margin=margin) if isinstance(one, margined) else one for one in task.requirements]
+        out.append((margin, replace(task, requirements=tuple(asked))))
+    return out
+
+
+@renamed(begin="start")
+@typed
+@limited
+def pareto_front(
+    task: DesignTask,
+    margins: Sequence[float],
+    *,
+    start: Attempt | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    time_limit: float = LONG_TIME_LIMIT,
+) -> ParetoFront:
+    """The best objective at each of several margins, each solve warm-started from the one before.
+
+    Args:
+        margins: demanded of the certificate or in use; they are taken in order of size.
+        start: an answer for the least of them, or near it.
+        time_limit: s, on the clock, at which the front ends.
+
+    Raises:
+        InputError: no margins, one that no certificate or pose can have, a task without certificate or margin in use,
+            or with several objectives.
+        SolveError: no design was found for the least margin.
+    """
+    one = task.objectives[0]
+    points: list[FrontPoint] = []
+    here = start
+    tasks = front_tasks(task, margins)
+    for k, (margin, eased) in enumerate(tasks):
+        if here is None:
+            found = best_of(multistart(compile_task(eased), starts=4, seed=seed))
+        else:
+            found = solve_from(recompiled(eased, here.program), here.x, keep=True)
+        try:
+            if not found.feasible:
+                raise SolveError(f"no design was found with a margin of at least {margin:g}")
+            found, _ = add_worst_cases(found)
+        except SolveError:
+            if not points:
+                raise
+            return ParetoFront(task, key_of(one), tuple(points), margin, found.late)
+        if found.late and points:
+            return ParetoFront(task, key_of(one), tuple(points), margin, True)
+        points.append(FrontPoint(margin, found.value(one), found.robot))
+        here = found
+        if progress is not None:
+            progress(k + 1, len(tasks))
+    return ParetoFront(task, key_of(one), tuple(points), None)

@@ -16,11 +16,10 @@ import numpy as np
 from ..block.quantities import Expression, PoseNumber
 from ..typing import Array
 from .constraints import Points, Statement, statements
-from .layout import FixedPose, FreePose, Layout, PoseKind, Via
 from .objectives import POSED, AnyObjective, Objective, aim
 from .pose import Twist
 from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFreeInUse, of_kind
-from .state import State
+from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .task import DesignTask, extreme_lengths
 
 STABLE = SnapFreeInUse(0.05, paths=False)

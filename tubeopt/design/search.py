@@ -19,14 +19,22 @@ from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Delegate, Progress
-from .attempt import FEASIBLE, attempt, robot_at, to_feasibility, violation
+from .evaluation import FEASIBLE, attempt, robot_at, violation
+from .infeasibility import best_of
 from .multistart import multistart, rank, start_values
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task
-from .relaxation import best_of
 from .requirements import SnapFree
+from .solve import to_feasibility
 from .task import DesignTask
+
+# Part of every range. Scores of planning are steps of 1/count: a smaller simplex sees one value only and stops, a
+# larger one leaves the requirements.
+SIMPLEX_STEP = 0.2
+
+# Part of the ranges: a thousandth of a range of curvature or length is below what can be made.
+SIMPLEX_SIZE = 1e-3
 
 
 class _Asked(Protocol):
@@ -181,15 +189,15 @@ class _Search:
     def from_place(self, u: Array, until: float) -> None:
         """Simplex searches, each from where the one before ended, as long as that is better than where it began: a
         simplex that is pressed against a requirement is flat."""
-        self.until, before, solver = until, np.inf, self.programs[0].task.solver
-        options = {"xatol": solver.simplex_size, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
+        self.until, before = until, np.inf
+        options = {"xatol": SIMPLEX_SIZE, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
         bounds = [(0.0, 1.0)] * len(u)
         with suppress(_EndError):
             while True:
-                simplex = np.vstack([u, u + np.diag(solver.simplex_step * np.where(u > 0.5, -1, 1))])
+                simplex = np.vstack([u, u + np.diag(SIMPLEX_STEP * np.where(u > 0.5, -1, 1))])
                 some = {**options, "initial_simplex": simplex}
                 found = scipy.optimize.minimize(self, u, method="Nelder-Mead", bounds=bounds, options=some)
-                if not found.fun < before - solver.simplex_size:
+                if not found.fun < before - SIMPLEX_SIZE:
                     break
                 u, before = found.x, float(found.fun)
 

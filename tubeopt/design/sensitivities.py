@@ -1,17 +1,31 @@
-"""What a limit costs: multipliers of the optimum in physical units."""
+"""What limits a design: prices of active limits, dimensions at a bound, and tubes that it does not need."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
+from ..constants import GRAVITY
+from ..robots.concentric import ConcentricRobot
+from ..robots.tubes import Tube, mass_per_length
 from ..typing import Array
-from .attempt import Attempt, prices
-from .cells import cell_of, cell_rows
 from .constraints import Limit
+from .evaluation import Attempt, prices
 from .parameters import UNITS
+from .solve import cell_of, cell_rows
+
+# Steps of a limit within which it may be active. A design at which IPOPT did not converge is no nearer to its limits.
+NEAR_LIMIT = 1e-3
+
+# Part of the objective's slope that no multipliers of active limits explain. Above it the design is no optimum to first
+# order, and prices would be wrong by at least that part.
+OPTIMALITY_GAP = 0.02
+
+# Relative to the largest price: multipliers of inactive limits are of the size of IPOPT's barrier parameter.
+LEAST_PRICE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,7 +53,7 @@ def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
     effect = [price * limit.size for limit, price in costs]
     largest = max(effect, default=0.0)
     order = np.argsort(effect)[::-1]
-    least = found.program.task.solver.pricing.least * max(largest, 1e-300)
+    least = LEAST_PRICE * max(largest, 1e-300)
     return tuple(_sensitivity(found, *costs[k]) for k in order if effect[k] > least > 0)
 
 
@@ -48,13 +62,13 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     come closest to the conditions of optimality at the design; None where those do not hold."""
     if found.optimum is not None and found.optimum.success:
         return found.optimum.multipliers, found.optimum.bound_multipliers
-    program, x, pricing = found.program, found.x, found.program.task.solver.pricing
+    program, x = found.program, found.x
     there = found.evaluated
     values, jacobian = there.rows()
     sections = cell_rows(there.state, cell_of(there.state))
-    near = np.flatnonzero(values < pricing.near)
-    closed = np.flatnonzero(sections[0] < pricing.near)
-    low, high = ((program.scale * pricing.near > abs(x - bound)) for bound in (program.lower, program.upper))
+    near = np.flatnonzero(values < NEAR_LIMIT)
+    closed = np.flatnonzero(sections[0] < NEAR_LIMIT)
+    low, high = ((program.scale * NEAR_LIMIT > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
     columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
@@ -62,7 +76,7 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     if not matrix.size:
         return None  # nothing is near
     price, gap = scipy.optimize.nnls(matrix, slope)
-    if gap > pricing.gap * float(np.linalg.norm(slope)):
+    if gap > OPTIMALITY_GAP * float(np.linalg.norm(slope)):
         return None
     out = np.zeros(len(values))
     out[near] = price[: len(near)]
@@ -108,3 +122,57 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
     shown = f"{step:g} {limit.unit}".strip()
     sentence = f"{shown} {verb} {limit.words} buys {f'{gain:.3g} {unit}'.strip()} {change} {name}"
     return Sensitivity(limit, derivative, sentence)
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One free dimension."""
+
+    name: str
+    unit: str
+    before: float
+    """In that unit, as `after`."""
+    after: float
+    bound: str
+    """The bound that it lies on, "lower" or "upper"; "" where on none."""
+
+
+def remarks(robot: ConcentricRobot, dimensions: Sequence[Dimension]) -> tuple[str, ...]:
+    """Sentences on a designed robot, each with its number."""
+    return (*_at_bounds(dimensions), *_useless(robot))
+
+
+def _at_bounds(dimensions: Sequence[Dimension]) -> Iterator[str]:
+    for one in dimensions:
+        if one.bound:
+            yield f"{one.name} lies on its {one.bound} bound, {one.after:.4g} {one.unit}, which the design hangs on"
+
+
+def _useless(robot: ConcentricRobot) -> Iterator[str]:
+    """Tubes whose bend moves the end of their curved part, at home, by less than the weight of the stiffest tube moves
+    its own: as cantilevers, the curvature kb kappa / sum kb of the tubes that are there, and w L^4 / (8 kb)."""
+    stiff = np.array([float(tube.bending_stiffness) for tube in robot.tubes])
+    stiffest = int(stiff.argmax())
+    outer = robot.tubes[stiffest]
+    mass = mass_per_length(outer)
+    if mass is None or robot.n_tubes == 1:
+        return
+    sag = mass * GRAVITY * outer.curved_length**4 / (8 * stiff[stiffest])
+    ends = np.array([tube.length for tube in robot.tubes]) + robot.home_translations
+    for i, tube in enumerate(robot.tubes):
+        moved = _moved(tube, float(ends[i]), ends, stiff)
+        if moved < sag:
+            yield (
+                f"tube {i + 1} bends the arm by {moved * 1e3:.2g} mm. Tube {stiffest + 1}, the stiffest, sags by "
+                f"{sag * 1e3:.2g} mm under its own weight, which is more: tube {i + 1} may be straight"
+            )
+
+
+def _moved(tube: Tube, end: float, ends: Array, stiff: Array) -> float:
+    """How far, m, the end (m from the plate) of a tube is moved by its bend, tubes of `stiff` lying up to `ends`."""
+    begin = end - tube.curved_length
+    cuts = np.unique(np.clip([begin, *ends, end], begin, end))
+    there = ends > 0.5 * (cuts[1:] + cuts[:-1])[:, None]
+    bend = float(tube.bending_stiffness) * abs(tube.curvature) / (there * stiff).sum(1)
+    lever = end - cuts
+    return float((bend * (lever[:-1] ** 2 - lever[1:] ** 2) / 2).sum())

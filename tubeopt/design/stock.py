@@ -22,7 +22,7 @@ from .infeasibility import shown_infeasible
 from .multistart import multistart
 from .objectives import key_of
 from .optimize import add_worst_cases
-from .pieces import of_section
+from .parameters import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .task import DesignTask

@@ -27,7 +27,7 @@ from ..design import (
     tolerance_analysis,
 )
 from ..design.exchange import certified_at
-from ..design.pareto import front_tasks
+from ..design.optimize import front_tasks
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..errors import InputError

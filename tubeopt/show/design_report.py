@@ -11,13 +11,11 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from ..design.objectives import AnyObjective, key_of, shown
-from ..design.optimize import DesignSolution
-from ..design.pareto import FrontPoint, ParetoFront
-from ..design.rechecks import Check
-from ..design.remarks import Dimension
-from ..design.sensitivities import Sensitivity
+from ..design.optimize import DesignSolution, FrontPoint, ParetoFront
+from ..design.sensitivities import Dimension, Sensitivity
 from ..design.stock import Candidate
 from ..design.tolerance import ToleranceAnalysis
+from ..design.verify import Check
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..files.files import write_text

@@ -1,4 +1,4 @@
-"""A design program at one vector of unknowns, and its solvers: least squares to feasibility, IPOPT to the optimum."""
+"""A design program at one vector of unknowns: rows of constraints, objective, violation."""
 
 from __future__ import annotations
 
@@ -7,17 +7,155 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 
+from ..block.quantities import Quantity
 from ..errors import InputError, SolveError, undoubted
 from ..robots.concentric import ConcentricRobot
-from ..solvers.ipopt import Optimum, Values, minimise, nowhere
+from ..solvers.ipopt import Optimum
 from ..solvers.time_limit import check_time
 from ..typing import Array
-from .objectives import KINDS, AnyObjective, key_of
-from .program import BOUNDED, Program, Reached
-from .rows import Rows, cubed, fixed_rows, rows_of, squared
-from .state import State
+from .constraints import Limit, Statement
+from .objectives import AnyObjective, key_of
+from .program import BOUNDED, Program, Reached, slack_name
+from .state import FreePose, State
+from .task import DesignTask, gaps_of, order_gaps
+
+HELD = 5e-8
+"""Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
+
+ORDERED = 9e-8
+"""The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off."""
+
+POSED = ("margin in use", "certified margin")
+"""Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens."""
+
+DEPTH_TOLERANCE = 1e-6
+"""How exactly (m) the pose of the objective reach_radius keeps its depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of one group, >= 0 where the limit is kept, in units of `limit.size`."""
+
+    requirement: int
+    """Its number in the task."""
+    part: int
+    """Tells the groups of a requirement apart."""
+    limit: Limit
+    values: Array
+    """(K,)."""
+    jacobian: Array
+    """(K, X)."""
+    vector: tuple[Array, Array] | None = None
+    """(K, 3) whose length is limited, and its change (K, 3, X), where it is such a limit: it leads least squares to 0
+    from far away faster than its length does."""
+    slack: tuple[float, int] | None = None
+    """Steps by which the limit is eased, and their column."""
+    always: bool = False
+    """Whether the rows stay where no unknown moves them for a while."""
+
+
+def rows_of(program: Program, state: State) -> list[Rows]:
+    """All groups of rows that can be relaxed."""
+    out = [group for number, stated in enumerate(program.stated) for group in stated_rows(stated, number, state)]
+    # A limit on dimensions that are not free, and is kept, is no constraint.
+    out = [one for one in out if one.always or one.jacobian.any() or one.values.min() < 0 or one.limit.words in POSED]
+    return [_eased(state, group, k) for k, group in enumerate(out)] if program.elastic else out
+
+
+def _eased(state: State, group: Rows, k: int) -> Rows:
+    column = state.layout.column(slack_name(k))
+    jacobian = group.jacobian.copy()
+    jacobian[:, column] += 1.0
+    slack = float(state.x[column])
+    return replace(group, values=group.values + slack, jacobian=jacobian, slack=(slack, column))
+
+
+def stated_rows(found: Sequence[Statement], number: int, state: State) -> list[Rows]:
+    """Groups of rows of what a requirement, the `number`-th of its task, states as expressions."""
+    out = []
+    for one in found:
+        size, vector = one.limit.size, None
+        values, jacobian = one.expression.linear(state.quantity)
+        if one.vector is not None:
+            gap, slope = (part / size for part in one.vector.linear(state.quantity))
+            vector = gap.reshape(-1, 3), slope.reshape(len(gap) // 3, 3, -1)
+        rows = np.atleast_1d(values) / size - HELD, np.atleast_2d(jacobian) / size
+        out.append(Rows(number, one.part, one.limit, *rows, vector, always=one.always))
+    return out
+
+
+def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
+    """Rows that are linear in the unknowns, >= 0 where kept, in steps of 10 mm: in every free pose the order of the
+    tubes, and the ranges of the translations that the robot's actuators have; that no tube is shorter than the next
+    outer one; the order at given translations. What no unknown moves is left out, as the task has checked it."""
+    layout, unmoved, limits = state.layout, np.zeros((state.layout.n, 1)), task.robot.joint_limits
+    straight, curved = (state.slopes[name] for name in ("straight_length", "curved_length"))
+    length, longer = np.array([tube.length for tube in state.tubes]), straight + curved
+    values: list[Array] = []
+    slopes: list[Array] = []
+    for k in (k for k, pose in enumerate(layout.poses) if isinstance(pose, FreePose)):
+        shift, moved = state.joint_values(k)[1], state.joint_slopes(k)[1]
+        values.append(gaps_of(state.tubes, shift, shift))
+        slopes.append(order_gaps(straight, curved, moved, moved))
+        if limits is not None:
+            low, high = np.array(limits.translations).T
+            values += [shift - low, high - shift]
+            slopes += [moved, -moved]
+    values.append(length[:-1] - length[1:])
+    slopes.append(longer[:-1] - longer[1:])
+    for place in task.places:
+        values.append(gaps_of(state.tubes, place.low, place.high))
+        slopes.append(order_gaps(straight, curved, unmoved, unmoved))
+    slope = np.concatenate(slopes)
+    moves = slope.any(axis=1)
+    return np.concatenate(values)[moves] / 1e-2 - ORDERED, slope[moves] / 1e-2
+
+
+def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
+    """Rows that are never relaxed: joint limits, the order of the tubes, the depth of the reach, the bounds behind
+    strain and margin."""
+    values, change = linear_rows(state, program.task)
+    parts, changes = [values], [change]
+    for one in program.task.built_in:
+        if one.depth is not None and program.depth_pose is not None:
+            place, slope = state.quantity(Quantity("tip_position", program.depth_pose))
+            height = place[2] - one.depth
+            parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
+            changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
+        if one.kind in program.layout.auxiliary:
+            column, size = program.layout.column(one.kind), BOUNDED[one.kind][2]
+            values, change = program.aims[one].linear(state.quantity)
+            change = -one.sign * change
+            change[:, column] += one.sign
+            parts.append(one.sign * (state.x[column] - values) / size)
+            changes.append(change / size)
+    return np.concatenate(parts), np.concatenate(changes)
+
+
+def squared(group: Rows) -> Rows:
+    """Rows that limit the length of a vector, in its square: of constant curvature, the same to first order where they
+    bind; as they are where the limit is eased by slack."""
+    if group.vector is None or group.slack is not None:
+        return group
+    vector, change = group.vector
+    most = group.limit.value / group.limit.size
+    values = (most**2 - (vector**2).sum(1)) / (2 * most) - HELD
+    return replace(group, values=values, jacobian=-np.einsum("kc,kcx->kx", vector, change) / most)
+
+
+def cubed(group: Rows) -> Rows:
+    """Rows that limit the length of a vector, as the six sides of the cube inside: linear in it, and stricter."""
+    if group.vector is None:
+        return group
+    vector, change = np.sqrt(3) * group.vector[0], np.sqrt(3) * group.vector[1]
+    most = group.limit.value / group.limit.size - HELD + (0.0 if group.slack is None else group.slack[0])
+    values = np.concatenate([most - vector, most + vector], axis=1).ravel()
+    jacobian = np.concatenate([-change, change], axis=1).reshape(len(values), -1)
+    if group.slack is not None:
+        jacobian[:, group.slack[1]] += 1.0
+    return replace(group, values=values, jacobian=jacobian)
+
 
 FEASIBLE = 1e-7
 """Largest violation, in steps of each limit, of what counts as kept."""
@@ -131,8 +269,6 @@ class Attempt:
     """IPOPT's answer; None where feasibility was not reached."""
     late: bool = False
     """Whether a time limit ended the search here."""
-    remark: str = ""
-    """What is worth knowing of how it was found."""
 
     @property
     def feasible(self) -> bool:
@@ -208,160 +344,7 @@ def total_objective(program: Program, state: State) -> tuple[float, Array]:
     return total, slope
 
 
-def to_feasibility(program: Program, start: Array, report: Report | None = None) -> Array:
-    """Least squares of the violations from a start: Gauss and Newton in a trust region within the bounds."""
-    scale = program.scale
-    lower, upper = program.lower / scale, program.upper / scale
-    fixed = upper - lower < 1e-12
-    begin = _settle_auxiliary(program, start) / scale
-    move = np.flatnonzero(~fixed)
-    rows_count = 0
-    slope: dict[bytes, Array] = {}
-
-    def full(part: Array) -> Array:
-        x = begin.copy()
-        x[move] = part
-        return x * scale
-
-    def residual(part: Array) -> Array:
-        """(r,) what the free unknowns `part` violate; NaN where there is no equilibrium."""
-        nonlocal rows_count
-        found = evaluate(program, full(part))
-        if found is None:
-            return np.full(rows_count, np.nan)
-        gap, jacobian = _shortfall(found, program.task.solver.optimum.inside)
-        rows_count = len(gap)
-        slope.clear()
-        slope[part.tobytes()] = jacobian[:, move] * scale[move]
-        found.note()
-        if report is not None:
-            report("feasibility", found.violation[0])
-        return gap
-
-    def jacobian(part: Array) -> Array:
-        if part.tobytes() not in slope:
-            residual(part)
-        return slope[part.tobytes()]
-
-    if evaluate(program, full(begin[move])) is None:
-        return start
-    inside = np.clip(begin[move], lower[move] + 1e-9, upper[move] - 1e-9)
-    missed = residual(inside)
-    if not np.isfinite(missed).all() or not missed.any():
-        return full(inside)
-    result = scipy.optimize.least_squares(
-        residual, inside, jacobian, bounds=(lower[move], upper[move]), x_scale="jac", max_nfev=150, ftol=1e-10,
-        xtol=1e-10, gtol=1e-10,
-    )  # fmt: skip
-    return _settle_auxiliary(program, full(result.x))
-
-
-def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
-    """By how much rows fall short of being kept by `inside` steps, and its change; of a limited vector, along it."""
-    values, slopes = [], []
-    for group in found.groups:
-        short = np.minimum(group.values - inside, 0.0)
-        slope = group.jacobian * (short < 0)[:, None]
-        if group.vector is not None:
-            vector, change = group.vector
-            size = np.maximum(np.linalg.norm(vector, axis=1), 1e-12)[:, None]
-            along = vector / size
-            across = change - along[:, :, None] * np.einsum("kc,kcx->kx", along, change)[:, None]
-            slope = (along[:, :, None] * slope[:, None] + (short[:, None] / size)[:, :, None] * across).reshape(
-                -1, slope.shape[1]
-            )
-            short = (short[:, None] * along).ravel()
-        values.append(short)
-        slopes.append(slope)
-    fixed = np.minimum(found.fixed[0] - inside, 0.0)
-    return np.concatenate([*values, fixed]), np.concatenate([*slopes, found.fixed[1] * (fixed < 0)[:, None]])
-
-
-def _settle_auxiliary(program: Program, x: Array) -> Array:
-    """x with the auxiliary unknowns where the rows behind them are kept, and not more."""
-    x = x.copy()
-    names = [name for name in program.layout.auxiliary if name in BOUNDED]
-    for name in names:
-        column = program.layout.column(name)
-        x[column] = program.upper[column] if KINDS[name].sign > 0 else program.lower[column]
-    found = evaluate(program, x) if names else None
-    if found is None:
-        return x
-    values, slopes = found.fixed
-    for name in names:
-        column = program.layout.column(name)
-        mine = slopes[:, column] != 0
-        room = values[mine] / np.abs(slopes[mine, column])
-        step = float(room.min()) - 1e-3 * program.scale[column]
-        x[column] -= KINDS[name].sign * step
-    return np.clip(x, program.lower, program.upper)
-
-
-def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
-    """The optimum with one multiplier for the six sides of every cube: the price of moving them all."""
-    sides = [1 if group.vector is None else 6 for group in groups]
-    counts = [each * len(group.values) for each, group in zip(sides, groups, strict=True)]
-    *parts, rest = np.split(optimum.multipliers, np.cumsum(counts))
-    of_cubes = [part.reshape(-1, each).sum(1) for each, part in zip(sides, parts, strict=True)]
-    return replace(optimum, multipliers=np.concatenate([*of_cubes, rest]))
-
-
 def prices(groups: Sequence[Rows], multipliers: Array) -> list[float]:
     """What each group of rows costs, per step of its limit: the sum of its multipliers, of all rows."""
     *parts, _ = np.split(multipliers, np.cumsum([len(group.values) for group in groups]))
     return [float(part.sum()) for part in parts]
-
-
-def improve(
-    program: Program,
-    start: Array,
-    report: Report | None = None,
-    iterations: int | None = None,
-    *,
-    rows: MoreRows | None = None,
-    strategy: str = "quick",
-    exact: bool = False,
-) -> Attempt:
-    """The optimum from a start that is nearly feasible, or the start where it has no equilibrium.
-
-    `rows` are further values and their change, to be kept >= 0; `strategy` is one of `solvers.ipopt.STRATEGIES`.
-    Distances from targets are kept in the cube inside the tolerance, on which IPOPT is quicker and ends at better
-    optima; with `exact` in the whole ball, and where the tolerance is eased by slack, by their length itself.
-    """
-    iterations = program.task.solver.optimum.iterations if iterations is None else iterations
-    form = squared if exact else cubed
-    scale = program.scale
-    known = evaluate(program, start)
-    if known is None:
-        return attempt(program, start)
-    count, size = len(known.rows(form, rows)[0]), known.size
-    seen: list[tuple[float, Array]] = []
-
-    def values(x: Array) -> Values:
-        """Objective and constraints at scaled unknowns x (k,), with derivatives; keeps the best feasible x."""
-        found = evaluate(program, x * scale)
-        if found is None:
-            return nowhere(count, len(x))
-        f, slope = found.objective
-        g, jacobian = found.rows(form, rows)
-        if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
-            seen[:] = [(f, x * scale)]
-            found.note()
-        return Values(f / size, slope * scale / size, g, jacobian * scale)
-
-    optimum = minimise(
-        values, start / scale, program.lower / scale, program.upper / scale, iterations=iterations,
-        strategy=strategy, report=None if report is None else lambda f: report("optimum", f * size),
-    )  # fmt: skip
-    optimum = replace(
-        optimum, x=optimum.x * scale, multipliers=optimum.multipliers * size,
-        bound_multipliers=optimum.bound_multipliers * size / scale,
-    )  # fmt: skip
-    if form is cubed:
-        optimum = _folded(optimum, known.groups)
-    reached = attempt(program, optimum.x, optimum)
-    if optimum.success or not seen or (reached.feasible and reached.objective <= seen[0][0]):
-        return reached
-    # Going round in circles, it has passed something better.
-    inside = np.clip(seen[0][1], program.lower, program.upper)
-    return attempt(program, inside, replace(optimum, x=inside))
