@@ -96,4 +96,4 @@ def test_an_anatomy_states_how_well_its_plate_is_known(tmp_path: Path, caplog: A
         anatomy = load_anatomy(tmp_path / "anatomy.yaml")
     assert anatomy.registration is not None
     assert 0 < anatomy.registration.known.turn < math.radians(0.1)
-    assert any("the plate is known to" in each and "no proof knows of this" in each for each in caplog.messages)
+    assert any("Standard errors of the plate" in each and "No proof includes" in each for each in caplog.messages)

@@ -267,7 +267,7 @@ WRONG = [
     ({"points": [{"file": "c.csv", "radius_mm": 1}], "base": {"position_mm": [0, 0, 0]}},
      "anatomy.base must give one of direction and towards"),
     ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}], "base": {"at": "x", "direction": [0, 0, 1]}},
-     "'x' is not a landmark of the anatomy; there are none"),
+     "'x' is not a landmark of the anatomy; it has no landmarks"),
     ({"points": [{"file": "c.csv", "radius_mm": 1, "axes": "RAS"}],
       "base": {"position_mm": [0, 0, 0], "direction": [0, 0, 0]}}, "it must point somewhere"),
 ]  # fmt: skip

@@ -200,7 +200,7 @@ def test_goals_of_arms_that_make_no_study_are_refused(run: Run, tmp_path: Path) 
     for arms, message in (
         ([arm], "arms has 1 item; it must have at least 2"),
         ([arm, arm | {"tip_mm": [1, 2, 3], "goal_deg": [0, 0, 0]}], "several goals"),
-        ([arm, arm | {"tip_at": "carina"}], "'carina' is not a landmark of the anatomy; there are none"),
+        ([arm, arm | {"tip_at": "carina"}], "'carina' is not a landmark of the anatomy; it has no landmarks"),
         ([arm, arm | {"goal_deg": [1, 2]}], "has 2 numbers; it must be 3"),
     ):
         study.write_text(json.dumps({"kind": "plan_arms", "arms": arms}))

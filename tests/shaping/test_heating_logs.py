@@ -165,6 +165,6 @@ def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:
     assert length == pytest.approx(np.ptp(plan.position[:half][inside]), abs=5e-3)
     assert 10 < longest < plan.hold_end
     assert "BIOMED2007" in ageing_words(plan)[0]
-    assert f"for {longest:.0f} s at most" in ageing_words(plan)[0]
+    assert f"for up to {longest:.0f} s" in ageing_words(plan)[0]
     cold = replace(plan, course=replace(plan.course, temperature=np.full_like(plan.temperature, 25.0)))
     assert ageing_words(cold) == ()

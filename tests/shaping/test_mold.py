@@ -261,9 +261,7 @@ def test_end_mills() -> None:
 
 def test_plates_too_thin_or_too_small() -> None:
     thin = MoldSpec(plate=PlateSpec(thickness=5e-3))
-    assert refused(THESIS, thin).startswith(
-        "the plate is too thin: 5 mm, of which the groove of tube 1 takes 2 mm; 4 mm"
-    )
+    assert refused(THESIS, thin).startswith("the plate is too thin: 5 mm. The groove of tube 1 is 2 mm deep; 4 mm")
     small = MoldSpec(plate=PlateSpec(size=(0.1, 0.05)))
     assert "the groove of tube 1 does not fit on the plate" in refused(THESIS, small)
     crowded = MoldSpec(plate=PlateSpec(size=(0.16, 0.05)))

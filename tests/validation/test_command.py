@@ -130,7 +130,7 @@ def test_what_was_noticed_in_the_file_is_printed_without_a_fit(run: Run, tmp_pat
     outcome = run("validate", str(tmp_path / "robot.yaml"), str(tmp_path / "m.csv"))
     assert outcome.code == 0
     assert "remark: the tips lie within" in outcome.out
-    assert "are positions in m, in columns that say mm" in " ".join(outcome.out.split())
+    assert "Are positions in m in columns for mm" in " ".join(outcome.out.split())
 
 
 def test_a_concentric_robot_from_a_known_base(run: Run, tmp_path: Path) -> None:

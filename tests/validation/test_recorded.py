@@ -228,8 +228,8 @@ def test_wrapped_angles_are_unwrapped_and_said(tmp_path: Path) -> None:
     ("joint_unit", "tip_unit", "word"),
     [
         (1.0, 1e3, "are they in rad, in a column that says deg"),
-        (180 / np.pi, 1.0, "are positions in m, in columns that say mm"),
-        (180 / np.pi, 1e6, "are positions in mm, in columns that say m"),
+        (180 / np.pi, 1.0, "Are positions in m in columns for mm"),
+        (180 / np.pi, 1e6, "Are positions in mm in columns for m"),
     ],
 )
 def test_units_that_cannot_be_right_are_said(tmp_path: Path, joint_unit: float, tip_unit: float, word: str) -> None:
