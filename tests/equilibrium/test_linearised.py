@@ -23,7 +23,7 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
-from tubeopt.block.transcription.postprocess import evaluate_arm
+from tubeopt.block.transcription.arm import evaluate_arm
 from tubeopt.block.transcription.responsive import Responsive
 from tubeopt.equilibrium.answer import sample_rotation
 from tubeopt.equilibrium.directions import PARAMETERS

@@ -15,8 +15,8 @@ from scipy.optimize import root
 
 from tests.examples import DEG, MM, eccentric_assembly, newton
 from tubeopt.block.transcription import arm as arms
+from tubeopt.block.transcription.arm import evaluate_arm
 from tubeopt.block.transcription.mesh import make_mesh
-from tubeopt.block.transcription.postprocess import evaluate_arm
 from tubeopt.block.transcription.reduced import evaluate, reduce, residual, to_unknowns
 from tubeopt.block.transcription.second_variation import margin, softenings
 from tubeopt.physics.torsion import cross_section, section_functions

@@ -9,24 +9,212 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError
-from ..robots.breakpoints import order_of
-from .answer import confirmed, rebuilt
-from .certificate import add_certificate
-from .composed import CLOSED, ComposedBlock
-from .given import assembly_at, numbers_at, symbolic
-from .guess import Shape, fields_of, points_of, sample, shape_at_start
-from .near import N, Near
-from .sensitivity import add_jacobian, answers_of
-from .stability import add_margin
-from .transcription.layout import Layout, gap_names, layout, may_swap, sides, swapped
-from .transcription.model import Model
+from ..errors import InputError, SolveError, choice, undoubted
+from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.robot import Robot, is_general
+from ..typing import Array
+from .certificate import add_certificate, add_margin
+from .composed import CLOSED, JOINTS, ComposedBlock
+from .given import LENGTHS, assembly_at, numbers_at, symbolic
+from .guess import N, Near, Shape, fields_of, points_of, sample, shape_at_start
+from .transcription.chain import OF_TUBE, chain_of, remade, tubes_at
+from .transcription.external_load import arm_of
+from .transcription.model import Layout, Model, gap_names, layout, may_swap, numbers_of, sides, swapped
 from .violation import Violation, violations_of, worst
+
+# --- From the solution of a program back to an equilibrium ------------------------------------------------------------
+
+AGREEMENT = 1e-6
+"""Largest difference of the tip between block and equilibrium, over the length of the arm."""
+
+MISSED = 5e-5
+"""By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
+
+CERTAIN = 1e-7
+"""By how much a certificate may be missed: the tolerance to which programs are solved."""
+
+
+def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
+    """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
+    numbers = {name: np.array(value(part)).ravel() for name, part in block.dimensions.items()}
+    robot = rebuilt(block.robot, numbers)
+    rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
+    translations = np.minimum(translations, numbers["straight_length"])
+    model = block.model.at(value)
+    found = _solved_again(block, (robot, rotations, translations), model)
+    tip = np.array(value(block.tip_position)).ravel()
+    apart = float(np.linalg.norm(tip - found.tip_position))
+    if apart > AGREEMENT * float(found.arm.arc_length[-1]):
+        raise SolveError(
+            f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium: "
+            "the mesh is too coarse (increase refinement), or the program was not solved",
+            found,
+        )
+    for _, floor in block.margins:
+        least = float(np.array(value(floor)).item())
+        if found.margin < least - MISSED:
+            raise SolveError(
+                f"the margin is {found.margin:.4g}; it must be at least {least:.4g}: the "
+                "program has left the branch where its margin constraint is valid; start it "
+                "closer to its solution",
+                found,
+            )
+    for bound in block.bounds:
+        least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
+        if value_there < least - CERTAIN:
+            raise SolveError(
+                f"the {bound.words} is {value_there:.4g}; it must be at least {least:.4g}: "
+                "the program has left the branch of the largest eigenvalue; start it closer "
+                "to its solution",
+                found,
+            )
+    return found
+
+
+def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model: Model) -> N:
+    """On a mesh of its own, verified by re-integration."""
+    curvature_at = None if block.load is None else lambda s: sample(model, s)[2]
+    near = block.near.at(*at, lambda s: sample(model, s)[0], load=block.load, curvature_at=curvature_at)
+    return near.verified()
+
+
+@undoubted()
+def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
+    """The robot with other DIMENSIONS of its tubes, (n,) each.
+
+    A stiffness other than that of tube and material is a given one: diameters and material stay.
+    """
+    if is_general(robot):
+        return _of_pieces(robot, numbers)
+    given = dimensions_of(robot.tubes)
+    if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
+        return robot
+    tubes = tuple(
+        remade(tube, **{name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
+    )
+    if isinstance(robot, ConcentricRobot):
+        return replace(robot, tubes=tubes)
+    if isinstance(robot, SegmentedEccentricRobot):
+        return replace(robot, segments=tubes[::3])
+    assert isinstance(robot, EccentricRobot)
+    straight = tubes[0].straight_length - robot.transmission_length
+    if straight >= 0:
+        return replace(robot, tube=replace(tubes[0], straight_length=straight))
+    return replace(robot, tube=tubes[0], transmission_length=0.0)
+
+
+@undoubted()
+def _of_pieces(robot: Robot, numbers: dict[str, Any]) -> Robot:
+    assert isinstance(robot, ConcentricRobot)
+    own = {**dimensions_of(robot.tubes), **chain_of(robot.tubes).start}
+    same = all(np.array_equal(numbers[name], own[name]) for name in own if name != "curvature")
+    return robot if same else replace(robot, tubes=tubes_at(robot.tubes, numbers))
+
+
+# --- Jacobian of the tip ----------------------------------------------------------------------------------------------
+
+# The Jacobian of a block's tip inside of the program: derivatives of its unknowns, lifted into unknowns too.
+
+
+def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
+    """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every input a, with dx as unknowns."""
+    names, inputs = (wrt,) if isinstance(wrt, str) else tuple(wrt), (*JOINTS, *block.dimensions)
+    # What follows from the pieces of a tube is no input of its own.
+    own = [name for name in inputs if block.chain is None or name not in (*OF_TUBE.values(), "curved_length")]
+    for name in names:
+        choice("wrt", name, own)
+    if not names:
+        raise InputError(f"wrt is empty; it must have at least one of {', '.join(own)}")
+    seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
+    equations, scale, words = _equations(block)
+    count = seeds["rotations"].shape[1]
+    sizes = [rows * columns for rows, columns in block.shapes.values()]
+    unit = np.concatenate([np.full(size, typical) for size, typical in zip(sizes, block.typical, strict=True)])
+    per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
+    total = np.outer(unit, per)
+    begin = answers_of(block, equations, seeds)
+    tag = block.label + "answer to the inputs"
+    flat = block.program.variable(tag, total.size, scale=total.ravel(order="F"), guess=begin)
+    block.answers.append((flat, equations, seeds))
+    lifted = ca.reshape(flat, len(unit), count)
+    where = [ca.vertcat(*block.columns), *_parameters(block)]
+    change = [lifted, *(ca.DM(seed) for seed in seeds.values()), ca.DM.zeros(where[-1].shape[0], count)]
+    out = equations(*where)
+    residual, tip = equations.forward(count)(*where, *out, *change)
+    entries = [f"answer to input {q + 1}: {word}" for q in range(count) for word in words]
+    size = np.outer(scale, per).ravel(order="F")
+    block.demand("equations of the answer to the inputs", ca.vec(residual), upper=0.0, scale=size, entries=entries)
+    return tip
+
+
+def _columns(block: ComposedBlock[Any], name: str) -> Any:
+    """(N, ...) how the N numbers of an input change with those that are free of each other: tubes of one segment are
+    equal and move together, but turn alone, and so does every piece of a tube."""
+    count = block.begin_numbers[name].size
+    if name == "rotations" or count != block.robot.n_tubes:
+        return np.eye(count)
+    return np.array([[float(i in tubes) for tubes in block.robot.moving_together] for i in range(count)])
+
+
+def _seed(block: ComposedBlock[Any], name: str, column: str) -> Any:
+    """(N, ...) how the input `name` changes with each of `column`."""
+    own, size = _columns(block, column), block.begin_numbers[name].size
+    if (name, column) == ("curved_length", "piece_length") and block.chain is not None:
+        return (np.arange(size)[:, None] == block.chain.owner).astype(float)
+    return own if name == column else np.zeros((size, own.shape[1]))
+
+
+def _typical(block: ComposedBlock[Any], name: str) -> float:
+    """A typical size of an input, by which its derivatives are scaled."""
+    if name == "rotations":
+        return 1.0
+    if name in LENGTHS:
+        return block.reach
+    return float(np.abs(block.begin_numbers[name]).max()) or 1 / block.reach
+
+
+def _parameters(block: ComposedBlock[Any]) -> list[Any]:
+    """What the equations of a block depend on beside its unknowns: joints first."""
+    numbers = block.numbers if block.numbers is not None else ca.DM(block.layout.numbers())
+    return [block.rotations, block.translations, *block.dimensions.values(), numbers]
+
+
+def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
+    """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
+    rows = [size[0] * size[1] for size in block.shapes.values()]
+    x = ca.MX.sym("x", sum(rows))
+    parts = ca.vertsplit(x, np.cumsum([0, *rows]).tolist())
+    n = block.robot.n_tubes
+    names = [*JOINTS, *block.dimensions]
+    symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
+    numbers = ca.MX.sym("layout", len(block.layout.numbers()))
+    unknowns = block.matrices(parts)
+    model = arm_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
+    table = model.equations(symbols["rotations"], block.reach)
+    scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
+    words = [word for each in table for word in each.entries]
+    outputs = [ca.vertcat(*(each.expression for each in table)), model.pose_ends[1][:, -1]]
+    return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, words
+
+
+def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
+    """The lifted derivatives where the solve begins, by columns."""
+    x, count = block.begin_column, seeds["rotations"].shape[1]
+    numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
+    where = [x, *numbers, block.layout.numbers()]
+    out, zero = equations(*where), np.zeros((len(where[-1]), count))
+    forced = equations.forward(count)(*where, *out, np.zeros((len(x), count)), *seeds.values(), zero)[0]
+    slope = equations.jacobian()(*where, *out)[0]
+    return -np.linalg.solve(np.array(slope), np.array(forced)).ravel(order="F")
 
 
 class OrderWarning(UserWarning):

@@ -17,9 +17,8 @@ from ..robots.load import Load, masses
 from ..robots.order import last_tube
 from ..robots.robot import Robot, is_general
 from ..typing import Array
-from .near import Near
-from .pieces import piece_numbers, tubes_at
-from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of
+from .guess import Near
+from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of, piece_numbers, tubes_at
 from .transcription.external_load import Push
 
 LENGTHS = ("translations", "straight_length", "curved_length", "piece_length")

@@ -2,19 +2,85 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 import scipy
 
-from ..robots.robot import is_general
+from ..robots.load import Load
+from ..robots.robot import Robot, is_general
 from ..typing import Array
-from .near import Near
 from .transcription import arm as arms
 from .transcription import functions
+from .transcription.arm import ArmShape, CollocationPoints, Profile
 from .transcription.buffered import section_function
-from .transcription.loaded_fields import rows, size
+from .transcription.functions import field_rows, field_size
 from .transcription.model import Model
+from .transcription.reduced import ReducedProblem
+
+# --- Initial equilibrium ----------------------------------------------------------------------------------------------
+
+# A block knows how the solved equilibrium is used that it begins from, not how one is found.
+
+
+class Near(Protocol):
+    """A solved equilibrium; `tubeopt.Equilibrium` is one."""
+
+    @property
+    def robot(self) -> Robot:
+        """Whose it is."""
+
+    @property
+    def rotations(self) -> Array:
+        """(n,) rad."""
+
+    @property
+    def translations(self) -> Array:
+        """(n,) m."""
+
+    @property
+    def tip_position(self) -> Array:
+        """(3,) m."""
+
+    @property
+    def arm(self) -> ArmShape:
+        """The whole arm."""
+
+    @property
+    def points(self) -> CollocationPoints:
+        """Where it is known best."""
+
+    @property
+    def load(self) -> Load | None:
+        """What pushes."""
+
+    @property
+    def margin(self) -> float:
+        """Its stability margin."""
+
+    def collocated(self) -> tuple[ReducedProblem, Profile]:
+        """The collocated problem that it solves, and the torsion along its arm."""
+
+    def at(
+        self,
+        robot: Robot,
+        rotations: Array,
+        translations: Array,
+        rotation_at: Callable[[Array], Array] | None = None,
+        *,
+        load: Load | None = None,
+        curvature_at: Callable[[Array], Array] | None = None,
+    ) -> Self:
+        """An equilibrium of a robot at joint values, from rotations (n, P) of its tubes at arc lengths (P,), and under
+        `load` from curvatures (2, P), or cold."""
+
+    def verified(self) -> Self:
+        """The same, verified by adaptive re-integration."""
+
+
+N = TypeVar("N", bound=Near)
+
 
 Shape = tuple[Array, ...]
 """theta, w (n, P) and theta inside (n, P K); under load also bending moments (2, P) and inside (2, P K)."""
@@ -104,7 +170,7 @@ def poses_of(model: Model) -> tuple[Array, Array]:
 def fields_of(model: Model, margin: float) -> tuple[Array, Array, Array]:
     """Jacobi fields of tubes softened by `margin`, every piece from y = 1 where it ends: v / y (n n (P - 1),) where the
     pieces but the first begin, and y (n n K P,) at the points, by columns."""
-    n, m, degree = size(model.grid), rows(model.grid), model.grid.degree
+    n, m, degree = field_size(model.grid), field_rows(model.grid), model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
     softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])

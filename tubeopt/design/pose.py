@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..block.quantities import CLEARANCES
-from ..block.transcription.arm import ArmShape, between
-from ..block.transcription.postprocess import evaluate_arm
+from ..block.transcription.arm import ArmShape, between, evaluate_arm
 from ..block.transcription.responsive import Responsive
 from ..block.transcription.standing import hat
 from ..equilibrium.directions import Change, Directions

@@ -10,11 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ..block.transcription.arm import cumulate
 from ..block.transcription.collocated import ENDS
-from ..block.transcription.poses import cumulate
 from ..block.transcription.responsive import Forcing, Response
-from ..block.transcription.sections import Given, by_data_of, sections_of, values_of
-from ..block.transcription.standing import cross
+from ..block.transcription.standing import Given, by_data_of, cross, sections_of, values_of
 from ..errors import InputError, SolveError
 from ..robots.assembly import ROUND_OFF
 from ..robots.load import FORCE, MOMENT

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import CollocationPoints, Found
+from ..block.transcription.arm import EXTRA_POINTS, CollocationPoints, Found
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
@@ -26,9 +26,7 @@ from ..block.transcription.contact import (
     unknowns_of,
 )
 from ..block.transcription.green import sections_at
-from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem
-from ..block.transcription.loaded_arm import loaded_arm
-from ..block.transcription.postprocess import EXTRA_POINTS
+from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem, loaded_arm
 from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau

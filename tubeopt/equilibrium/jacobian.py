@@ -11,8 +11,7 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.loaded import base_wrench, compliance, evaluate, symmetric_part
-from ..block.transcription.loaded_arm import compliance_along
+from ..block.transcription.loaded import base_wrench, compliance, compliance_along, evaluate, symmetric_part
 from ..errors import InputError, finite
 from ..robots.assembly import ROUND_OFF, Assembly
 from ..robots.load import Load, PointLoad

@@ -27,8 +27,7 @@ from ..block.transcription.collocated import ENDS, THROUGH_ENDS
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.responsive import Response, Responsive
 from ..block.transcription.second_variation import Mode, worst_mode
-from ..block.transcription.sections import sections_of
-from ..block.transcription.standing import cross, hat
+from ..block.transcription.standing import cross, hat, sections_of
 from ..errors import SolveError
 from ..physics.certificate import worst_function
 from ..typing import Array

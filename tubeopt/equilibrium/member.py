@@ -17,11 +17,19 @@ import scipy
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import CollocationPoints, Found, Profile
-from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, compliance, tip_position, tip_slopes
-from ..block.transcription.loaded_arm import elastic_energy, loaded_arm, loaded_profile
+from ..block.transcription.arm import CollocationPoints, Found, Profile, evaluate_arm
+from ..block.transcription.loaded import (
+    LoadedProblem,
+    LoadedState,
+    base_wrench,
+    compliance,
+    elastic_energy,
+    loaded_arm,
+    loaded_profile,
+    tip_position,
+    tip_slopes,
+)
 from ..block.transcription.mesh import Mesh, make_mesh
-from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.reduced import (
     Evaluation,
     ReducedProblem,

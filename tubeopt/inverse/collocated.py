@@ -22,12 +22,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..block.transcription.chain import slid
 from ..block.transcription.collocated import Grid, shape_of, symbols, torsion_of
+from ..block.transcription.explicit import marched_fields
 from ..block.transcription.functions import determinant_function
-from ..block.transcription.march import marched_fields
 from ..block.transcription.model import TorsionModel
 from ..block.transcription.program import Structure, add_torsion
-from ..block.transcription.section_properties import slid
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError
 from ..physics.shape import GAUSS_POINTS, rotation_matrix

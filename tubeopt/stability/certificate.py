@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.arm import profile
+from ..block.transcription.arm import evaluate_arm, profile
 from ..block.transcription.buffered import mapped
-from ..block.transcription.postprocess import evaluate_arm
 from ..block.transcription.reduced import Evaluation, ReducedProblem, evaluate
 from ..block.transcription.responsive import Responsive
 from ..block.transcription.second_variation import least as least_value

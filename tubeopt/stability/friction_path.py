@@ -15,8 +15,7 @@ import scipy
 
 from ..arguments import typed
 from ..block.transcription.contact import evaluate_contact, make_contact
-from ..block.transcription.loaded import LoadedProblem, LoadedState
-from ..block.transcription.loaded_arm import integration_to
+from ..block.transcription.loaded import LoadedProblem, LoadedState, integration_to
 from ..block.transcription.orientation import tangent_slopes
 from ..display import Displayed
 from ..equilibrium.continuation import Family, JointPath, largest_twist

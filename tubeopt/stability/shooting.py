@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from ..block.transcription.buffered import mapped
+from ..block.transcription.explicit import march_function
 from ..block.transcription.green import reach, sections_at
-from ..block.transcription.march import march_function
 from ..block.transcription.reduced import ReducedProblem
 from ..solvers.time_limit import check_time
 from ..typing import Array, Index, Mask

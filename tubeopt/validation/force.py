@@ -13,8 +13,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import renamed, typed
-from ..block.transcription.loaded import tip_slopes
-from ..block.transcription.loaded_arm import position_slopes
+from ..block.transcription.loaded import position_slopes, tip_slopes
 from ..display import Displayed
 from ..equilibrium.answer import point_of
 from ..equilibrium.kinematics import forward_kinematics, under_load

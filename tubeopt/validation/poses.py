@@ -9,8 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from ..block.transcription.arm import Arm
-from ..block.transcription.postprocess import evaluate_arm
+from ..block.transcription.arm import Arm, evaluate_arm
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.friction import Held, sweep, swept, to_held_equilibrium

@@ -6,8 +6,9 @@ panels of its pieces. The dimensions of a piece stretch, bend, turn, twist and s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,10 +17,112 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from ...errors import InputError
+from ...robots.lengthwise import CrossSections
+from ...robots.pieces import Piece
 from ...robots.series import Quantity, Series, breaks_of, extremes, on_panels
 from ...robots.tubes import Tube, stretches
 from ...typing import Array
-from .section_properties import compliance_function
+
+# --- What varies along a piece ----------------------------------------------------------------------------------------
+
+# What varies along one piece of tubes made of pieces, as the numbers of a column and read at any point of the piece.
+#
+# Every tube has polynomials on the panels that its own pieces are cut into; a piece of the mesh lies in one panel of
+# each tube, from `low` to `high` in the coordinate -1 .. 1 of that panel.
+
+CHANNELS = 5
+"""EI of a tube that is present, GJ, u*_x, u*_y and the natural turn, in this order."""
+
+QUADRATURE = 16
+"""Gauss points for the mean torsional compliance of a panel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Local:
+    """n tubes at a cross-section: kb (n,), m (n,) or (n, 2), natural turn, ease kt / GJ, and u* (n, 2)."""
+
+    stiffness: Any
+    moment: Any
+    wound: Any = 0.0
+    ease: Any = 1.0
+    natural: Any = None
+
+
+def width(n: int, detail: int) -> int:
+    """Length of the column of n tubes with `detail` coefficients."""
+    return n * (CHANNELS * detail + 2)
+
+
+def local(along: Any, torsional_stiffness: Any, detail: int, x: Any) -> Local:
+    """The tubes at the fraction x of a piece.
+
+    Args:
+        along: column, tube by tube: `detail` coefficients of each channel, then low and high.
+        torsional_stiffness: (n,) kt, to which the ease refers.
+    """
+    n = along.numel() // (CHANNELS * detail + 2)
+    return Local(*_local_function(n, detail).call([along, torsional_stiffness, x]))
+
+
+@lru_cache(maxsize=32)
+def _local_function(n: int, detail: int) -> ca.Function:
+    """Written out once, for expressions of symbols that have many points."""
+    along, torsional_stiffness, x = ca.SX.sym("along", width(n, detail)), ca.SX.sym("kt", n), ca.SX.sym("x")
+    table = ca.reshape(along, CHANNELS * detail + 2, -1)
+    low, high = table[-2, :], table[-1, :]
+    basis = chebyshev_basis(low + x * (high - low), detail)
+    kb, kt, a, b, wound = (sum(table[c * detail + k, :] * basis[k] for k in range(detail)).T for c in range(CHANNELS))
+    natural = ca.horzcat(a, b)
+    outputs = [kb, ca.horzcat(kb, kb) * natural, wound, torsional_stiffness / kt, natural]
+    return ca.Function("local", [along, torsional_stiffness, x], outputs)
+
+
+def chebyshev_basis(x: Any, count: int) -> list[Any]:
+    """The first `count` polynomials at x."""
+    basis = [1.0, x]
+    for _ in range(2, count):
+        basis.append(2 * x * basis[-1] - basis[-2])
+    return basis[:count]
+
+
+def at_points(here: CrossSections, nodes: Array) -> Array:
+    """The columns of P pieces, one behind the other, by polynomials through the cross-sections (P K, n) at nodes (K,)
+    of every piece: as good as exact where nothing but these is asked for."""
+    count, n = len(nodes), here.stiffness.shape[1]
+    curvature = here.moment / np.where(here.stiffness > 0, here.stiffness, 1.0)
+    turn = here.phase - here.wound
+    parts = here.stiffness, here.torsional_stiffness, curvature * np.cos(turn), curvature * np.sin(turn), here.wound
+    fit = np.linalg.inv(np.polynomial.chebyshev.chebvander(2 * nodes - 1, count - 1))
+    tables = [fit @ part.reshape(-1, count, n) for part in parts]
+    whole = np.concatenate(tables, axis=1).transpose(0, 2, 1)
+    ends = np.broadcast_to([-1.0, 1.0], (*whole.shape[:2], 2))
+    return np.asarray(np.concatenate([whole, ends], axis=2).ravel())
+
+
+def slid(table: Any, detail: int, lengths: Any, moved: tuple[Any, Any]) -> Any:
+    """Columns (X, P) as `at_points` gives them for pieces of `lengths` (P,), m, after the ends of the pieces (P + 1,)
+    and the tubes (n,) have `moved` forward, m: the same polynomials of the place on each tube."""
+    ends, tubes = moved
+    rows, pieces = CHANNELS * detail + 2, table.shape[1]
+    out = []
+    for i in range(tubes.shape[0]):
+        places = [2 * (ends[first : first + pieces] - tubes[i]) / lengths for first in (0, 1)]
+        out += [table[i * rows : (i + 1) * rows - 2, :], (places[0] - 1).T, (places[1] + 1).T]
+    return ca.vertcat(*out)
+
+
+@lru_cache(maxsize=32)
+def compliance_function(detail: int) -> ca.Function:
+    """(coefficients of GJ (detail,), low, high) -> mean of 1 / GJ between two places of a panel."""
+    coefficients, low, high = ca.SX.sym("kt", detail), ca.SX.sym("low"), ca.SX.sym("high")
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE if detail > 1 else 1)
+    mean: Any = 0.0
+    for x, w in zip((nodes + 1) / 2, weights / 2, strict=True):
+        basis = chebyshev_basis(low + x * (high - low), detail)
+        mean += w / sum(coefficients[k] * basis[k] for k in range(detail))
+    return ca.Function("compliance", [coefficients, low, high], [mean], {"cse": True})
+
 
 PIECES = (
     "piece_length",
@@ -235,3 +338,75 @@ def columns(chain: Chain, laid: Panels, which: tuple[Any, Any], place: tuple[Any
         ends = [1 + there * (x - 1) for x in ends]
         out.append(ca.vertcat(stiffness, table[chain.detail :, :], *ends))
     return ca.vertcat(*out)
+
+
+# --- Tubes from dimensions, and dimensions from tubes -----------------------------------------------------------------
+
+
+def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, ...]:
+    """Tubes at dimensions in numbers."""
+    chain = chain_of(tuple(tubes))
+    laid = panels(chain, {name: ca.DM(value) for name, value in given.items()})
+    width, table = (np.array(ca.DM(part)) for part in (laid.width, laid.table))
+    channels = table.reshape(len(width), CHANNELS, chain.detail)
+    turning = np.array([chebyshev.chebder(row) for row in channels[:, 4]]) / (width / 2)
+    out = []
+    for i, tube in enumerate(tubes):
+        kb, kt = (float(given[name][i]) for name in ("bending_stiffness", "torsional_stiffness"))
+        pieces: list[Piece] = []
+        for k in np.flatnonzero(chain.owner == i).tolist():
+            rows = np.flatnonzero(chain.piece == k).tolist()
+            joints = np.concatenate([[0.0], np.cumsum(width[rows, 0])])
+            shapes = (*(channels[rows, c] for c in range(4)), turning[rows])
+            bending, torsional, x, y, z = (_quantity(joints, shape) for shape in shapes)
+            own = (None if value == b else value for value, b in zip((bending, torsional), (kb, kt), strict=True))
+            slots = tube.pieces[len(pieces)].slots if tube.pieces else None
+            pieces.append(Piece(float(joints[-1]), (x, y, z), next(own), next(own), slots))
+        out.append(_tube(tube, pieces, float(given["straight_length"][i]), (kb, kt)))
+    return tuple(out)
+
+
+def _quantity(joints: Array, table: Array) -> Quantity:
+    rows = [chebyshev.chebtrim(row) for row in table]
+    first = float(rows[0][0])
+    if all(len(row) == 1 and row[0] == first for row in rows):
+        return first
+    return Series(tuple(joints.tolist()), tuple(tuple(row.tolist()) for row in rows))
+
+
+def _tube(tube: Tube, pieces: list[Piece], straight: float, stiffness: tuple[float, float]) -> Tube:
+    """A tube of these pieces."""
+    bend, chain = max((piece.largest_curvature for piece in pieces), default=0.0), tuple(pieces)
+    # A tube of pieces stays one, even where they are arcs about x: so do the unknowns of the block.
+    if not tube.general and all(piece.plain for piece in pieces):
+        bend, chain = (float(pieces[0].precurvature[0]) if pieces else tube.curvature), ()
+    return remade(
+        tube,
+        straight_length=straight,
+        curved_length=math.fsum(piece.length for piece in pieces),
+        curvature=bend,
+        bending_stiffness=stiffness[0],
+        torsional_stiffness=stiffness[1],
+        pieces=chain,
+    )
+
+
+def remade(tube: Tube, **own: Any) -> Tube:
+    """A tube with other dimensions or pieces; a stiffness that is not changed keeps following the cross-section."""
+    stiffness = ("bending_stiffness", "torsional_stiffness")
+    return replace(tube, **{k: v for k, v in own.items() if k not in stiffness or v != getattr(tube, k)})
+
+
+def piece_numbers(tubes: Sequence[Tube], like: Chain) -> dict[str, Array]:
+    """PIECES of tubes, as changes of those behind `like`."""
+    own = chain_of(tuple(tubes))
+    if own.owner.tolist() != like.owner.tolist() or own.piece.tolist() != like.piece.tolist():
+        raise InputError("the pieces of the tubes differ from those of the block")
+    start = dict(own.start)
+    first = [like.piece.tolist().index(k) for k in range(len(like.owner))]
+    turned = np.arctan2(own.y, own.x)[first, 0] - np.arctan2(like.y, like.x)[first, 0]
+    start["piece_plane"] = (turned + np.pi) % (2 * np.pi) - np.pi
+    for name, mine, old in (("bending", own.kb, like.kb), ("torsion", own.kt, like.kt)):
+        ratio = mine[first, 0] / own_stiffness(own, mine)[first] / (old[first, 0] / own_stiffness(like, old)[first])
+        start[f"piece_{name}_factor"] = ratio
+    return start

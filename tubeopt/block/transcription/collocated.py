@@ -22,7 +22,7 @@ import numpy as np
 
 from ...physics.shape import GAUSS_POINTS, magnus_quaternion, rotation_matrix
 from ...physics.torsion import CrossSection, bent_anyhow, section_functions, symbolic_section
-from .section_properties import Local, local, width
+from .chain import Local, local, width
 from .tableau import Tableau, tableau
 
 STEPS = 4

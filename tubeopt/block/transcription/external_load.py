@@ -20,7 +20,7 @@ import numpy as np
 from ...physics.shape import rotation_matrix
 from ...typing import Array
 from .collocated import Grid
-from .loaded_fields import FRAME
+from .functions import FRAME
 from .model import Equation, Model, equation, model_of, places_in_words
 
 

@@ -9,8 +9,88 @@ import casadi as ca
 
 from ...physics.shape import quaternion_product, rotation_matrix
 from ...physics.strain import bend_from_own
-from . import loaded_fields
-from .collocated import Grid, Torsion, bending_of, energy_of, motion_of, shape_of, softened_fields, symbols, torsion_of
+from .collocated import (
+    Grid,
+    LoadedPiece,
+    Torsion,
+    bending_of,
+    energy_of,
+    felt_of,
+    motion_of,
+    shape_of,
+    softened_fields,
+    symbols,
+    torsion_of,
+)
+
+# --- Jacobi fields under a dead load ----------------------------------------------------------------------------------
+
+# Jacobi fields of an arm under a dead load decide whether its equilibrium is a minimum.
+#
+# With rotations y of the tubes and a rotation phi of the frame, seen in it, the second variation under a dead load is
+#
+#     Q = int sum kt y'^2 + K |d|^2 + y' V'' y + sum ((u - u0).a_i) y_i^2
+#         - m.(phi x du) - (nu.phi) phi_z + nu_z |phi|^2,         du = u0' y + d,    phi' = du - u x phi,
+#
+# with the whole moment m and the force nu in the frame. Its Euler equations are the linearised equilibrium,
+#
+#     kt y'' = (dM/dtheta) y + (dM/dm) g,     g' = -u x g + m x du + e3 x (phi x nu),     d = (du/dm) g,
+#
+# with kt and K softened by the fraction mu, as the margin has it: kt (1 - mu) y'' and g = (1 - mu) K d. From y, phi = 1
+# and y' = g = 0 at the tip, Q less mu times its elastic part is positive as long as det (y, phi) > 0 along the arm and
+# det (y - |beta| y', phi) > 0 at the plate, where the frame is held; where mu is the margin the latter is 0. A double
+# zero, where two ways to buckle are equally easy, the sign of a determinant does not show, nor two zeros between places
+# where it is asked for: the margin of the equilibrium that a block gives back tells of either.
+
+FRAME = 3
+"""Components of the rotation of the frame."""
+
+
+def field_size(grid: Grid) -> int:
+    """Components of a Jacobi field: rotations of the tubes, and of the frame where a load makes it matter."""
+    return grid.n_tubes + FRAME * grid.loaded
+
+
+def field_rows(grid: Grid) -> int:
+    """Numbers of a field at a point that are unknowns: under load its rates too, since they depend on each other."""
+    return 2 * field_size(grid) if grid.loaded else field_size(grid)
+
+
+def field_rates(torsion: Torsion, margin: Any, typical: Any) -> Any:
+    """(2 N, 2 N K) matrices of the linear equations of (y, phi, y', g / (1 - margin) / typical) at the points."""
+    piece, n = torsion.piece, torsion.piece.grid.n_tubes
+    assert isinstance(piece, LoadedPiece)
+    kt, soft, e3 = ca.diag(1 / piece.torsional_stiffness), 1 / (1 - margin), ca.SX([0, 0, 1])
+    out = []
+    for k, ((here, torque, nu), x) in enumerate(zip(felt_of(torsion), piece.grid.tableau.nodes, strict=True)):
+        theta, bent = piece.inner[:, k], piece.bent[:, k]
+        turned, bends = (ca.vertcat(ca.jacobian(here.curvature, of), ca.SX(1, of.numel())) for of in (theta, bent))
+        stiff, pulled = (kt @ ca.jacobian(here.moment, of) for of in (theta, bent))
+        bends, pulled = (typical * ca.horzcat(part, ca.SX(part.shape[0], 1)) for part in (bends, pulled))
+        u, m = ca.skew(ca.vertcat(here.curvature, 0)), ca.skew(ca.vertcat(bent, torque))
+        # e3 x (phi x nu) = nu_z phi - phi_z nu
+        tilted = nu[2] * ca.SX.eye(FRAME) - nu @ e3.T
+        ease = ca.diag(ca.SX.ones(n) * piece.local(x).ease)
+        moved = ca.horzcat(turned, -u, ca.SX(FRAME, n), bends)
+        out.append(
+            ca.vertcat(
+                ca.horzcat(ca.SX(n, n + FRAME), ease, ca.SX(n, FRAME)),
+                moved,
+                ca.horzcat(soft * stiff, ca.SX(n, FRAME + n), pulled),
+                ca.horzcat(soft * m @ turned, soft * tilted, ca.SX(FRAME, n), soft * m @ bends - u * typical) / typical,
+            )
+        )
+    return ca.densify(ca.horzcat(*out))
+
+
+def field_step(grid: Grid, length: Any, rates: Any, end: Any, inner: Any) -> tuple[Any, Any]:
+    """A field (2 N,) where a piece begins, and the defect (2 N, K) of its collocated equations, from the field where
+    the piece ends and at its points (2 N, K)."""
+    t, count, n = grid.tableau, grid.degree, 2 * field_size(grid)
+    slope = ca.horzcat(*(rates[:, k * n : (k + 1) * n] @ inner[:, k] for k in range(count)))
+    defect = inner - ca.repmat(end, 1, count) + length * slope @ (t.weights - t.matrix).T
+    return end - length * slope @ t.weights, defect
+
 
 OPTIONS = {"cse": True}
 
@@ -129,9 +209,10 @@ def softness_function(grid: Grid) -> ca.Function:
 @lru_cache(maxsize=64)
 def fields_function(grid: Grid) -> ca.Function:
     """(N Jacobi fields (2N, N) at the end, (R, K N) at the points, field by field, length, softness) of a piece ->
-    fields (2N, N) at its beginning, defect (R, K N), with N and R as in `loaded_fields`. Every field is the same
-    function, of few operations: of nine tubes the second derivatives of all at once would take minutes to write out."""
-    n, rows = loaded_fields.size(grid), loaded_fields.rows(grid)
+    fields (2N, N) at its beginning, defect (R, K N), with N and R of `field_size` and `field_rows`."""
+    # Every field is the same function of few operations: for nine tubes, CasADi would write out the second derivatives
+    # of all fields at once for minutes.
+    n, rows = field_size(grid), field_rows(grid)
     end, inner, h = ca.SX.sym("fields", 2 * n), ca.SX.sym("inside", rows, grid.degree), ca.SX.sym("h")
     softness = _softness(grid)
     one = ca.Function("field", [end, inner, h, *softness], list(_field(grid, h, softness, end, inner)))
@@ -140,31 +221,31 @@ def fields_function(grid: Grid) -> ca.Function:
 
 def _field(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
     if grid.loaded:
-        return loaded_fields.marched(grid, length, softness[0], end, inner)
+        return field_step(grid, length, softness[0], end, inner)
     return softened_fields(grid, length, softness, end, inner)
 
 
 @lru_cache(maxsize=64)
 def field_matrix_function(grid: Grid) -> ca.Function:
     """(length, softness) of a piece -> (K R, K R) matrix of the defect of one field by its values at the points."""
-    inner, h, softness = ca.SX.sym("inside", loaded_fields.rows(grid), grid.degree), ca.SX.sym("h"), _softness(grid)
-    defect = _field(grid, h, softness, ca.SX.zeros(2 * loaded_fields.size(grid)), inner)[1]
+    inner, h, softness = ca.SX.sym("inside", field_rows(grid), grid.degree), ca.SX.sym("h"), _softness(grid)
+    defect = _field(grid, h, softness, ca.SX.zeros(2 * field_size(grid)), inner)[1]
     matrix = ca.densify(ca.jacobian(ca.vec(defect), ca.vec(inner)))
     return ca.Function("field_matrix", [h, *softness], [matrix], OPTIONS)
 
 
 @lru_cache(maxsize=64)
 def rates_function(grid: Grid) -> ca.Function:
-    """(margin, a typical stiffness, arguments of a piece that bears a load) -> `loaded_fields.rates_of` its points."""
+    """(margin, a typical stiffness, arguments of a piece that bears a load) -> `field_rates` its points."""
     torsion, margin, typical = _torsion(grid), ca.SX.sym("margin"), ca.SX.sym("typical")
-    rates = loaded_fields.rates_of(torsion, margin, typical)
+    rates = field_rates(torsion, margin, typical)
     return ca.Function("rates", [margin, typical, *torsion.piece.arguments], [rates], OPTIONS)
 
 
 def _softness(grid: Grid) -> tuple[Any, ...]:
     n, count = grid.n_tubes, grid.degree
     if grid.loaded:
-        whole = 2 * loaded_fields.size(grid)
+        whole = 2 * field_size(grid)
         return (ca.SX.sym("A", whole, whole * count),)
     gain, turned, stretch = ca.SX.sym("G", n, n * count), ca.SX.sym("S", n, n * count), ca.SX.sym("g", n, count)
     return (gain, *((turned,) * grid.eccentric), *((stretch,) * grid.stretched))

@@ -25,14 +25,104 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ...physics.shape import frame_forms, rotation_matrix_function, tangent_forms, world_turns
+from ...physics.shape import frame_forms, quaternion_rates, rotation_matrix_function, tangent_forms, world_turns
 from ...robots.load import FORCE, MOMENT, Load
+from ...robots.order import outermost, twisted_tube
 from ...typing import Array, Index
-from .buffered import section_function
-from .couples import Couples, couples_of
+from .arm import ArmShape, Profile, along_pieces, arc_lengths, integrate, pushed, sections_along
+from .buffered import mapped, section_function
+from .collocated import ENDS
 from .mesh import Mesh
-from .orientation import Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
+from .orientation import IDENTITY, Orientation, adjoint, orient, second_derivative, tangent_slopes, tangents
 from .reduced import ReducedProblem, row_of, to_unknowns, torsional_hessian
+
+# --- Dead moments -----------------------------------------------------------------------------------------------------
+
+# What dead moments on a loaded arm twist: the part of them along the arm, which no energy has, and its derivatives.
+#
+# A moment m of fixed direction acts on tube j, where the arm has the tangent t. In a small motion the frame turns by
+# dpsi about world axes, and the tube by dtheta about the tangent. The work is
+#
+#     m.dpsi + tau dtheta,        tau = m.t.
+#
+# The first part bends all tubes up to there: `loaded` has it beside that of forces, by the sum of all moments ahead.
+# The second twists one tube: at the tip the one that ends last, of several the innermost; elsewhere the outermost one.
+# At a joint between pieces m is the moment itself; a moment per length acts at the collocation points, times their
+# weights. The work depends on the path, so that the Jacobian is not symmetric.
+
+END = 1e-12
+"""Distance (m) within which a moment acts where a tube ends: round-off of a length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Couples:
+    """C moments on the tubes of an arm: J at joints between pieces, the tip first, then those at collocation points."""
+
+    along: Array
+    """(N, n, 3) moments per length at the collocation points, on the tubes, N."""
+    moment: Array
+    """(C, 3) world axes, N m; that at the tip in the axes of the load."""
+    joint: Index
+    """(J,) the piece that begins there; the number of pieces at the tip."""
+    point: Index
+    """(C - J,) collocation points."""
+    tube: Index
+    """(C,) on which each acts."""
+    row: Array
+    """(C, U) turn of the tube there by z."""
+    following: bool
+    """Whether the moment at the tip turns with it."""
+    rest: Array
+    """(J, C) turns of the tubes at the joints, by unit torques on all of them, that z does not see, rad/(N m)."""
+
+    def quaternions(self, along: Orientation) -> Array:
+        """(C, 4) where the moments act."""
+        return np.concatenate([along.begin[self.joint], along.stage[self.point]])
+
+    def torques(self, along: Orientation) -> Array:
+        """(C,) tau = m.t."""
+        out = (self.moment * tangents(self.quaternions(along))).sum(1)
+        if self.following:
+            out[0] = self.moment[0, 2]
+        return np.asarray(out)
+
+    def torque_slopes(self, along: Orientation, turned: Array) -> Array:
+        """(C, U + 2 N) derivative of the torques, with `turned` (2 N, U + 2 N) that of the curvature."""
+        slope = np.concatenate([along.begin_slope[self.joint], along.stage_slope[self.point]])
+        leaning = (self.moment[:, None] @ tangent_slopes(self.quaternions(along)))[:, 0]
+        leaning[:1] *= not self.following
+        return np.asarray((leaning[:, None] @ slope)[:, 0] @ turned)
+
+
+def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: Array) -> Couples:
+    """The moments of a load: at the tip, at its points, and `per_length` (N, 3) at the collocation points, N; `spread`
+    (N, n, U) is the turn of the tubes there by z."""
+    assembly, mesh = torsion.assembly, torsion.mesh
+    ahead, ends = torsion.softness
+    at = [(part.at, part.moment) for part in load.acting[::-1] if any(part.moment) or part.at == np.inf]
+    # The piece that begins there, at the tip the number of pieces.
+    joint = np.searchsorted(mesh.start, [s - END for s, _ in at])
+    on_joint, point = twisted_tube(assembly.end, [s for s, _ in at]), np.flatnonzero(per_length.any(1))
+    tube_there = np.repeat(outermost(assembly.present)[mesh.section], mesh.tableau.degree)
+    on_point = tube_there[point]
+    tube, lever = np.concatenate([on_joint, on_point]), np.concatenate([ends[joint, on_joint], ahead[point, on_point]])
+    rows = [
+        # A torque turns its tube up to where it acts, and no farther.
+        row_of(torsion, j, np.minimum(ahead[:, j], end))
+        for j, end in zip(on_joint.tolist(), lever.tolist(), strict=False)
+    ]
+    row, count = np.concatenate([rows, spread[point, on_point]]), len(joint)
+    whole = np.where(tube[:count, None] == tube, np.minimum(lever[:count, None], lever), 0.0)
+    return Couples(
+        along=np.where((tube_there[:, None] == np.arange(assembly.n_tubes))[..., None], per_length[:, None], 0.0),
+        moment=np.concatenate([[m for _, m in at], (per_length.T * torsion.weight).T[point]]),
+        joint=joint,
+        point=point,
+        tube=tube,
+        row=row,
+        following=load.frame == "tip",
+        rest=whole - row[:count] @ row.T,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,3 +478,101 @@ def unknowns(problem: LoadedProblem, rotations: Array, theta: Array, curvature: 
         full + torsion.phase, torsion.stiffness, torsion.moment
     )[0]
     return np.concatenate([z, ((curvature - natural) / problem.softness[:, None]).ravel()])
+
+
+# --- Whole arm under load ---------------------------------------------------------------------------------------------
+
+
+def loaded_profile(problem: LoadedProblem, rotations: Array, state: LoadedState) -> Profile:
+    """theta_i(s) of all tubes; a torque at a joint twists its tube up to there."""
+    torsion, couples = problem.torsion, problem.couples
+    profile = integrate(torsion, rotations, state.torque)
+    if couples is None:
+        return profile
+    joint = couples.joint
+    return pushed(torsion, profile, joint, couples.tube[: len(joint)], state.joint_torques)
+
+
+def elastic_energy(problem: LoadedProblem, profile: Profile, state: LoadedState) -> float:
+    """Of bending and torsion, J. Moments twist tubes as no z does: torsion has half of int t^2 / kt."""
+    torsion, mesh = problem.torsion, problem.mesh
+    t, rate = mesh.tableau, torsion.here.rate
+    torque = profile.torque[:, None] + mesh.length[:, None, None] * (t.adjoint @ profile.moment)
+    inside = np.einsum("p,k,pki->", mesh.length, t.weights, rate * torque**2)
+    z = state.x[: torsion.size]
+    return state.energy + float(inside + torsion.here.transmission @ profile.torque[0] ** 2 - z @ z) / 2
+
+
+def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> ArmShape:
+    """Everything along the arm, from the torsion along it."""
+    torsion, mesh = problem.torsion, problem.mesh
+    t, pieces = mesh.tableau, len(mesh.length)
+    here = sections_along(torsion, profile, tuple(ENDS.tolist()))
+    bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
+    curvature = here.curvature + t.lagrange(ENDS) @ bent
+    along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
+    turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
+    quaternion = along.begin[:-1, None] + up_to @ turning
+    quaternion[:, -1] = along.begin[1:]
+    quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
+    moved = up_to @ tangents(along.stage).reshape(pieces, t.degree, 3)
+    begun = np.cumsum(np.concatenate([np.zeros((1, 3)), moved[:-1, -1]]), axis=0)
+    frame = mapped(rotation_matrix_function(), pieces * len(ENDS))(quaternion.reshape(-1, 4))[0]
+    return ArmShape(
+        arc_length=arc_lengths(mesh),
+        rotation=along_pieces(here.rotation, pieces).T.copy(),
+        torsion=along_pieces(here.torsion, pieces).T.copy(),
+        curvature=along_pieces(curvature, pieces),
+        position=along_pieces(begun[:, None] + moved, pieces),
+        frame=along_pieces(frame, pieces).reshape(-1, 3, 3).swapaxes(1, 2).copy(),
+    )
+
+
+def integration_to(problem: LoadedProblem, s: float) -> Array:
+    """(N,) weights by which values at the points are integrated from the plate to arc length s, m."""
+    mesh = problem.mesh
+    degree = mesh.tableau.degree
+    (piece,), x = mesh.places(np.array([s]))
+    weight = np.where(np.arange(len(problem.softness)) < piece * degree, problem.torsion.weight, 0.0)
+    weight[piece * degree : (piece + 1) * degree] = mesh.length[piece] * mesh.tableau.lagrange(x, integrals=1)[0]
+    return np.asarray(weight)
+
+
+def position_slopes(problem: LoadedProblem, state: LoadedState, s: float) -> tuple[Array, Array]:
+    """(3,) position at arc length s, m, and (3, U + 2 N) its change."""
+    along, weight = state.orientation, integration_to(problem, s)
+    moved = weight @ (tangent_slopes(along.stage) @ along.stage_slope).reshape(len(weight), -1)
+    return weight @ tangents(along.stage), moved.reshape(3, -1) @ state.turned
+
+
+def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
+    """(6, 6) translation (m) and rotation (rad) at arc length s by a dead force (N) and moment (N m) there, world axes;
+    the moment's part along the arm turns `tube`, and it is that tube's rotation."""
+    torsion, along, weight = problem.torsion, state.orientation, integration_to(problem, s)
+    turned = np.einsum("k,krc,kc->r", weight, along.rate, along.stage) / 2
+    quaternion = IDENTITY + turned
+    slope = np.einsum("k,krc,kcj->rj", weight, along.rate, along.stage_slope) / 2
+    own = np.einsum("k,jrc,kc->rkj", weight, quaternion_rates(), along.stage) / 2
+    slope = (slope + own.reshape(4, -1)) @ state.turned
+    turn = 2 * (world_turns() @ quaternion) @ slope
+    tangent = np.array(rotation_matrix_function()(quaternion / np.linalg.norm(quaternion)))[:, 2]
+    row, rest = _twist(problem, weight, tube)
+    turn[:, : torsion.size] += np.outer(tangent, row)
+    slopes = np.concatenate([position_slopes(problem, state, s)[1], turn])
+    out = slopes @ np.linalg.solve(state.hessian, slopes.T)
+    out[3:, 3:] += rest * np.outer(tangent, tangent)
+    return np.asarray(out)
+
+
+def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, float]:
+    """(U,) rotation of a tube at a place by z, and its compliance that z does not see, rad/(N m)."""
+    torsion, mesh = problem.torsion, problem.mesh
+    rate, held, t = torsion.here.rate[:, :, tube].ravel(), torsion.here.transmission[tube], mesh.tableau
+    piece = np.repeat(np.arange(len(mesh.length)), t.degree)
+    up_to = np.where(piece < piece[:, None], torsion.weight, 0.0)
+    within = np.kron(np.diag(mesh.length), t.matrix)
+    shared = (up_to + within) * rate / torsion.weight
+    lever = held + shared @ weight
+    whole = held + float((weight**2 * rate / torsion.weight).sum())
+    row = row_of(torsion, tube, lever)
+    return row, whole - float(row @ row)

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from ...typing import Array
 from .arm import Profile, rotations_at
+from .chain import at_points, width
 from .collocated import Grid
 from .model import TorsionModel, unknowns_of
 from .reduced import ReducedProblem
-from .section_properties import at_points, width
 
 
 class Program(Protocol):

@@ -30,9 +30,8 @@ import scipy
 from numpy.typing import NDArray
 
 from ...typing import Array
-from .blocks import Block
 from .buffered import section_function
-from .reduced import Evaluation, ReducedProblem
+from .reduced import Block, Evaluation, ReducedProblem
 
 REAL = 1e-6
 """An eigenvalue whose imaginary part is less than this share of it is real: two that are almost one are split so far by

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...block.transcription.arm import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.green import INWARDS
 from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
-from ...block.transcription.poses import hermite
-from ...block.transcription.postprocess import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array

@@ -27,9 +27,9 @@ import numpy as np
 import platformdirs
 import scipy
 
+from ...block.transcription.arm import SHAPE_RATIO
 from ...block.transcription.collocated import STEPS
 from ...block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT
-from ...block.transcription.postprocess import SHAPE_RATIO
 from ...errors import InputError
 from ...files.files import write_text
 from ...physics.certificate import coupling_rate_function
