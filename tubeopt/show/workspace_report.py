@@ -27,6 +27,9 @@ LOSS: tuple[Quantity[SnappingLoss], ...] = (
              lambda loss: loss.early_loss, form=".6g", label="the same from the first half of the samples"),
     Quantity("lost_fraction", "lost fraction of the whole volume", lambda loss: loss.fraction, form=".6g",
              label="part of all that is reached which is lost"),
+    Quantity("lost_equilibria_interval", "95 % confidence interval of the fraction of all equilibria that lie there",
+             lambda loss: list(loss.interval),
+             words="{lost_equilibria_interval[0]:.2g} to {lost_equilibria_interval[1]:.2g}"),
 )  # fmt: skip
 
 
@@ -106,7 +109,9 @@ WORKSPACE: tuple[Quantity[Findings], ...] = (
 
 
 def _lost(lost: SnappingLoss) -> str:
-    return f"{lost.lost_volume * per_si('cm3'):.4g} cm3, {100 * lost.fraction:.2f} %"
+    low, high = (100 * end for end in lost.interval)
+    share = f"{low:.2g} to {high:.2g} % of the equilibria lie there (95 % confidence)"
+    return f"{lost.lost_volume * per_si('cm3'):.4g} cm3, {100 * lost.fraction:.2f} %; {share}"
 
 
 class WorkspaceReport(Report[Findings]):

@@ -48,7 +48,7 @@ def examine(
     """Voxels, volumes and loss of a workspace.
 
     Args:
-        size: edge length of the voxels; by default 1, 2 or 5 times a power of ten, for about 50 samples per voxel of
+        size: edge length of the voxels; by default a round number for about 15 samples per voxel of
             the bounding box.
         min_margin: smallest stability margin of a counted configuration.
         loss: number of sampled equilibria, stable or not, that estimate the share of the workspace lost to snapping; 0

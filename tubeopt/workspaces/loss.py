@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
 from ..block.transcription.buffered import Buffered
@@ -24,6 +25,9 @@ from .voxels import Keys, Store, default_size, size_for
 
 SURE = 5
 """Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
+
+CONFIDENCE = 0.95
+"""Of the interval of a loss."""
 
 STEPS = 6
 """Steps per section of the arm: tips to about 1e-6 of the length."""
@@ -50,6 +54,9 @@ class SnappingLoss(Displayed):
     """(W, 3) of those with at least `SURE` equilibria, all of them unstable."""
     early_loss: float
     """`lost_volume` from the first half of the equilibria, m^3."""
+    interval: tuple[float, float]
+    """95 % confidence interval of the fraction of all equilibria that lie where no stable one is (Clopper and Pearson
+    1934). Its upper end counts voxels with fewer than `SURE` unstable equilibria and no stable one as lost."""
 
     @property
     def held_volume(self) -> float:
@@ -156,14 +163,19 @@ def _add(store: Store, table: Array, early: Mask) -> None:
 
 def _loss(robot: Robot, stable: Store, unstable: Store, counts: tuple[int, int]) -> SnappingLoss:
     firm, shaky = stable.voxels(), unstable.voxels()
+    lost = _lost(stable.keys, unstable.keys, shaky.count)
+    # Sobol points are more even than independent ones, for which the interval is exact: it is not too narrow.
+    least, most = (int(shaky.count[rows].sum()) for rows in (lost, ~np.isin(unstable.keys, stable.keys)))
+    low, high = (scipy.stats.binomtest(count, sum(counts)).proportion_ci(CONFIDENCE) for count in (least, most))
     return SnappingLoss(
         robot=robot,
         size=stable.size,
         equilibria=sum(counts),
         unstable=counts[1],
         held=firm.index,
-        lost=shaky.index[_lost(stable.keys, unstable.keys, shaky.count)],
+        lost=shaky.index[lost],
         early_loss=int(_lost(stable.keys[firm.early > 0], unstable.keys, shaky.early).sum()) * stable.size**3,
+        interval=(float(low.low), float(high.high)),
     )
 
 
