@@ -38,7 +38,7 @@ from tubeopt.show.plots.workspace import _section, plot_workspace
 from tubeopt.typing import Array
 from tubeopt.workspaces import alpha_volume, meridian_volume, save_workspace, voxel_volume, voxels
 from tubeopt.workspaces.loss import from_tips
-from tubeopt.workspaces.samples import METHODS, JointSamples
+from tubeopt.workspaces.sampling import METHODS, JointSamples
 from tubeopt.workspaces.voxels import PATCHES, patch_of
 
 MM = 1e-3
@@ -445,3 +445,21 @@ def test_the_command(run: Run, tmp_path: Path) -> None:
     assert "Example: tubeopt workspace configs/" in run("workspace", "--help").out
     for flag, value in (("--samples", "0"), ("--voxel-mm", "0"), ("--voxel-mm", "nan"), ("--min-margin", "nan")):
         assert flag in refused(run("workspace", CRL_FILE, flag, value))[0]
+
+
+@pytest.mark.parametrize("count", [3, 50])
+def test_the_interval_of_a_loss_is_that_of_clopper_and_pearson(count: int) -> None:
+    """Without a lost voxel it is 0 to 1 - (0.05 / 2)^(1 / N); where N equilibria tell little, it is wide."""
+    found = snapping_loss(TWO_TUBE, count, reached=workspace(TWO_TUBE, 4000))
+    assert found.lost.size == 0
+    low, high = found.interval
+    assert low == 0.0
+    assert high >= 1 - 0.025 ** (1 / count) - 1e-12
+    assert high < 1.0
+
+
+def test_default_voxels_make_the_uncertainty_contain_the_volume() -> None:
+    """The body of revolution of many samples is the reference."""
+    reference = meridian_volume(workspace(THESIS, 60_000), 3e-3)
+    found = voxel_volume(workspace(THESIS, 3000))
+    assert abs(found.value - reference.value) < found.surface < 0.6 * found.value

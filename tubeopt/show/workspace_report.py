@@ -11,8 +11,7 @@ from ..files.files import save_arrays
 from ..files.units import TO_MM, per_si
 from ..typing import Array
 from ..workspaces import SnappingLoss, save_workspace
-from ..workspaces.findings import Findings
-from ..workspaces.volume import Volume
+from ..workspaces.volume import Findings, Volume
 from .quantities import Quantity, line, within
 from .report import Drawing, Report, drawing
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from .findings import Findings, examine
 from .loss import SnappingLoss, snapping_loss
-from .run import load_workspace, save_workspace, workspace
-from .samples import METHODS
+from .sampling import METHODS, Workspace, load_workspace, save_workspace, workspace
 from .shared import SharedWorkspace, place_pair, shared_workspace
-from .table import Workspace
-from .volume import Volume, alpha_volume, meridian_volume, voxel_volume
+from .volume import Findings, Volume, alpha_volume, examine, meridian_volume, voxel_volume
 from .voxels import PATCHES, Voxels, voxels
 
 __all__ = [

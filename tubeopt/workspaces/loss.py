@@ -19,8 +19,7 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress
-from .samples import JointSamples
-from .table import Workspace, held
+from .sampling import JointSamples, Workspace, held
 from .voxels import Keys, Store, default_size, size_for
 
 SURE = 5

@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..errors import InputError, finite, positive
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
-from .table import Workspace, held, require_samples
+from .sampling import Workspace, held, require_samples
 from .voxels import cells, default_size, index_of, keys_of
 
 SEARCHED, EACH = 25, 5

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..arguments import typed
 from ..errors import InputError, positive
 from ..typing import Array, Mask
-from .table import Workspace, held, require_samples
+from .sampling import Workspace, held, require_samples
 
 Words = NDArray[np.uint64]
 Keys = NDArray[np.int64]
@@ -21,8 +21,8 @@ PATCHES = 64
 """Patches of equal area into which directions are sorted: 8 bands of height by 8 sectors."""
 
 # The smallest number at which the stated uncertainty, half of the voxels on the surface, contained the volume of three
-# robots of the library for 1,000 to 100,000 samples. With 12, voxels that no sample hits made the volume too small by up
-# to 1.4 times that uncertainty, with 8 by up to 1.8 times; with 50 the uncertainty is 1.5 times larger.
+# robots of the library for 1,000 to 100,000 samples. With 12, voxels that no sample hits made the volume too small by
+# up to 1.4 times that uncertainty, with 8 by up to 1.8 times; with 50 the uncertainty is 1.5 times larger.
 PER_VOXEL = 15
 """Samples per voxel of the bounding box, on average, at the default edge."""
 
@@ -82,7 +82,7 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
     """The tips of a workspace sorted into cubes; memory grows with the cubes, not with the samples.
 
     Args:
-        size: edge, m; by default a round number at which the voxels of the bounding box hold about fifteen samples each.
+        size: edge, m; by default a round number for about 15 samples per voxel of the bounding box.
         min_margin: only configurations at least as stable count.
 
     Raises:

@@ -11,7 +11,7 @@ from ...errors import InputError, positive
 from ...files.units import TO_MM
 from ...typing import Array
 from ...workspaces import SnappingLoss, Workspace
-from ...workspaces.table import held, require_samples
+from ...workspaces.sampling import held, require_samples
 from ...workspaces.voxels import PATCHES, Keys, Store, index_of
 from .shape import draw_plate
 from .stage import View

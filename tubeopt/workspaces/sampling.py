@@ -1,4 +1,4 @@
-"""Workspaces: the equilibria of sampled joint values, in memory or appended to a file chunk by chunk."""
+"""Workspaces: joint values drawn within the limits of a robot, and their equilibria, in memory or in a file."""
 
 from __future__ import annotations
 
@@ -7,23 +7,258 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO
 
 import numpy as np
+import scipy
 
 from ..arguments import typed
-from ..display import in_full
-from ..equilibrium.batch import forward_kinematics_batch
-from ..errors import InputError
+from ..display import Displayed, in_full
+from ..equilibrium.batch import BatchStatistics, BatchStatus, forward_kinematics_batch
+from ..errors import InputError, choice, whole
 from ..files.field_metadata import OneOf, Range
 from ..files.files import atomic_write, lock, read_bytes, write_text
+from ..inverse.joints import JointSpace, joint_space
+from ..robots.assembly import ROUND_OFF
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..typing import Array, Progress
-from .samples import METHODS, JointSamples
-from .table import Workspace, width
+from ..typing import Array, Mask, Progress
+
+CHUNK = 1 << 14
+"""Rows that are looked at together, so that a table on disk never is in memory as a whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace(Displayed):
+    """Tips of a robot at N joint values; rows of what has no stable equilibrium that was found are NaN.
+
+    The arrays are views of `table`, which lies on disk where the workspace was computed with `out`.
+    """
+
+    _brief = ("robot", "method", "seed", "table")
+
+    robot: Robot
+    """The robot."""
+    method: str
+    """Sampling method of the joint values."""
+    seed: int
+    """Seed of the joint values."""
+    table: Array
+    """(N, 2 n + 7) rotations, translations, tip position, tip direction, margin; rad and m."""
+    failures: tuple[tuple[int, str], ...] = ()
+    """(row, reason) of configurations without an equilibrium."""
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def value(self) -> Array:
+        """(N, 3) the tips, m."""
+        return self.tip_position
+
+    @property
+    def status(self) -> BatchStatus:
+        """Whether an equilibrium was found for every sample."""
+        return BatchStatus.GAPS if self.failures else BatchStatus.SOLVED
+
+    @property
+    def statistics(self) -> BatchStatistics:
+        """Numbers of samples and failures."""
+        return BatchStatistics(len(self), len(self.failures))
+
+    @property
+    def rotations(self) -> Array:
+        """(N, n) rotations, rad."""
+        return self.table[:, : self.robot.n_tubes]
+
+    @property
+    def translations(self) -> Array:
+        """(N, n) translations, m."""
+        return self.table[:, self.robot.n_tubes : 2 * self.robot.n_tubes]
+
+    @property
+    def tip_position(self) -> Array:
+        """(N, 3) in the plate frame, m."""
+        return self.table[:, -7:-4]
+
+    @property
+    def tip_direction(self) -> Array:
+        """(N, 3) unit vectors: where the tips point."""
+        return self.table[:, -4:-1]
+
+    @property
+    def margin(self) -> Array:
+        """(N,) stability margins."""
+        return self.table[:, -1]
+
+    @property
+    def converged(self) -> Mask:
+        """(N,) whether a stable equilibrium was found."""
+        return np.isfinite(self.margin)
+
+    def chunks(self) -> Iterator[tuple[int, Array]]:
+        """Parts of the table, each with the index of its first row; a table on disk is read in parts."""
+        for first in range(0, len(self), CHUNK):
+            rows, columns = self.table[first : first + CHUNK].shape
+            if isinstance(self.table, np.memmap) and self.table.filename is not None:
+                start = self.table.offset + 8 * columns * first
+                part = np.fromfile(self.table.filename, "<f8", rows * columns, offset=start).reshape(rows, columns)
+            else:
+                part = self.table[first : first + CHUNK]
+            yield first, part
+
+    def some(self, most: int) -> Array:
+        """At most `most` rows in random order, the same each time; every k-th row of a sequence would be biased."""
+        random = np.random.default_rng(len(self))
+        chosen = np.sort(random.choice(len(self), min(most, len(self)), replace=False))
+        rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]
+        return np.asarray(random.permutation(np.concatenate(rows)))
+
+
+def width(n_tubes: int) -> int:
+    """Columns of the table of a robot."""
+    return 2 * n_tubes + 7
+
+
+def held(table: Array, min_margin: float) -> Mask:
+    """(B,) rows of a table that are stable by at least a margin."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(table[:, -1] >= min_margin)
+
+
+def require_samples(workspace: Workspace) -> None:
+    """Raise InputError where not a single sample has a stable equilibrium."""
+    if not any(np.isfinite(part[:, -1]).any() for _, part in workspace.chunks()):
+        raise InputError(f"none of the {len(workspace)} samples of the workspace has a stable equilibrium")
+
+
+METHODS = ("sobol", "random", "grid")
+
+BLOCK = 4096
+"""Points drawn at once; a power of two, as Sobol points come."""
+
+TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box y in [low, high] of m coordinates that holds all admissible joint values q = back y."""
+
+    low: Array
+    high: Array
+    back: Array
+    periodic: np.ndarray
+    """(m,) whether an end of the range is the same joint value as the other one."""
+
+    @property
+    def free(self) -> np.ndarray:
+        """(k,) coordinates whose range has a width."""
+        return np.flatnonzero(self.high - self.low > ROUND_OFF)
+
+
+@dataclass(frozen=True, eq=False)
+class JointSamples:
+    """Admissible joint values of a robot; see `workspace` for the methods.
+
+    Raises:
+        InputError: unknown method, no samples, a seed that is none, limits that leave no joint values.
+    """
+
+    robot: Robot
+    method: str
+    count: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        choice("method", self.method, METHODS)
+        for name, value, least in (("samples", self.count, 1), ("seed", self.seed, 0)):
+            whole(name, value, least)
+
+    def blocks(self) -> Iterator[tuple[Array, Array]]:
+        """Rotations and translations (B, n) of all samples, in their order."""
+        space = joint_space(self.robot)
+        box, n = _box(space), self.robot.n_tubes
+        left, barren = self.count, 0
+        for unit in self._units(box):
+            y = np.tile(box.low, (len(unit), 1))
+            y[:, box.free] += unit * (box.high - box.low)[box.free]
+            q = np.clip(y @ box.back.T, space.lower, space.upper)
+            q = q[(np.abs(q - y @ box.back.T) <= 1e-9 * space.scale).all(1)]
+            q = q[space.ordered(q)]
+            barren = 0 if len(q) else barren + 1
+            if barren > 256:
+                raise InputError("no random joint values within the limits satisfy the tube order")
+            joint = (q @ space.spread.T + space.offset)[:left]
+            left -= len(joint)
+            if len(joint):
+                yield joint[:, :n], joint[:, n:]
+            if not left:
+                return
+
+    def _units(self, box: Box) -> Iterator[Array]:
+        """Blocks of points of the unit cube, endless but for a grid."""
+        m = len(box.free)
+        if self.method == "grid":
+            yield from _grid(box, self.count)
+            return
+        random = np.random.default_rng(self.seed)
+        sobol = scipy.stats.qmc.Sobol(m, rng=random) if self.method == "sobol" and m else None
+        while True:
+            yield np.asarray(random.random((BLOCK, m)) if sobol is None else sobol.random(BLOCK))
+
+
+def _grid(box: Box, count: int) -> Iterator[Array]:
+    """As many points per axis as fit into `count`, ends included, of a whole turn only one."""
+    free = box.free
+    each = 1
+    while free.size and (each + 1) ** len(free) <= count:
+        each += 1
+    axes = [np.arange(each) / each if box.periodic[k] else np.linspace(0, 1, each) for k in free]
+    if each == 1:
+        axes = [np.array([0.5])] * len(free)
+    total = each ** len(free)
+    for first in range(0, total, BLOCK):
+        places = np.unravel_index(np.arange(first, min(first + BLOCK, total)), (each,) * len(free)) if len(free) else ()
+        rows = [axis[place] for axis, place in zip(axes, places, strict=True)]
+        yield np.column_stack(rows) if rows else np.zeros((1, 0))
+
+
+def _box(space: JointSpace) -> Box:
+    """The tightest of two boxes: of the joints themselves, and of the distances between carriages.
+
+    Where the lengths alone set the limits, the second holds admissible values and no others.
+    """
+    n, m = space.robot.n_tubes, len(space.lower)
+    gaps = np.eye(m)
+    for k in range(n, m - 1):
+        gaps[k, k + 1] = -1.0
+    boxes = []
+    for forward in (np.eye(m), gaps):
+        low, high = _bounds(space, forward)
+        boxes.append(Box(low, high, np.asarray(np.linalg.inv(forward), dtype=float), np.zeros(m, dtype=bool)))
+    best = min(boxes, key=lambda box: (len(box.free), float(np.prod((box.high - box.low)[box.free]))))
+    low, high = best.low.copy(), best.high.copy()
+    whole = np.arange(m) < n
+    whole &= high - low >= TURN - 1e-9
+    # Whole turns repeat the shape: one of them, around home where that is allowed.
+    middle = np.clip(0.0, low + TURN / 2, high - TURN / 2)
+    low, high = np.where(whole, middle - TURN / 2, low), np.where(whole, middle + TURN / 2, high)
+    return Box(low, high, best.back, whole)
+
+
+def _bounds(space: JointSpace, forward: Array) -> tuple[Array, Array]:
+    """Least and greatest value of each of forward q over all admissible q."""
+    bounds = list(zip(space.lower.tolist(), space.upper.tolist(), strict=True))
+    rows = {"A_ub": -space.rows, "b_ub": -space.least} if len(space.least) else {}
+    low, high = (
+        np.array([sign * scipy.optimize.linprog(sign * row, bounds=bounds, **rows).fun for row in forward])
+        for sign in (1.0, -1.0)
+    )
+    return low, np.maximum(low, high)
+
 
 SAMPLES, HEAD, FAILURES = "samples.npy", "workspace.json", "failures.jsonl"
 
