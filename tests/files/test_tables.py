@@ -128,6 +128,49 @@ def test_heating_logs_are_read_by_the_same_rules(tmp_path: Path) -> None:
         load_heating_log(path)
 
 
+@pytest.mark.parametrize("column", ["temperature_K", "Temp [K]", "temperature (Kelvin)"])
+def test_temperatures_in_kelvin(column: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"time_s,duty,{column}\n0,10,298.15\n1,10,300\n2,10,301\n", encoding="utf-8")
+    np.testing.assert_allclose(load_heating_log(path).temperature, [298.15, 300.0, 301.0], rtol=1e-15)
+
+
+def robot_of_pieces(folder: Path) -> Path:
+    """A robot of one tube whose only piece is piece.csv."""
+    tube = "{outer_diameter_mm: 1, inner_diameter_mm: 0.8, straight_length_mm: 10, pieces: [{table: piece.csv}]}"
+    (folder / "robot.yaml").write_text(f"kind: concentric\ntubes: [{tube}]\n")
+    return folder / "robot.yaml"
+
+
+PIECE = "arc_length_mm,curvature_x_per_m,curvature_y_per_m\n0,5,-1.5\n40,7.5,0\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PIECE,
+        "s_m;u_x_per_m;u_y_per_m\n0;5;-1,5\n0,04;7,5;0\n",
+        "s [cm]\tkappa_x [1/mm]\tkappa_y [1/mm]\n0\t0.005\t-0.0015\n4\t0.0075\t0\n",
+    ],
+    ids=["own names", "metres", "1/mm"],
+)
+def test_tables_of_pieces_are_read_by_the_same_rules(text: str, tmp_path: Path) -> None:
+    tubes = []
+    for content in (text, PIECE):
+        (tmp_path / "piece.csv").write_text(content, encoding="utf-8")
+        tubes.append(tubeopt.load_robot(robot_of_pieces(tmp_path)).tubes[0])
+    read, right = tubes
+    np.testing.assert_allclose(read.pieces[0].length, 0.04, rtol=1e-15)
+    np.testing.assert_allclose(read.pieces[0].largest_curvature, 7.5, rtol=1e-12)
+    assert read == right
+
+
+def test_a_table_of_a_piece_in_no_known_unit_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "piece.csv").write_text(PIECE.replace("arc_length_mm", "arc_length"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"piece\.csv: column arc_length has no unit; call it arc_length_mm"):
+        tubeopt.load_robot(robot_of_pieces(tmp_path))
+
+
 def test_trials_are_read_by_the_same_rules(tmp_path: Path) -> None:
     path = tmp_path / "trials.csv"
     path.write_text("Mold radius [cm];obtained radius (mm);Note\n1,5;16,25;first\n", encoding="utf-8")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tubeopt import InputError
 from tubeopt.files.csv_file import to_csv
 from tubeopt.runs.measurement_file import load_measurements, save_measurements
-from tubeopt.runs.recorded_table import read_recorded
+from tubeopt.runs.recorded_table import columns_of, read_recorded
 from tubeopt.validation import Measurements, validate
 
 from .drives import driven, joints, robot, trivial
@@ -153,6 +153,47 @@ def test_an_export_of_ndi_with_euler_angles(tmp_path: Path, names: str) -> None:
             Rotation.from_quat([*v, w]).as_matrix(), np.array(about_z) @ about_y @ about_x, atol=1e-12
         )
         assert read.table.rows[k][5:] == ("1", "2", "3")
+
+
+NDI_ROW = "Tools,Port 1,Frame,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz\n1,A,4,OK,1,0,0,0,1.5,-2.25,130\n"
+"""A tool at (1.5, -2.25, 130) mm."""
+
+NDI_UNITS = NDI_ROW.replace("Tx,Ty,Tz", "Tx (mm),Ty (mm),Tz (mm)")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        NDI_UNITS,
+        NDI_UNITS.replace(",", ";"),
+        NDI_UNITS.replace(",", ";").replace(".", ","),
+        NDI_UNITS.replace(",", "\t").replace(".", ","),
+        NDI_ROW.replace("Tx,Ty,Tz", "Tx [m],Ty [m],Tz [m]").replace("1.5,-2.25,130", "0.0015,-0.00225,0.13"),
+        "\ufeff" + NDI_UNITS,
+    ],
+    ids=["units", "semicolons", "decimal commas", "tabs", "metres", "mark"],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_an_ndi_export_in_other_notations(text: str, encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "ndi.csv").write_text(text, encoding=encoding)
+    read = read_recorded(tmp_path / "ndi.csv", 40.0)
+    columns = columns_of(read.table, read.meaning, "ndi.csv", 1)
+    np.testing.assert_allclose(columns.positions()[0, 0], [1.5e-3, -2.25e-3, 0.13], rtol=1e-15)
+    np.testing.assert_allclose(columns.time(), [0.1], rtol=1e-15)
+
+
+def test_euler_angles_of_ndi_in_rad(tmp_path: Path) -> None:
+    text = "Tools,Port 1,Frame,State,Rz (rad),Ry (rad),Rx (rad),Tx,Ty,Tz\n1,A,0,OK,0.5,0,0,1,2,3\n"
+    (tmp_path / "ndi.csv").write_text(text)
+    row = read_recorded(tmp_path / "ndi.csv", 40.0).table.rows[0]
+    np.testing.assert_allclose([float(cell) for cell in row[1:5]], [np.cos(0.25), 0, 0, np.sin(0.25)], atol=1e-15)
+
+
+@pytest.mark.parametrize("titles", ["Tx (inch),Ty (inch),Tz (inch)", "Tx (mm),Ty (mm),Tz (m)", "Tx (mm),Ty,Tz"])
+def test_units_of_an_ndi_export_that_are_not_lengths_or_differ(titles: str, tmp_path: Path) -> None:
+    (tmp_path / "ndi.csv").write_text(NDI_ROW.replace("Tx,Ty,Tz", titles))
+    with pytest.raises(InputError, match=r"ndi.csv: the NDI export has columns Tx .*; all must have one unit of mm, m"):
+        read_recorded(tmp_path / "ndi.csv", 40.0)
 
 
 def test_an_export_of_optitrack(tmp_path: Path) -> None:

@@ -9,13 +9,14 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Context, Decimal
 from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
 from ..typing import Array
 from .files import read_bytes
-from .units import UNITS, decimal, meant, others, parse_number, parted, to_si
+from .units import UNITS, ZERO_CELSIUS, decimal, meant, others, parse_number, parted, to_si
 
 CONTEXT = Context(prec=60)
 
@@ -132,7 +133,7 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
         numbered = numbered[1:]
     if not numbered:
         raise InputError(f"{path}: the file is empty; its first line must name the columns")
-    separator = separator or _separator(numbered[0][1])
+    separator = separator or separator_of(numbered[0][1])
     cells = [_cells(line, separator) for _, line in numbered]
     width = max(len(row) - next((k for k, cell in enumerate(reversed(row)) if cell), len(row)) for row in cells)
     header, *rows = [row[:width] for row in cells]
@@ -146,7 +147,7 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
             problems.append(f"row {k} (line {line}) has {len(row)} cells; the header names {len(header)} columns{hint}")
     refuse(path, problems)
     if separator != ",":
-        rows = _with_points(path, rows)
+        rows = with_points(path, rows)
     table = CsvTable(str(path), tuple(header), tuple(map(tuple, rows)), tuple(line for line, _ in numbered[1:]))
     return _renamed(table, known)
 
@@ -198,7 +199,7 @@ def decoded(content: bytes) -> str:
         return content.decode("cp1252", errors="replace")
 
 
-def _separator(header: str) -> str:
+def separator_of(header: str) -> str:
     """What separates the cells of a header: the likeliest of tab, semicolon, comma and blanks."""
     bare = re.sub(r'"[^"]*"', "", header)
     for one in ("\t", ";", ","):
@@ -218,7 +219,7 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,(?:[eE][-+]?
 DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
 
 
-def _with_points(path: str | PathLike[str], rows: list[list[str]]) -> list[list[str]]:
+def with_points(path: str | PathLike[str], rows: list[list[str]]) -> list[list[str]]:
     """Rows with decimal points where they have decimal commas."""
     cells = [cell for row in rows for cell in row]
     if not any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
@@ -238,6 +239,8 @@ NAMES = {
     **dict.fromkeys(("i", "amp"), "current"),
     **dict.fromkeys(("pwm", "duty_cycle"), "duty"),
     "springback": "spring_back",
+    **dict.fromkeys(("s", "arclength", "arc"), "arc_length"),
+    **{f"{word}{axis}": f"curvature_{axis}" for word in ("u_", "u", "kappa_", "kappa", "curv_") for axis in "xy"},
     **{f"{word}_{axis}": axis for word in ("pos", "position", "tip", "p", "target") for axis in "xyz"},
     **{f"{axis}_{word}": axis for word in ("pos", "position", "tip", "target") for axis in "xyz"},
     **{f"{word}{axis}": axis for word in ("p", "t") for axis in "xyz"},
@@ -251,6 +254,8 @@ SPELLED = {
     **dict.fromkeys(("c", "°c", "celsius"), "degC"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere"), "A"),
+    **dict.fromkeys(("k", "kelvin"), "K"),
+    **{f"1/{length}": f"per_{length}" for length in ("m", "cm", "mm")},
     "%": "percent",
 }
 """Other spellings of units."""
@@ -259,7 +264,8 @@ SPELLED = {
 def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
     """A table whose columns have the names and units of `known` where they mean one of them."""
     wanted = {parted(name)[0]: name for name in known}
-    columns, sizes, problems = list(table.columns), [Decimal(1)] * len(table.columns), list[str]()
+    columns, problems = list(table.columns), list[str]()
+    scales = [AS_IT_IS] * len(columns)
     for k, name in enumerate(table.columns):
         if name in known or not known:
             continue
@@ -272,13 +278,14 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
             problems.append(f"column {name} has no unit; call it {target}, or {word} with another unit")
         elif unit == own:
             columns[k] = target
+        elif (unit, own) == ("K", "degC"):
+            columns[k], scales[k] = target, Scale(Decimal(1), ZERO_CELSIUS)
         elif (size := dict(others(own)).get(unit)) is not None:
-            columns[k] = target
-            sizes[k] = CONTEXT.divide(size, dict(others(unit))[own])
+            columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(others(unit))[own]))
     refuse(table.path, problems)
     if tuple(columns) == table.columns:
         return table
-    rows = tuple(tuple(_scaled(cell, size) for cell, size in zip(row, sizes, strict=True)) for row in table.rows)
+    rows = tuple(tuple(_scaled(cell, scale) for cell, scale in zip(row, scales, strict=True)) for row in table.rows)
     return replace(table, columns=tuple(columns), rows=rows)
 
 
@@ -293,17 +300,32 @@ def _read_name(name: str) -> tuple[str, str]:
 
 
 def _with_unit(name: str) -> tuple[str, str]:
-    """A name and the unit behind its last blank or underscore."""
-    found = re.fullmatch(r"(.+)[_\s](\S+)", name.strip())
-    if found and (SPELLED.get(found[2].lower(), found[2]) in UNITS or list(others(found[2]))):
-        return found[1], found[2]
+    """A name and the longest unit at its end, behind a blank or an underscore: u_x and per_m of "u_x_per_m"."""
+    parts = re.split(r"[_\s]+", name.strip())
+    for k in range(1, len(parts)):
+        unit = "_".join(parts[k:])
+        unit = SPELLED.get(unit.lower(), unit)
+        if unit in UNITS or any(True for _ in others(unit)):
+            return "_".join(parts[:k]), unit
     return name, ""
 
 
-def _scaled(cell: str, size: Decimal) -> str:
+class Scale(NamedTuple):
+    """One unit in another: number times size, minus zero."""
+
+    size: Decimal = Decimal(1)
+    zero: Decimal = Decimal(0)
+
+
+AS_IT_IS = Scale()
+
+
+def _scaled(cell: str, scale: Scale) -> str:
     """A cell in another unit; as it is where it is no number."""
-    value = parse_number(cell) if cell and size != 1 else cell
-    return str(CONTEXT.multiply(decimal(value), size)) if isinstance(value, Decimal) else cell
+    value = parse_number(cell) if cell and scale != AS_IT_IS else cell
+    if not isinstance(value, Decimal):
+        return cell
+    return str(CONTEXT.subtract(CONTEXT.multiply(decimal(value), scale.size), scale.zero))
 
 
 def to_csv(columns: Sequence[str], rows: Iterable[Sequence[object]], comment: str = "") -> str:

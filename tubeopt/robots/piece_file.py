@@ -15,7 +15,7 @@ from ..files.checked import Entry, Number, Positive, in_file, unusual
 from ..files.csv_file import read_csv
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, to_data
-from ..files.units import DEG, MM, PER_M, UNITS, in_unit, meant, to_si
+from ..files.units import DEG, MM, PER_M, UNITS, in_unit, to_si
 from ..typing import Array
 from .pieces import BEND, LENGTH, Piece, Slots, check_table
 from .series import Quantity, Series, extremes, turned
@@ -32,7 +32,8 @@ LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
 """Of that of the cross-section: what is given outside has a wrong unit."""
 
 COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
-"""Columns of a table of precurvature; `twist_deg_per_mm` may follow."""
+TWIST = "twist_deg_per_mm"
+"""Columns of a table of precurvature; the twist may be left out."""
 
 
 class SeriesEntry(Entry):
@@ -90,21 +91,13 @@ class PatternEntry(Entry):
 
 def _load_table(path: str | PathLike[str]) -> tuple[Array, Array]:
     """Arc lengths (k,), m, and u* (k, 3), 1/m, of a table in a CSV file."""
-    table = read_csv(path)
-    wanted = [*COLUMNS, *(["twist_deg_per_mm"] if "twist_deg_per_mm" in table.columns else [])]
-    for name in table.columns:
-        if name not in wanted:
-            hint = meant(name, (*COLUMNS, "twist_deg_per_mm"))
-            listed = f"; there may be {', '.join(wanted)}, twist_deg_per_mm"
-            raise InputError(f"{path}: column {name} is not known{hint or listed}")
-    for name in COLUMNS:
-        if name not in table.columns:
-            raise InputError(f"{path}: column {name} is missing")
+    table = read_csv(path, (*COLUMNS, TWIST))
+    table.expect(COLUMNS, [TWIST])
     s = table.numbers(COLUMNS[:1], MM)[:, 0]
     u = np.zeros((len(s), 3))
     u[:, :2] = table.numbers(COLUMNS[1:], PER_M)
-    if len(wanted) == 4:
-        u[:, 2] = table.numbers(wanted[3:], DEG_PER_MM)[:, 0]
+    if TWIST in table.columns:
+        u[:, 2] = table.numbers([TWIST], DEG_PER_MM)[:, 0]
     table.check()
     end = in_unit(float(s[-1]), MM) if len(s) else 0
     for words in unusual("the last arc_length_mm", "mm", Decimal(repr(end)), LENGTH):

@@ -6,7 +6,8 @@ rigid body, and so on, in the order of the file.
 - NDI (Track, ToolBox, the recorders of the CAPI samples): one header line in which every tool has the columns Frame,
   State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, between commas or tabs; positions in mm. With Euler angles, Rz, Ry and Rx stand in
   place of the quaternion: degrees, R = Rz Ry Rx. Not seen is what has a state other than OK or Enabled, the word
-  MISSING or NDI's number for it, or a quaternion of zeros.
+  MISSING or NDI's number for it, or a quaternion of zeros. Spreadsheets write semicolons, decimal commas and units in
+  the names of columns: `Tx (mm)`, `Rz [deg]`.
 - OptiTrack Motive: "Format Version" in the first line with the units of length and the kind of rotation, then lines
   that name type, body and quantity of every column.
 """
@@ -27,8 +28,8 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, nearest
-from ..files.csv_file import CsvTable, read_csv, refuse
-from ..files.files import read_text
+from ..files.csv_file import CsvTable, decoded, read_csv, refuse, separator_of, with_points
+from ..files.files import read_bytes
 from ..files.units import DEG, MM
 from ..typing import Array, Mask
 
@@ -70,20 +71,31 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     Raises:
         InputError: no such file, or a file that is none of these.
     """
-    lines = read_text(path).removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}").splitlines()
-    tabs = bool(lines) and "\t" in lines[0] and "," not in lines[0]
-    cells = list(csv.reader(lines, delimiter="\t" if tabs else ","))
-    first = [cell.strip() for cell in cells[0]] if cells else []
-    if first and first[0].lower() == "format version":
-        return _optitrack(path, cells)
-    lowered = [cell.lower() for cell in first]
-    if "tx" in lowered and ("q0" in lowered or {*EULER} <= {*lowered}):
-        return _ndi(path, cells, frame_rate)
-    return Recorded(read_csv(path), {})
+    lines = decoded(read_bytes(path)).splitlines()
+    separator = separator_of(lines[0]) if lines else ","
+    first = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=separator), [])]
+    names = [_ndi_column(title)[0] for title in first]
+    ndi = "tx" in names and ("q0" in names or {*EULER} <= {*names})
+    if not ndi and names[:1] != ["format version"]:
+        return Recorded(read_csv(path), {})
+    cells = list(csv.reader(lines, delimiter=separator))
+    if separator != "," and any("," in line for line in lines[1:]):
+        cells = [cells[0], *with_points(path, cells[1:])]
+    return _ndi(path, cells, frame_rate) if ndi else _optitrack(path, cells)
+
+
+def _ndi_column(title: str) -> tuple[str, str]:
+    """What NDI calls a column, in small letters, and the unit that its title names: tx and mm of "Tx (mm)"."""
+    found = re.fullmatch(r"\s*(.*?)\s*[\[(](.*?)[\])]\s*", title)
+    name, unit = (found[1], found[2].strip()) if found else (title.strip(), "")
+    return name.lower().rstrip("# "), unit
 
 
 def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | None) -> Recorded:
-    header = [cell.strip().lower().rstrip("#") for cell in cells[0]]
+    columns = [_ndi_column(title) for title in cells[0]]
+    header = [name for name, _ in columns]
+    length = _ndi_unit(path, columns, ("tx", "ty", "tz"), tuple(LENGTH))
+    degrees = _ndi_unit(path, columns, EULER, ("deg", "rad")) == "deg"
     angles = "q0" not in header
     width = 3 if angles else 4
     tools = [
@@ -100,14 +112,27 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
             state = _before(header, k, ("state", "transformstatus"))
             pose = padded[k : k + width + 3]
             if angles:
-                pose = [*_quaternion_of(dict(zip(header[k : k + 3], pose, strict=False))), *pose[3:]]
+                pose = [*_quaternion_of(dict(zip(header[k : k + 3], pose, strict=False)), degrees), *pose[3:]]
             seen = (state is None or padded[state].lower() in SEEN) and _is_pose(pose)
             rows[-1] += pose if seen else [""] * 7
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
     if not rows or not rows[0][0]:  # nothing to tell the time by
         rows, names = [row[1:] for row in rows], names[1:]
-    found = _recorded(path, names, rows, lines, {"time": "s", "x": "mm", "y": "mm", "z": "mm"})
+    found = _recorded(path, names, rows, lines, {"time": "s", **dict.fromkeys("xyz", length)})
     return replace(found, tools=tuple(_ndi_name(cells[0], cells[1:], header, k) for k in tools))
+
+
+def _ndi_unit(
+    path: str | PathLike[str], columns: Sequence[tuple[str, str]], names: Sequence[str], known: Sequence[str]
+) -> str:
+    """The unit that the titles of columns with these names state, the first that is known where they state none."""
+    stated = dict.fromkeys(unit for name, unit in columns if name in names)
+    if len(stated) > 1 or not {*stated} <= {"", *known}:
+        shown = ", ".join(
+            f"{name.title()} ({unit})" if unit else name.title() for name, unit in columns if name in names
+        )
+        raise InputError(f"{path}: the NDI export has columns {shown}; all must have one unit of {', '.join(known)}")
+    return "".join(stated) or known[0]
 
 
 def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequence[str], k: int) -> str:
@@ -119,10 +144,10 @@ def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequ
     return cell or titles[frame - 1].strip()
 
 
-def _quaternion_of(angles: dict[str, str]) -> list[str]:
-    """The quaternion of Euler angles in deg; words in place of a number are left to the table."""
+def _quaternion_of(angles: dict[str, str], degrees: bool) -> list[str]:
+    """The quaternion of Euler angles; words in place of a number are left to the table."""
     try:
-        turn = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=True)
+        turn = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=degrees)
     except ValueError:
         return next(([cell] * 4 for cell in angles.values() if not _is_number(cell)), [""] * 4)
     x, y, z, w = turn.as_quat().tolist()
