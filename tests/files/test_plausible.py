@@ -174,6 +174,7 @@ def test_a_table_of_a_piece_in_metres(caplog: pytest.LogCaptureFixture, tmp_path
         f"{tmp_path}/u.csv: the last arc_length_mm is 0.06; that would be usual in m: was 60 meant?"
     ]
     (tmp_path / "v.csv").write_text("arc_length_m,curvature_x_per_m,curvature_y_per_m\n0,0,0\n0.03,9,1\n0.06,9,0\n")
+    caplog.clear()
     assert told(caplog, tmp_path / "y.yaml", f"{robot}[{{table: v.csv}}]}}]", load_robot) == []
     assert load_robot(tmp_path / "y.yaml").tubes[0].length == pytest.approx(0.26, rel=1e-15)
 
