@@ -17,6 +17,7 @@ from scipy.integrate import quad
 import tubeopt
 from tubeopt import InputError, MoldSpec, Tube, plan_mold, predict_tube
 from tubeopt.shaping import (
+    Clamp,
     ClampSpec,
     EndMill,
     Groove,
@@ -259,9 +260,36 @@ def test_end_mills() -> None:
     assert "below half the groove's width" in refused(sharp, MoldSpec(most_strain=1.0))
 
 
+def places_in_clamp(clamp: Clamp, spec: ClampSpec) -> set[tuple[int, int]]:
+    """Places (half a millimetre) that a clamp takes, wherever it slides."""
+    along = np.asarray(clamp.direction)
+    across = np.array([-along[1], along[0]])
+    a, b = np.meshgrid(np.arange(0, spec.grip + clamp.travel, 1e-4), np.arange(-spec.width / 2, spec.width / 2, 1e-4))
+    points = np.asarray(clamp.face) + a.ravel()[:, None] * along + b.ravel()[:, None] * across
+    return {(int(x), int(y)) for x, y in np.floor(points / 0.5e-3)}
+
+
+def test_clamps_that_overlap_are_named() -> None:
+    mold = plan_mold((THESIS,) * 3)
+    spec = mold.spec.clamps
+    taken = [(g.number, places_in_clamp(clamp, spec)) for g in mold.grooves for clamp in g.clamps]
+    for (first, a), (second, b) in itertools.combinations(taken, 2):
+        named = any(f"clamps of tubes {first} and {second} overlap" in words for words in mold.remarks)
+        assert not a & b or named
+    assert any("clamps of tubes 1 and 2 overlap: set one tube after the other" in words for words in mold.remarks)
+    apart = plan_mold((THESIS,) * 3, MoldSpec(clamps=ClampSpec(width=3e-3)))
+    assert not any("overlap" in words for words in (*apart.remarks, *plan_mold(THESIS).remarks))
+    # A bend of more than half a turn brings both ends of one tube together.
+    turned = Tube(1.9e-3, 1.5e-3, 0.0, 12e-3 * np.radians(182.0), 1 / 12e-3)
+    wide = MoldSpec(most_strain=0.2, clamps=ClampSpec(width=30e-3))
+    assert any("the two clamps of tube 1 overlap" in words for words in plan_mold(turned, wide).remarks)
+
+
 def test_plates_too_thin_or_too_small() -> None:
     thin = MoldSpec(plate=PlateSpec(thickness=5e-3))
-    assert refused(THESIS, thin).startswith("the plate is too thin: 5 mm. The groove of tube 1 is 2 mm deep; 4 mm")
+    assert refused(THESIS, thin).startswith(
+        "the plate is too thin: 5 mm. The groove of tube 1 is 2 mm deep; 4 mm must stay below it"
+    )
     small = MoldSpec(plate=PlateSpec(size=(0.1, 0.05)))
     assert "the groove of tube 1 does not fit on the plate" in refused(THESIS, small)
     crowded = MoldSpec(plate=PlateSpec(size=(0.16, 0.05)))

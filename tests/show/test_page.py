@@ -19,7 +19,9 @@ from PIL import Image
 import tubeopt
 from tests.test_problems import LAW_RIGS, PROBLEMS, problem
 from tubeopt.cli.app import main
+from tubeopt.runs.heating_study import LedHeating
 from tubeopt.shaping import plan_mandrel, rank_mold_materials
+from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.page import TITLED, WIDTH
 from tubeopt.show.plots import style
 from tubeopt.show.plots.crowding import faults
@@ -56,11 +58,20 @@ def helix() -> Any:
 
 
 @cache
+def led() -> LedHeating:
+    """A heating, on an Arduino Uno; its controller is not drawn."""
+    rig = tubeopt.load_rig("thesis_calcium_silicate")
+    plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=2.0))
+    return LedHeating(plan, None, Wiring(), rig.circuit.pwm_frequency)  # type: ignore[arg-type]
+
+
+@cache
 def drawings() -> dict[str, Callable[[], Any]]:
     """A kind of picture -> what draws a small one."""
     from tubeopt.show import plots
     from tubeopt.show.plots import mandrel, workspace
     from tubeopt.show.plots import mold as molds
+    from tubeopt.show.plots.wiring import plot_wiring
 
     robot = pose().robot
     loaded = tubeopt.forward_kinematics(robot, TURN, load=tubeopt.Load(force=(0.01, 0.0, 0.02)))
@@ -81,6 +92,7 @@ def drawings() -> dict[str, Callable[[], Any]]:
         "setup sheet": lambda: molds.plot_setup_sheet(mold()),
         "materials": lambda: molds.plot_materials(rank_mold_materials(robot.tubes[0])),
         "mandrel": lambda: mandrel.plot_mandrel(plan_mandrel(helix())),
+        "wiring": lambda: plot_wiring(led()),
     }
 
 
@@ -97,7 +109,7 @@ def page(width_mm: float, *, titled: bool = True) -> Iterator[None]:
 
 KINDS = (
     *("shape", "shapes", "torsion", "torsions", "equilibria", "path", "snap", "hysteresis", "branch", "map", "energy"),
-    *("workspace", "mold", "materials", "mandrel", "setup sheet"),
+    *("workspace", "mold", "materials", "mandrel", "setup sheet", "wiring"),
 )
 
 

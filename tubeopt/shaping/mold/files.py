@@ -20,7 +20,7 @@ from ...typing import Array
 from .gcode import write_gcode
 from .groove import Arc, Point, farthest, leads_to_edge, polygon
 from .layout import Hole
-from .mold import PARTS, Clamp, Groove, Mold
+from .mold import PARTS, Clamp, Groove, Mold, clamp_corners
 
 # --- what is drawn of a plate -----------------------------------------------------------------------------------------
 
@@ -71,14 +71,12 @@ def groove_walls(groove: Groove, size: Point) -> tuple[Arc, ...]:
 
 
 def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
-    """ArmSurface of a clamp's jaws (m), and of where its far side comes to when it slides."""
-    along = np.asarray(clamp.direction)
-    across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2
-    near, far = np.asarray(clamp.face), np.asarray(clamp.face) + along * mold.spec.clamps.grip
-    lines = _around([near - across, far - across, far + across, near + across])
+    """Outline of a clamp's jaws (m), and of its far side after it has slid."""
+    spec = mold.spec.clamps
+    lines = _around(clamp_corners(clamp, spec))
     if clamp.slides:
-        beyond = far + along * clamp.travel
-        lines.append(Arc.between(beyond - across, beyond + across))
+        _, far, beyond, _ = clamp_corners(clamp, spec, clamp.travel)
+        lines.append(Arc.between(beyond, far))
     return lines
 
 

@@ -6,6 +6,7 @@ on it. Grooves run from the proximal end of the tube, on the left, to the distal
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ from .checks import (
 from .groove import Centreline, Point, bend_of, clipped_area, polygon
 from .heat import ColdEnd, cold_end, thermal_growth
 from .layout import Blank, Hole, nest, place_fasteners, place_vents
-from .spec import ENDS, EndMill, MoldSpec
+from .spec import ENDS, ClampSpec, EndMill, MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
 
 PARTS = ("base", "lid")
@@ -66,6 +67,25 @@ class Clamp:
     def slides(self) -> bool:
         """Whether the clamp gives way when the tube grows."""
         return self.travel > 0
+
+
+def clamp_corners(clamp: Clamp, spec: ClampSpec, slid: float = 0.0) -> Array:
+    """(4, 2) corners (m) of a clamp: two at its face, two at its far side, which has slid outwards by `slid`."""
+    along = np.asarray(clamp.direction)
+    across = np.array([-along[1], along[0]]) * spec.width / 2
+    near = np.asarray(clamp.face)
+    far = near + along * (spec.grip + slid)
+    return np.array([near - across, far - across, far + across, near + across])
+
+
+def rectangles_overlap(first: Array, second: Array) -> bool:
+    """Whether two rectangles (4, 2) overlap: no side of either separates their corners (separating axis theorem)."""
+    for corners in (first, second):
+        for axis in (corners[1] - corners[0], corners[3] - corners[0]):
+            a, b = first @ axis, second @ axis
+            if a.max() <= b.min() or b.max() <= a.min():
+                return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -333,6 +353,20 @@ def _clamp_gap(mouth: Point, way: Array, size: Point, spec: MoldSpec) -> float:
     return max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE)
 
 
+def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
+    """Which clamps overlap, in all places to which they slide."""
+    placed = [(g.number, clamp_corners(clamp, spec, clamp.travel)) for g in grooves for clamp in g.clamps]
+    pairs = {
+        (first, second) for (first, a), (second, b) in itertools.combinations(placed, 2) if rectangles_overlap(a, b)
+    }
+    return [
+        f"the two clamps of tube {first} overlap: use narrower clamps, or longer leads"
+        if first == second
+        else f"clamps of tubes {first} and {second} overlap: set one tube after the other"
+        for first, second in sorted(pairs)
+    ]
+
+
 def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
     remarks, back = springback_remarks(spec), spec.springback
     if back.curvature_range is not None:
@@ -349,6 +383,7 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
             f"a curved part comes out up to {most * 1e3:.2g} mm short when it cools; `shrinkage` of the spring-back "
             "makes up for it"
         )
+    remarks += _clamp_remarks(grooves, spec.clamps)
     for groove in grooves:
         if groove.tube.material.thermal is None:
             remarks.append(

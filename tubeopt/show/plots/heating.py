@@ -88,9 +88,10 @@ def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
     """The window from near: counts against ideal duty."""
     _window(axes, plan, label=False)
     curved, ideal = plan.temperature[:, plan.curved], plan.ideal_temperature[:, plan.curved]
-    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, alpha=0.45, lw=0, label="counts")
-    axes.plot(plan.time, ideal.max(1), color=IDEAL, lw=0.8, label="ideal duty, coldest and hottest")
-    axes.plot(plan.time, ideal.min(1), color=IDEAL, lw=0.8)
+    # With an edge, the band is seen where coldest and hottest place are equally warm; dashes leave it visible.
+    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, alpha=0.6, lw=1.4, label="counts")
+    axes.plot(plan.time, ideal.max(1), color=IDEAL, lw=0.8, ls=(0, (4, 2)), label="ideal duty, coldest and hottest")
+    axes.plot(plan.time, ideal.min(1), color=IDEAL, lw=0.8, ls=(0, (4, 2)))
     for at in (plan.hold_start, plan.hold_end):
         axes.axvline(at, color=FAINT, lw=0.6, ls=":")
     low, high = min(plan.spec.window_degC[0], plan.lowest), max(plan.spec.limit, plan.hottest)

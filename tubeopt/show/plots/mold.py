@@ -14,7 +14,7 @@ from ...robots.tubes import Tube
 from ...shaping.mold.files import draw_plate
 from ...shaping.mold.gcode import clear_room
 from ...shaping.mold.groove import Arc
-from ...shaping.mold.mold import Groove, Mold
+from ...shaping.mold.mold import Groove, Mold, clamp_corners
 from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
 from ...typing import Array
@@ -77,11 +77,9 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
         centre = np.multiply(vent.centre, TO_MM)
         disk(axes, centre, vent.diameter / 2 * TO_MM, fc=VENT, ec=colour, lw=0.5, zorder=3)
     for clamp in groove.clamps:
-        along = np.asarray(clamp.direction)
-        across = np.array([-along[1], along[0]]) * mold.spec.clamps.width / 2 * TO_MM
-        near = np.asarray(clamp.face) * TO_MM
-        far = near + along * mold.spec.clamps.grip * TO_MM
-        axes.add_patch(Polygon([near - across, far - across, far + across, near + across], fc=CLAMP, ec=INK, lw=0.6))
+        along, corners = np.asarray(clamp.direction), clamp_corners(clamp, mold.spec.clamps) * TO_MM
+        far = corners[1:3].mean(axis=0)
+        axes.add_patch(Polygon(corners, fc=CLAMP, ec=INK, lw=0.6))
         mouth = curve.lead_in.start if clamp.end == "proximal" else curve.lead_out.end
         axes.plot(*np.array([np.asarray(mouth) * TO_MM, far]).T, color=colour, lw=1.2, zorder=3)
         if clamp.slides:

@@ -9,7 +9,7 @@ from typing import Any
 from ...runs.heating_study import LedHeating
 from ...shaping.firmware.boards import Wiring, parts_list
 from .heating import IDEAL, TUBE
-from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
+from .style import FAINT, INK, Axes, Figure, headed, narrow, new_figure, picture
 
 Path = Sequence[tuple[float, float]]
 
@@ -18,11 +18,11 @@ BOXES = {
     "fuse": (0.22, 0.67, 0.08, 0.1),
     "current\nsensor": (0.37, 0.66, 0.12, 0.12),
     "tube\nin its mold": (0.59, 0.65, 0.17, 0.14),
-    "stop": (0.32, 0.37, 0.1, 0.12),
+    "stop": (0.29, 0.37, 0.1, 0.12),
     "gate\ndriver": (0.55, 0.37, 0.12, 0.12),
-    "MOSFET": (0.76, 0.37, 0.16, 0.12),
+    "MOSFET": (0.76, 0.33, 0.16, 0.2),
     "board": (0.22, 0.03, 0.5, 0.13),
-    "thermometer": (0.82, 0.03, 0.17, 0.13),
+    "thermometer": (0.835, 0.03, 0.15, 0.13),
 }
 """Where the parts stand: left, bottom, width, height."""
 
@@ -30,8 +30,8 @@ CURRENT: tuple[Path, ...] = (
     ((0.17, 0.72), (0.22, 0.72)),
     ((0.30, 0.72), (0.37, 0.72)),
     ((0.49, 0.72), (0.59, 0.72)),
-    ((0.76, 0.72), (0.84, 0.72), (0.84, 0.49)),
-    ((0.84, 0.37), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
+    ((0.76, 0.72), (0.84, 0.72), (0.84, 0.53)),
+    ((0.84, 0.33), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
     ((0.54, 0.72), (0.54, 0.87), (0.81, 0.87), (0.81, 0.72)),
 )
 """Ways of the tube's current; the last but one is the ground, the last the way through the diode when it is off."""
@@ -43,8 +43,8 @@ JOINTS = ((0.335, 0.72), (0.54, 0.72), (0.81, 0.72), (0.64, 0.28), (0.68, 0.28))
 TERMINALS = {
     "+": (0.15, 0.72),
     "\N{MINUS SIGN}": (0.15, 0.51),
-    "drain": (0.8, 0.465),
-    "source": (0.8, 0.385),
+    "drain": (0.84, 0.505),
+    "source": (0.84, 0.355),
     "GND": (0.68, 0.14),
 }
 DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
@@ -59,7 +59,7 @@ def plot_wiring(answer: LedHeating) -> Figure:
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     for part in (axes, text):
         part.set_axis_off()
-    axes.set(xlim=(0, 1), ylim=(-0.09, 0.95))
+    axes.set(xlim=(0, 1), ylim=(-0.09, 0.97))
     _draw_parts(axes, answer.wiring.known.title)
     _draw_wires(axes, answer.wiring)
     _draw_diode(axes)
@@ -80,26 +80,32 @@ def _draw_parts(axes: Axes, board: str) -> None:
         axes.text(*at, name, ha="center", va="center", fontsize=size, color=INK)
 
 
+def _thick() -> float:
+    """Width of the wires of the tube's current, points: letters shrink on a narrow page, and would be covered."""
+    return 1.0 if narrow() else 2.4
+
+
 def _draw_wires(axes: Axes, wiring: Wiring) -> None:
-    power: dict[str, Any] = {"color": TUBE, "lw": 2.4, "zorder": 0.5}
+    thick = _thick()
+    power: dict[str, Any] = {"color": TUBE, "lw": thick, "zorder": 0.5}
     ground: dict[str, Any] = {"color": INK, "lw": 1.0, "zorder": 0.5}
     signal: dict[str, Any] = {"color": IDEAL, "lw": 1.0, "zorder": 0.5}
     for ways, look, label in ((CURRENT, power, "current of the tube"), (GROUND, ground, "ground")):
         for path in ways:
             axes.plot(*zip(*path, strict=True), **look)
         axes.plot([], [], label=label, **look)
-    axes.plot(*zip(*JOINTS, strict=True), "o", color=INK, ms=4)
+    axes.plot(*zip(*JOINTS, strict=True), "o", color=INK, ms=1.7 * thick)
     pins = wiring.known.pins
     read = f"pin {pins['select']}, SPI" if wiring.converter != "analog" else f"pin {pins['temperature']}"
     wires: tuple[tuple[Path, str, tuple[float, float]], ...] = (
-        (((0.58, 0.16), (0.58, 0.37)), f"pin {pins['gate']}", (0.585, 0.2)),
+        (((0.6, 0.16), (0.6, 0.37)), f"pin {pins['gate']}", (0.607, 0.2)),
         (((0.67, 0.43), (0.76, 0.43)), "gate", (0.69, 0.44)),
         (((0.43, 0.66), (0.43, 0.56), (0.52, 0.56), (0.52, 0.16)), f"pin {pins['current']}", (0.525, 0.2)),
         (((0.335, 0.72), (0.335, 0.58), (0.26, 0.58), (0.26, 0.16)), f"pin {pins['voltage']},\ndivider", (0.265, 0.19)),
-        (((0.37, 0.37), (0.37, 0.16)), f"pin {pins['stop']}\nto GND", (0.375, 0.19)),
-        (((0.42, 0.43), (0.55, 0.43)), "its supply", (0.425, 0.44)),
+        (((0.36, 0.37), (0.36, 0.16)), f"pin {pins['stop']}\nto GND", (0.367, 0.19)),
+        (((0.39, 0.43), (0.55, 0.43)), "supply", (0.405, 0.44)),
         (((0.96, 0.16), (0.96, 0.58), (0.675, 0.58), (0.675, 0.65)), "on the tube", (0.86, 0.59)),
-        (((0.82, 0.095), (0.72, 0.095)), read, (0.728, 0.105)),
+        (((0.835, 0.095), (0.72, 0.095)), read, (0.732, 0.105)),
     )
     for path, label, at in wires:
         axes.plot(*zip(*path, strict=True), **signal)
@@ -119,5 +125,5 @@ def _draw_diode(axes: Axes) -> None:
 
     (x, y), half = DIODE, DIODE_SIZE
     axes.add_patch(Polygon([(x + half, y - half), (x + half, y + half), (x - half, y)], color=TUBE, zorder=2))
-    axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=2.4, zorder=2)
-    axes.text(x, y + 1.5 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
+    axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
+    axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
