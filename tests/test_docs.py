@@ -29,6 +29,14 @@ def test_the_reference_names_what_there_is(name: str) -> None:
     assert pkgutil.resolve_name(name).__doc__
 
 
+def test_the_reference_shows_the_marks_of_a_field() -> None:
+    griffe = pytest.importorskip("griffe")
+    extensions = griffe.load_extensions(str(ROOT / ".ci" / "field_marks.py"))
+    jump = griffe.load("tubeopt.stability.load_limit", extensions=extensions)["LoadLimit.tip_jump"]
+    assert str(jump.annotation) == "float"
+    assert jump.docstring.value.startswith("Distance that the tip jumps, m. At the load")
+
+
 def test_robot_files_of_the_page_load(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "robot-file.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)

@@ -36,7 +36,7 @@ class Delegate(Generic[T]):
     """A value of a part, read at the whole: with `lowest = Delegate[float]("outcome")`, `plan.outcome.lowest`."""
 
     def __init__(self, part: str) -> None:
-        self._part, self._name = part, ""
+        self.part, self._name = part, ""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -44,7 +44,7 @@ class Delegate(Generic[T]):
     def __get__(self, whole: Any, owner: type) -> T:
         if whole is None:
             return self  # type: ignore[return-value]
-        return getattr(getattr(whole, self._part), self._name)  # type: ignore[no-any-return]
+        return getattr(getattr(whole, self.part), self._name)  # type: ignore[no-any-return]
 
 
 class StatusEnum(Enum):

@@ -6,17 +6,19 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jsonschema
 import numpy as np
 import pytest
 
 from tests.command_line import CRL, ROOT, THESIS, Run, answer
+from tubeopt.files.field_metadata import form, key, unit
 from tubeopt.files.units import UNITS, in_unit, per_si, to_si, unit_of
 from tubeopt.robots.path_file import joint_columns
-from tubeopt.show.quantities import Quantity, in_units, line, record, rows, within
+from tubeopt.show.quantities import Quantity, described, in_units, line, of_field, record, rows, within
 from tubeopt.show.reports import PAGE, page, report, reports, to_dict
+from tubeopt.typing import Delegate
 
 CONFIGS = ROOT / "configs"
 TURN = ("--rotations-deg", "0,60,120")
@@ -116,6 +118,46 @@ def test_a_line_is_all_that_a_new_quantity_takes() -> None:
     assert record(spring, added)["strain_percent"] == 1
     assert rows(spring, added)[-1] == ("strain", "1.00 %")
     assert "strain_percent" in schema(added)["required"]
+
+
+@dataclass
+class Needle:
+    length: Annotated[float, unit("mm"), form(".1f", label="needle"), "length of the needle"]
+    tip: Annotated[float, key("bevel_deg"), "angle of the bevel"]
+    maker: str = ""
+
+
+@dataclass
+class Holder:
+    needle: Annotated[Needle | None, "the needle"]
+    spares: Annotated[tuple[Needle, ...], "others"]
+    mass: Annotated[float, unit("g"), "mass of the holder"] = 0.01
+
+
+@dataclass
+class Case:
+    needle: Needle
+
+    length = Delegate[float]("needle")
+
+
+def test_marks_of_a_field_make_a_quantity() -> None:
+    needle = Needle(0.25, np.pi / 4)
+    assert record(needle, described(Needle)) == {"length_mm": 250.0, "bevel_deg": 45.0}
+    assert rows(needle, described(Needle)) == [("needle", "250.0 mm")]
+
+
+def test_fields_that_a_list_does_not_name_follow_where_it_says_so() -> None:
+    holder = Holder(None, (Needle(0.001, 0.0),))
+    whole = described(Holder, "mass", line("maker", lambda _: None), ...)
+    assert record(holder, whole) == {"mass_g": 10.0, "needle": None, "spares": [{"length_mm": 1.0, "bevel_deg": 0.0}]}
+    assert [quantity.key for quantity in described(Holder, "mass needle")] == ["mass_g", "needle"]
+
+
+def test_a_field_of_a_part_has_the_marks_of_the_part() -> None:
+    case = Case(Needle(0.25, 0.0))
+    (length,) = described(Case, of_field(Case, "length", form=".0f"))
+    assert (length.value(case), length.text(case, {"length_mm": 250.0})) == (250.0, "250 mm")
 
 
 def test_parts_are_described_by_lists_of_their_own() -> None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
 
+from ..files.field_metadata import unit
 from ..typing import Array
 
 MOST = math.radians(5.0)
@@ -35,11 +37,10 @@ OPEN = 1e-9
 class RegistrationError:
     """Standard errors of a registration."""
 
-    turn: float
-    """About the axis that is known worst, rad; inf where the data leave it open."""
-    reach: float
-    """Of the position of a point at the arm's length from the plate's centre, the worst of all directions, m; from
-    landmarks, at the distance of the farthest one."""
+    turn: Annotated[float, unit("deg"), "standard error of the rotation about the worst axis"]
+    """Infinite where the data leave it open."""
+    reach: Annotated[float, unit("mm"), "standard error of a point at the arm's length from the plate"]
+    """Worst of all directions; from landmarks, at the distance of the farthest one."""
     narrow: float
     """Spread of the points across the line that is nearest to them, over the spread along it."""
     mirrored: float | None = None

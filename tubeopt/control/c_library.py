@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from math import ceil
 from pathlib import Path
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -81,10 +82,8 @@ class CLibrary(Displayed):
 
     robot: Robot
     """Whose library it is."""
-    name: str
-    """What the robot is called."""
-    prefix: str
-    """Of what it exports."""
+    name: Annotated[str, "name of the robot"]
+    prefix: Annotated[str, "prefix of all names of the library"]
     files: dict[str, str]
     """Name of a file -> its text."""
     loads: bool = False

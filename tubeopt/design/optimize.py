@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, whole
+from ..files.field_metadata import key
 from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
@@ -59,28 +61,25 @@ class DesignSolution(Displayed):
     """The task."""
     robot: ConcentricRobot
     """The designed robot."""
-    certificate: float
-    """Least mu_cert over the translations, and over the box, for which the task demands one, else at home."""
-    equilibria: tuple[Equilibrium, ...]
-    """Equilibria of the task poses, solved again by forward kinematics, in the order of the requirements."""
+    certificate: Annotated[float, "lower bound on the margin at all rotations"]
+    """Smallest over the translations and the box for which the task demands a certificate, otherwise at home."""
+    equilibria: Annotated[tuple[Equilibrium, ...], key("poses"), "the task poses"]
+    """Equilibria, solved again by forward kinematics, in the order of the requirements."""
     objective: float
     """Value in its own sign, SI; with several objectives their weighted sum as minimised."""
     objectives: dict[str, float]
     """Value of each, by kind (own ones by their words), SI."""
-    dimensions: tuple[Dimension, ...]
-    """Every free dimension before and after."""
-    sensitivities: tuple[Sensitivity, ...]
-    """Limits that bind, and what easing them would buy, the dearest first."""
+    dimensions: Annotated[tuple[Dimension, ...], "free dimensions"]
+    sensitivities: Annotated[tuple[Sensitivity, ...], key("binding"), "active requirements"]
+    """What easing each would gain, the largest gain first."""
     ranking: Ranking
     """Designs of all starts."""
-    rounds: int
-    """Number of times that worst cases were added."""
+    rounds: Annotated[int, "number of times that worst cases were added"]
     added: Added
     """The worst cases that were added."""
     verification: Verification
     """All promises, checked again."""
-    seconds: float
-    """Duration of the whole computation, s."""
+    seconds: Annotated[float, "run time, s"]
     out_of_time: bool = False
     """True if the time limit ended the search: a better design may be near."""
 
@@ -392,11 +391,10 @@ class ParetoFront:
     """Designs in order of the margin demanded, up to the greatest for which one was found."""
 
     task: DesignTask
-    objective: str
-    """The kind of what is traded for it."""
+    objective: Annotated[str, "objective that is traded for margin"]
     points: tuple[FrontPoint, ...]
-    ended: float | None
-    """The first margin demanded for which no design was found near the front, None where one was for all."""
+    ended: Annotated[float | None, key("infeasible_from"), "smallest margin without a design"]
+    """None where every requested margin has a design."""
     out_of_time: bool = False
     """Whether the time limit ended the front there."""
 

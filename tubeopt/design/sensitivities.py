@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
 
 from ..constants import GRAVITY
+from ..files.field_metadata import form, key
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube, mass_per_length
 from ..typing import Array
@@ -34,11 +36,9 @@ class Sensitivity:
 
     limit: Limit
     """What is limited."""
-    derivative: float
-    """Of the objective with respect to the limit, SI, in the objective's own sign (with several objectives: of their
-    weighted sum, as minimised)."""
-    sentence: str
-    """The same in words."""
+    derivative: Annotated[float, key("derivative_si"), "derivative of the objective by the limit, both in SI"]
+    """In the objective's own sign; with several objectives, of their weighted sum, as minimised."""
+    sentence: Annotated[str, key("words"), "gain from relaxing the limit, as text"]
 
 
 def sensitivities(found: Attempt) -> tuple[Sensitivity, ...]:
@@ -128,11 +128,10 @@ def _sensitivity(found: Attempt, limit: Limit, price: float) -> Sensitivity:
 class Dimension:
     """One free dimension."""
 
-    name: str
-    unit: str
-    before: float
-    """In that unit, as `after`."""
-    after: float
+    name: Annotated[str, "name of the dimension and its tube"]
+    unit: Annotated[str, "unit of its values"]
+    before: Annotated[float, form(".5g", label="before"), "value of the given robot"]
+    after: Annotated[float, form(".5g", label="after"), "value of the design"]
     bound: str
     """The bound that it lies on, "lower" or "upper"; "" where on none."""
 

@@ -13,7 +13,7 @@ import scipy
 from ..arguments import typed
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, instance, vector, whole
-from ..files.field_metadata import NOT_NEGATIVE, OneOf, Typical, check_fields, unit
+from ..files.field_metadata import NOT_NEGATIVE, OneOf, Typical, check_fields, key, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.parallel import executor, run_all
@@ -56,21 +56,20 @@ class ToleranceAnalysis:
 
     certificate: Array
     """(S,) least mu_cert of each over the given translations."""
-    snap_free: float
-    """Share above 0."""
-    interval: tuple[float, float]
-    """95 % interval of that share (Wilson)."""
+    snap_free: Annotated[float, key("snap_free_probability"), "fraction of them that is snap-free"]
+    """Fraction of the samples with a positive margin."""
+    interval: Annotated[tuple[float, float], key("interval_95"), "95 % confidence interval of this fraction"]
+    """Wilson interval."""
     margin: float
     margin_kept: float
     """Share that keeps `margin`."""
     tip: Array
     """(S, P, 3) tips in each pose, m, NaN where a sample has no stable equilibrium."""
-    spread: Array
-    """(P,) RMS distance of the tips from the nominal one, m."""
-    spread_95: Array
-    """(P,) the distance that 95 % stay within, m."""
-    failed: int
-    """Samples without a stable equilibrium at some pose."""
+    spread: Annotated[Array, key("tip_spread_rms_mm"), "RMS distance of the tip of a pose from its nominal position"]
+    """Shape (P,), one for each pose."""
+    spread_95: Annotated[Array, key("tip_spread_95_mm"), "distance that contains 95 % of these tips"]
+    """Shape (P,)."""
+    failed: Annotated[int, "samples that could not be solved"]
 
 
 @typed

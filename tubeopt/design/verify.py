@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import point_at
 from ..errors import SolveError, whole
+from ..files.field_metadata import form
 from ..physics.strain import surface_strain
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import shifts
@@ -58,11 +59,9 @@ MISSED = 1e-6
 class Check:
     """One promise."""
 
-    what: str
-    """What it is."""
-    found: str
-    """What was found, with its unit."""
-    kept: bool
+    what: Annotated[str, form("s", label=""), "the requirement"]
+    found: Annotated[str, form("s", label="found"), "the value found"]
+    kept: Annotated[bool, "true if it is satisfied"]
 
 
 def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> list[Check]:

@@ -6,13 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
 
 from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..display import Displayed
 from ..errors import InputError
+from ..files.field_metadata import form, key, unit
 from ..robots.friction import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -64,18 +65,14 @@ class Statistics(Displayed):
 class Verification(Displayed):
     """Difference between the solution and an adaptive re-integration of its initial values (DOP853, 1e-12)."""
 
-    tip_position: float
-    """Difference of the tip position, m."""
-    tip_rotation: float
-    """Angle between both, rad."""
-    rotation: float
-    """Largest of a theta_i(s), rad."""
-    end_torsion: float
-    """Largest torsion at a tube's own end, rad/m, beyond that which a moment on the tip makes; it should be 0."""
-    base_rotation: float
-    """Largest difference from the rotations that are imposed, rad."""
-    end_curvature: float = 0.0
-    """Curvature by the bending moment at the tip, 1/m, beyond that of a moment on the tip; it should be 0."""
+    tip_position: Annotated[float, unit("mm"), form(".6g"), "difference of the tip position"]
+    tip_rotation: Annotated[float, unit("rad"), form(".6g"), "angle between the tip frames"]
+    rotation: Annotated[float, unit("rad"), form(".6g"), "largest difference of a tube's rotation"]
+    end_torsion: Annotated[float, unit("rad_per_m"), form(".6g"), "largest remaining torsion at the end of a tube"]
+    """Beyond that of a moment on the tip; it should be 0."""
+    base_rotation: Annotated[float, unit("rad"), form(".6g"), "largest difference from an imposed rotation at the base"]
+    end_curvature: Annotated[float, unit("per_m"), form(".6g"), "curvature at the tip without a moment"] = 0.0
+    """Beyond that of a moment on the tip; it should be 0."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +89,12 @@ class FrictionState:
     """(R,) that the outer tube bears at the place against the inner one, N m."""
     capacity: tuple[float, ...]
     """(R,) what the torque can be, N m."""
-    held_margin: float
-    """Least eigenvalue of the second variation, relative to its torsional part, along all motions in which what sticks
-    goes on sticking: how stable the equilibrium is while nothing shakes it."""
-    heat: float
-    """What friction has taken since the history began, J."""
+    held_margin: Annotated[float, "margin with friction; absent without friction"]
+    """Least eigenvalue of the second variation, relative to its torsional part, along all motions in which sticking
+    places continue to stick: the stability of the equilibrium without vibration."""
+    heat: Annotated[
+        float, key("friction_heat_mJ"), "heat of friction since the first waypoint; absent without friction"
+    ]
     violation: float
     """Of the laws of friction, as a slip (rad) or a part of the capacity."""
 
@@ -187,12 +185,10 @@ class Derivatives(Protocol):
 class Accuracy:
     """How well an equilibrium is solved."""
 
-    residual: float
-    """Largest violation of the collocation equations, rad."""
-    mesh_error: float
-    """Estimated largest error of theta_i(s), rad."""
-    tip_error: float
-    """Estimated error of tip_position, m."""
+    residual: Annotated[float, unit("rad"), form(".1e", label="residual"), "residual of the equations"]
+    """Largest violation of the collocation equations."""
+    mesh_error: Annotated[float, unit("rad"), "estimated error of the tubes' rotations"]
+    tip_error: Annotated[float, unit("mm"), "estimated error of the tip"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,36 +202,38 @@ class Equilibrium(Displayed):
 
     robot: Robot
     """The robot."""
-    rotations: Array
-    """(n,) rad, as given."""
-    translations: Array
-    """(n,) m, as given."""
+    rotations: Annotated[Array, unit("deg"), form(".6g", label="rotations"), "rotation of every tube"]
+    """Shape (n,), as given."""
+    translations: Annotated[Array, unit("mm"), form(".6g", label="translations"), "translation of every tube"]
+    """Shape (n,), as given."""
     arm: ArmShape
     """Centreline with its Bishop frame, and the rotations of the tubes along it."""
-    tip_rotations: Array
-    """(n,) theta_i at each tube's own end, rad."""
+    tip_rotations: Annotated[
+        Array, unit("deg"), form(".4f", label="rotations at the tips"), "rotation of every tube at its own tip"
+    ]
+    """Shape (n,): theta_i at each tube's own end."""
     section_start: Array
     """(k,) arc length of the breakpoints in front of the plate, m."""
     tube_end: Array
     """(n,) arc length of each tube's end, m."""
     points: CollocationPoints
     """Collocation points of the solution."""
-    margin: float
+    margin: Annotated[float, "stability margin"]
     """Smallest eigenvalue of the second variation relative to its torsional part. 1: the coupling has no softening
     effect. 0: snap. Negative: unstable. It decreases late and steeply, so it is no distance to a snap.
     """
-    index: int
+    index: Annotated[int, "number of unstable directions (Morse index)"]
     """Number of negative eigenvalues of the second variation, 0 for a stable equilibrium."""
-    energy: float
-    """Bending and torsion in front of the plate and torsion of the transmissions, J."""
+    energy: Annotated[float, unit("mJ"), form(".4f"), "elastic energy"]
+    """Bending and torsion in front of the plate and torsion of the transmissions."""
     accuracy: Accuracy
     """Residual and error estimates."""
     status: Status
     """Result of the solve."""
     statistics: Statistics
     """Method, mesh, iterations and time."""
-    verification: Verification | None = None
-    """Comparison with an adaptive re-integration, where asked for."""
+    verification: Annotated[Verification | None, "difference from adaptive re-integration"] = None
+    """None unless it was requested."""
     load: Load | None = None
     """External load, or None."""
     work: float = 0.0

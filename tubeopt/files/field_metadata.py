@@ -2,14 +2,21 @@
 
     @dataclass(frozen=True)
     class Clamps:
-        mass: Annotated[float, unit("g"), POSITIVE, "of one"] = 0.05
+        mass: Annotated[float, unit("g"), POSITIVE, "mass of one clamp"] = 0.05
 
         def __post_init__(self) -> None:
             check_fields(self, "the clamps")
 
-The library holds `mass` in kg, and a file has the key `mass_g`: `files.fields` makes reader, writer and schema of it.
-Fields that are not `Annotated` are no keys. A parameter of a function has its description in the section Args of the
-docstring, so that the page of the API, the help of the command and the page about files repeat one text:
+The library has `mass` in kg, and a file has the key `mass_g`: `files.fields` makes reader, writer and schema of it. In
+an answer the same marks make an entry of `--json` and of the table, by `show.quantities`:
+
+    tip_jump: Annotated[float, unit("mm"), form(".4f"), "distance that the tip jumps"]
+
+Fields that are not `Annotated` are no keys. A docstring below a marked field adds what its marks do not say, such as
+the shape of an array, or when it is None.
+
+A parameter of a function has its description in the section Args of the docstring, so that the page of the API, the
+help of the command and the page about files repeat one text:
 
     def stability_map(robot: Robot, *, samples: Annotated[int, Range(least=2)] = 24) -> StabilityMap:
         \"\"\"Margin over two rotations.
@@ -58,6 +65,20 @@ def unit(name: str) -> Key:
 def key(name: str) -> Key:
     """The key of a field where that is not its name with its unit; it ends in the unit all the same."""
     return Key(unit_of(name), name)
+
+
+@dataclass(frozen=True)
+class Form:
+    """How the numbers of a field are written in a table."""
+
+    spec: str
+    label: str | None = None
+    """Name of the row; None for the description of the field."""
+
+
+def form(spec: str, *, label: str | None = None) -> Form:
+    """A field is a row of the table, with its numbers in the format `spec` and their unit."""
+    return Form(spec, label)
 
 
 @dataclass(frozen=True)

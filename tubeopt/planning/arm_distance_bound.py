@@ -17,12 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
 from ..bodies.frames import Frame
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
+from ..files.field_metadata import unit
 from ..typing import Array, Index
 from .clearance_bound import SHARE, Table, Wanted, parted
 from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
@@ -172,12 +174,11 @@ class PairProof(Displayed):
 
     arms: tuple[int, int]
     """Their numbers, from 0."""
-    least_clearance: float
-    """Lower bound at all times, m; -inf where none is shown."""
-    measured_clearance: float
-    """The least between the equilibria that were looked at, taken as linear in time there, m."""
-    when: float
-    """That was, s."""
+    least_clearance: Annotated[float, unit("mm"), "proved distance of the two arms at all times"]
+    """-inf where no bound is proved."""
+    measured_clearance: Annotated[float, unit("mm"), "smallest measured distance"]
+    """Between the checked equilibria, linear in time there."""
+    when: Annotated[float, unit("s"), "time of the smallest distance"]
     times: Array = field(repr=False)
     """(M + 1,) s."""
     bounds: Array = field(repr=False)

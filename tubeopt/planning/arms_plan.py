@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations, islice, permutations
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
+from ..files.field_metadata import form, unit
 from ..inverse.clock import Clock
 from ..inverse.configurations import shift_of
 from ..inverse.joints import joint_space
@@ -85,8 +86,7 @@ class ArmsPlan(Displayed):
     """Required clearance, m."""
     proof: ArmsProof
     """Proof of all motions together."""
-    seconds: float
-    """Run time, s."""
+    seconds: Annotated[float, unit("s"), form(".1f", label="run time"), "run time of planning and proof"]
     withdrawn_first: tuple[int, ...] = ()
     """Arms that first withdraw. Their trajectories have two parts with rest in between; the proof covers both."""
 

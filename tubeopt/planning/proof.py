@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,7 @@ from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, finite, instance, positive
-from ..files.field_metadata import FAR_FROM_BODIES, usual_length
+from ..files.field_metadata import FAR_FROM_BODIES, form, key, unit, usual_length
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.limits import JointLimits
@@ -64,33 +65,24 @@ class ProofStatus(StatusEnum):
 class ProofStatistics:
     """What a proof took, and how far it came."""
 
-    equilibria: int
-    """How many were solved."""
-    followed: float
-    """Share of the time up to the last of them."""
+    equilibria: Annotated[int, "number of equilibria of the proof"]
+    followed: Annotated[float, unit("percent"), "part of the motion that was followed"]
+    """Of the time, up to the last equilibrium."""
 
 
 @dataclass(frozen=True)
 class Paces:
     """How fast a trajectory is, and how far its tip goes."""
 
-    largest_rotation_rate: float
-    """rad/s."""
-    largest_translation_rate: float
-    """m/s."""
-    largest_rotation_acceleration: float
-    """rad/s^2."""
-    largest_translation_acceleration: float
-    """m/s^2."""
-    largest_tip_step: float
-    """Between two equilibria of the proof, m."""
-    largest_tip_rate: float
-    """Upper bound of the speed of the tip at all times up to `end`, m/s; infinite where nothing is proved, and under
-    forces that may change."""
-    measured_tip_rate: float
-    """The largest mean speed of the tip between two equilibria, m/s."""
-    tip_length: float
-    """Of the way of the tip, m."""
+    largest_rotation_rate: Annotated[float, unit("deg_per_s"), "largest rotation rate of a tube"]
+    largest_translation_rate: Annotated[float, unit("mm_per_s"), "largest translation rate of a tube"]
+    largest_rotation_acceleration: Annotated[float, unit("deg_per_s2"), "largest rotation acceleration of a tube"]
+    largest_translation_acceleration: Annotated[float, unit("mm_per_s2"), "largest translation acceleration of a tube"]
+    largest_tip_step: Annotated[float, unit("mm"), "largest step of the tip between equilibria"]
+    largest_tip_rate: Annotated[float, unit("mm_per_s"), "proved bound on the speed of the tip at all times"]
+    """Infinite where nothing is proved, and under forces that may change."""
+    measured_tip_rate: Annotated[float, unit("mm_per_s"), "largest mean speed of the tip between two equilibria"]
+    tip_length: Annotated[float, unit("mm"), "length of the path of the tip"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,27 +93,27 @@ class Proof(Displayed):
     `proof.paces.largest_tip_rate`.
     """
 
-    snap: float | None
-    """Fraction of the time at which the branch ends, where `find_snap` puts it; None where it reaches the end."""
-    least_margin: float
-    """Smallest margin at the equilibria of the proof; 0 at a snap."""
-    least_clearance: float
+    snap: Annotated[float | None, key("snap_at_percent"), "position of a snap along the motion"]
+    """Fraction of the time, from `find_snap`; None where the branch reaches the end."""
+    least_margin: Annotated[float, form(".4f", label="least margin"), "smallest margin"]
+    """At the equilibria of the proof; 0 at a snap."""
+    least_clearance: Annotated[float, unit("mm"), "proved distance of the arm from obstacles"]
     """Lower bound on the distance between arm and obstacles at all times up to `end`, m. The arm is every point within
     the radius of the outermost tube from the centreline, so it has round ends. Infinite without obstacles, -inf without
     a bound.
     """
-    measured_clearance: float
-    """The least that was measured, m."""
+    measured_clearance: Annotated[float, unit("mm"), "smallest distance at the checked instants"]
     paces: Paces
     """Speeds and accelerations."""
-    reintegration: float
-    """Largest difference of a tip from DOP853, m; under a load the largest estimate of its error."""
+    reintegration: Annotated[
+        float, unit("mm"), "largest difference of a tip from adaptive re-integration; under a load, the estimated error"
+    ]
     statistics: ProofStatistics
     """Effort of the proof."""
     end: Equilibrium
     """The last that was solved."""
-    faults: tuple[str, ...]
-    """Violated or unproved requirements, as text; empty for a proved trajectory."""
+    faults: Annotated[tuple[str, ...], "violated or unproved requirements, as text"]
+    """Empty for a proved trajectory."""
     open: bool = False
     """True if a time limit ended the proof before anything was refuted."""
     forced: ForceBound | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
+from typing import Annotated
 
 import numpy as np
 
@@ -56,12 +57,9 @@ class Entry(Displayed):
     """In the frame of the plate as it is given."""
     base: Frame
     """In the patient, RAS; the same without a patient."""
-    considered: int
-    """Places that were looked at."""
-    clear: int
-    """Of them those in which the arm is clear at the start."""
-    tried: int
-    """Of those the ones from which plans were made."""
+    considered: Annotated[int, "number of positions considered"]
+    clear: Annotated[int, "number of them with a collision-free arm at the start"]
+    tried: Annotated[int, "number of these that were tried as start of a plan"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +80,8 @@ class Trajectory(Displayed):
     """Equilibria at the samples."""
     start: Equilibrium
     """Equilibrium at the requested start."""
-    turns: tuple[int, ...]
-    """(n,) full turns between the rotations at the end and those of the goal."""
+    turns: Annotated[tuple[int, ...], "full turns added to the rotations of the goal"]
+    """Shape (n,)."""
     obstacles: tuple[Obstacle, ...]
     """Obstacles that the arm avoids."""
     min_margin: float
@@ -92,15 +90,15 @@ class Trajectory(Displayed):
     """Required clearance, m."""
     rate_limits: RateLimits
     """Limits on speeds and accelerations."""
-    proof: Proof
+    proof: Annotated[Proof, "the proof"]
     """Proof by independent code; `.proved` states whether it finished in time, `.status` the same as a sentence."""
     statistics: PlanStatistics
     """Effort of the search."""
     deviation: Array | None = None
     """(T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm from the path
     of its tip, m; None for other plans."""
-    entry: Entry | None = None
-    """Chosen pose of the plate, see `plan_from_region`; None if the plate was not moved."""
+    entry: Annotated[Entry | None, "chosen position of the plate; null if it was not free"] = None
+    """From `plan_from_region`; None if the plate was not moved."""
     cut: Plane | None = None
     """Along which pictures cut bodies open, in the frame of the plate; None for none."""
 

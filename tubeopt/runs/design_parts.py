@@ -329,10 +329,8 @@ class RegionAnswer(Displayed):
     """What the robot that was given reaches of places that were not searched with, over larger roadmaps."""
     after: ReachShare
     """The same of the design."""
-    proved: int
-    """How many of the plans are proved."""
-    planned: int
-    """How many plans were made, to some of the places that the design reaches."""
+    proved: Annotated[int, "number of proved plans"]
+    planned: Annotated[int, "number of plans made to these places"]
     base: Frame
     """Where the plate stands for the design, in the frame of the plate as it was given."""
 

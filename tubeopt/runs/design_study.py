@@ -32,7 +32,7 @@ from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole, in_file
-from ..files.field_metadata import Typical
+from ..files.field_metadata import Typical, key
 from ..files.fields import EntryOf
 from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
@@ -96,14 +96,11 @@ class DesignAnswer(Displayed):
 
     solution: DesignSolution
     """The design."""
-    tolerance: ToleranceAnalysis | None
-    """Its spread in manufacture."""
-    front: ParetoFront | None
-    """On which it lies."""
+    tolerance: Annotated[ToleranceAnalysis | None, "effect of manufacturing tolerances; null unless requested"]
+    front: Annotated[ParetoFront | None, key("pareto"), "trade-off between margin and objective; null unless requested"]
     stock: StockChoice | None
     """The choice from stock."""
-    region: RegionAnswer | None = None
-    """What it reaches of a region."""
+    region: Annotated[RegionAnswer | None, "reached fraction of a region; null unless it is the objective"] = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -199,10 +196,8 @@ class PairAnswer(Displayed):
     """What the robots that were given hold of places that were not searched with, over larger roadmaps."""
     after: PairShare
     """The same of the designs."""
-    proved: int
-    """How many of the motions are proved."""
-    planned: int
-    """How many motions of both arms were planned, to some pairs of these places."""
+    proved: Annotated[int, "number of proved plans"]
+    planned: Annotated[int, "number of plans of both arms to such pairs"]
     names: tuple[str, str]
     """What the arms are called."""
     plates: tuple[Frame, Frame]

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..files.checked import Positive, in_file, require_one
+from ..files.field_metadata import unit
 from ..shaping.firmware.line import Line, SerialLine, SimulatedLine, SimulatedRig
 from ..shaping.firmware.sketch_files import OVERSHOOT
 from ..shaping.heating.controller import HeatingLaw
@@ -52,14 +53,13 @@ class HeatingRun(Displayed):
 
     rows: tuple[dict[str, Any], ...]
     """What the rig reported, slot by slot."""
-    reason: str
-    """Why it ended."""
+    reason: Annotated[str, "reason for the end"]
     log: Path | None = None
     """Where it was written."""
     name: str = "rig"
     """Of the rig."""
-    window: tuple[float, float] | None = None
-    """degC, that is to be kept in the hold, as the rig says it; None where it does not."""
+    window: Annotated[tuple[float, float] | None, unit("degC"), "temperature window of the hold"] = None
+    """None where the rig has none."""
 
     @property
     def done(self) -> bool:

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 from ..display import Displayed
 from ..errors import InputError, choice
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
+from ..files.field_metadata import key
 from ..files.fields import asking, made
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
@@ -67,14 +68,13 @@ class Heating(Displayed):
     """A plan, and what becomes of it."""
 
     plan: HeatingPlan
-    tables: tuple[HeatingPlan, ...] = ()
-    """The same for other charges of the battery."""
+    tables: Annotated[tuple[HeatingPlan, ...], "the same for other states of charge"] = ()
     band: Band | None = None
     """Over uncertain rigs; None where that was not asked for."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty.of_a_workshop)
     """What the band is over."""
-    scale: float = 1.0
-    """By which the duties were scaled to the most likely success."""
+    scale: Annotated[float, key("duty_scale"), "factor on the duties"] = 1.0
+    """For the most likely success."""
 
     @property
     def success(self) -> Success | None:
@@ -273,8 +273,7 @@ class LedHeating(Displayed):
     """The law that leads it, and what it keeps."""
     wiring: Wiring
     """Board, pins and parts."""
-    frequency: float
-    """Hz, of the board's pulses."""
+    frequency: Annotated[float, key("pwm_Hz"), "PWM frequency"]
 
 
 @asking(HeatingSpec)
@@ -390,14 +389,11 @@ class HeatingCalibrationStudy(TubeOnRig):
 class TubeParts:
     """Mold and schedules of one tube."""
 
-    number: int
-    """Of the tube, from 1."""
+    number: Annotated[int, key("tube"), "number of the tube, from 1"]
     made: TubeFabrication
     """The two as planned together."""
-    mold: RobotMold
-    """As the command for molds says it."""
-    heating: Heating
-    """As the command for heatings says it."""
+    mold: Annotated[RobotMold, "its mold"]
+    heating: Annotated[Heating, "its heating"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,10 +401,8 @@ class Fabrication(Displayed):
     """Everything that it takes to make a robot's tubes."""
 
     robot: Robot
-    parts: tuple[TubeParts, ...]
-    """One for each tube that is made."""
-    left_out: tuple[str, ...]
-    """Tubes that are not made, in words."""
+    parts: Annotated[tuple[TubeParts, ...], key("tubes"), "mold and heating of every tube"]
+    left_out: Annotated[tuple[str, ...], "omitted tubes, with the reason"]
 
     @property
     def success(self) -> Success | None:

@@ -14,6 +14,7 @@ from ..display import Displayed
 from ..errors import SolveError
 from ..files.checked import Entry, NotNegative, Number, Positive, Triple, check, in_file, require_one
 from ..files.csv_file import read_csv, refuse
+from ..files.field_metadata import key
 from ..files.fields import asking, values
 from ..files.units import MM, RAD
 from ..files.yaml_file import load_yaml
@@ -103,26 +104,23 @@ class Postures(Displayed):
 
     robot: Robot
     """That was asked."""
-    solutions: tuple[InverseSolution, ...]
-    """One or several configurations."""
-    timed_out: bool = False
-    """Whether the time limit ended the search for more of them."""
+    solutions: Annotated[tuple[InverseSolution, ...], "the solutions, best first"]
+    timed_out: Annotated[bool, "true if the time limit ended the search for all solutions or for their paths"] = False
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
     """One target of a table, and the answer."""
 
-    number: float
-    """Of the target, from 1; 7.25 is a quarter of the way from 7 to 8, put in between by `follow`."""
-    position: Array
-    """(3,) m."""
-    direction: Array | None
-    """(3,), of any length."""
+    number: Annotated[float, key("target"), "number of the target, from 1; a fraction for an inserted one"]
+    """7.25 is a quarter of the way from 7 to 8, inserted by `follow`."""
+    position: Annotated[Array, key("target_mm"), "target position of the tip in the base frame"]
+    """Shape (3,)."""
+    direction: Annotated[Array | None, key("target_direction"), "target direction of the tip"]
+    """Shape (3,), of any length."""
     solution: InverseSolution | None
     """The answer, or the closest pose where it is known."""
-    problem: str
-    """Why there is no answer."""
+    problem: Annotated[str, "reason why there is no solution"]
 
     @property
     def given(self) -> bool:
@@ -136,8 +134,7 @@ class TargetTable(Displayed):
 
     robot: Robot
     """That was asked."""
-    rows: tuple[Row, ...]
-    """One for each target, in their order."""
+    rows: Annotated[tuple[Row, ...], key("solutions"), "the solutions, one per target"]
     followed: bool = False
     """Whether each was looked for near the one before."""
 

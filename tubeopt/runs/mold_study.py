@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from ..display import Displayed
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
-from ..files.field_metadata import Typical
+from ..files.field_metadata import Typical, key
 from ..robots.tubes import Tube
 from ..shaping.heating.rig import Rig
 from ..shaping.materials import mold_material
@@ -31,8 +31,7 @@ from .study_file import Arguments, Options, Study, Timed, question
 class Ranking(Displayed):
     """Mold materials for a tube."""
 
-    ratings: tuple[MaterialRating, ...]
-    """One for each material, best first."""
+    ratings: Annotated[tuple[MaterialRating, ...], key("materials"), "the materials, best first"]
     tube: Tube
     heat: HeatSpec
     """The heating that they are for."""

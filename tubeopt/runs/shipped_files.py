@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from ..display import Displayed
+from ..files.field_metadata import key
 from ..files.shipped import FOLDER, about, shipped
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
@@ -15,20 +17,15 @@ from ..robots.file import robot_from_dict
 class ShippedFile(Displayed):
     """A file that comes with tubeopt."""
 
-    name: str
-    """What is typed."""
+    name: Annotated[str, "name for commands"]
 
-    folder: str
-    """What it is one of: "robots", "rigs", "studies", ..."""
+    folder: Annotated[str, "folder: robots, rigs, studies, ..."]
 
-    kind: str | None
-    """What its key `kind` says, where it has one."""
+    kind: Annotated[str | None, "its key `kind`; null without one"]
 
-    n_tubes: int | None
-    """Of a robot."""
+    n_tubes: Annotated[int | None, key("tubes"), "number of tubes of a robot"]
 
-    about: str
-    """What it is, in a line."""
+    about: Annotated[str, "description"]
 
 
 @dataclass(frozen=True)

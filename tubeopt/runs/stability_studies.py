@@ -13,7 +13,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, Whole, in_file
-from ..files.field_metadata import Typical
+from ..files.field_metadata import Typical, form, key, unit
 from ..robots.concentric import friction_of
 from ..robots.load import Load
 from ..robots.path_file import Waypoints, load_waypoints
@@ -63,7 +63,9 @@ class Equilibria(Displayed):
     """(n,) rad"""
     translations: Array
     """(n,) m"""
-    equilibria: tuple[Equilibrium, ...]
+    equilibria: Annotated[
+        tuple[Equilibrium, ...], "all equilibria, the lowest energy first; without an energy the largest margin first"
+    ]
 
 
 @question("searching equilibria")
@@ -82,9 +84,9 @@ class Way(Displayed):
     """Rotations (n,) rad and translations (n,) m."""
     end: tuple[Array, Array]
     """The same there."""
-    snap: Snap | None
-    arrived: Equilibrium | None
-    """The equilibrium at the end; None where it snaps before."""
+    snap: Annotated[Snap | None, "the snap; null without one"]
+    arrived: Annotated[Equilibrium | None, "equilibrium at the end of a path without a snap"]
+    """None where it snaps before."""
 
 
 WaypointsPath = Annotated[
@@ -153,14 +155,17 @@ class Certification(Displayed):
     """On which it is."""
     verdict: SnapAssessment
     """At the translations of the least certificate in `box` where a box was asked for."""
-    box: WorstCertificate | None
-    """The least certificate over a box of translations; None where not asked for."""
+    box: Annotated[WorstCertificate | None, "the searched box of translations"]
+    """None unless requested."""
     robot_file: str = "ROBOT.yaml"
     """What the commands that repeat it name."""
-    force: float | None = None
-    """N, on the tip; None where not asked for."""
-    forced: float | None = None
-    """Certificate for all dead forces up to it."""
+    force: Annotated[float | None, key("max_tip_force_mN"), "largest force on the tip, in any direction"] = None
+    """None unless requested."""
+    forced: Annotated[
+        float | None,
+        key("certificate_under_force"),
+        "lower bound on the margin at all rotations and under all such forces",
+    ] = None
 
     @property
     def finding(self) -> Finding:
@@ -245,8 +250,8 @@ class RobotMap(Displayed):
     """A stability map, and the robot that it is of."""
 
     robot: Robot
-    translations: Array
-    """(n,) m, of the whole map."""
+    translations: Annotated[Array, unit("mm"), form(".9g"), "translations"]
+    """Shape (n,)."""
     map: StabilityMap
 
 
@@ -292,10 +297,8 @@ class Bearing(Displayed):
     translations: Array
     """(n,) m"""
     load: Load
-    limit: LoadLimit | None
-    """None where it bears all that was looked at."""
-    up_to: float
-    """Up to how many times the load was looked at."""
+    limit: Annotated[LoadLimit | None, "the load limit; null if stability is not lost"]
+    up_to: Annotated[float, "largest load factor searched"]
 
 
 class LoadLimitStudy(Posed, Loaded, Timed):

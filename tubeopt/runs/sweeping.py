@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import scipy
@@ -236,12 +236,11 @@ class Progress(Protocol):
 class Sweep(Displayed):
     """Files of a sweep and numbers of its points."""
 
-    points: int
-    """Number of points."""
-    computed: int
-    """Number of points computed by this run; the others were in the journal."""
-    failures: tuple[tuple[int, str], ...]
-    """Index, from 0, and reason of every point that failed."""
+    points: Annotated[int, "number of points"]
+    computed: Annotated[int, "points computed by this run"]
+    """The others were in the journal."""
+    failures: Annotated[tuple[tuple[int, str], ...], "the failed points"]
+    """Index, from 0, and reason of each."""
     table: Path
     """Path of table.csv."""
     arrays: Path

@@ -19,7 +19,7 @@ from ..planning.file import save_trajectory
 from ..robots.file import save_robot
 from .formatting import at_least
 from .plan_report import TRAJECTORY
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line
 from .report import Drawing, Report, drawing
 
 INSTANTS = 200
@@ -78,14 +78,14 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("motion", "motion in the frame of its own plate", of=TRAJECTORY),
 )
 
-PAIR: tuple[Quantity[PairProof], ...] = (
+PAIR = described(
+    PairProof,
     Quantity("arms", "numbers of the two arms, from 1", lambda p: [k + 1 for k in p.arms]),
-    Quantity("least_clearance_mm", "proved distance of the two arms at all times"),
-    Quantity("measured_clearance_mm", "smallest measured distance"),
-    Quantity("when_s", "time of the smallest distance"),
+    "least_clearance measured_clearance when",
 )
 
-ARMS: tuple[Quantity[ArmsPlan], ...] = (
+ARMS = described(
+    ArmsPlan,
     Quantity("proved", "true if all requirements are proved"),
     Quantity("status", "result of the planning"),
     Quantity("duration_s", "time until the last arm rests", form=".2f", label="duration"),
@@ -101,8 +101,7 @@ ARMS: tuple[Quantity[ArmsPlan], ...] = (
     Quantity("faults", "violated or unproved requirements, as text", lambda p: p.proof.faults),
     Quantity("arms", "the arms", _arms, of=ARM),
     Quantity("pairs", "the pairs of arms", lambda p: p.proof.pairs, of=PAIR),
-    Quantity("seconds_s", "run time of planning and proof", form=".1f",
-             label="run time"),
+    "seconds",
 )  # fmt: skip
 
 

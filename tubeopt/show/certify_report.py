@@ -16,7 +16,7 @@ from ..runs.stability_studies import Certification
 from ..stability import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, WorstCertificate
 from ..typing import Array
 from .formatting import degrees, flag
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line, of_field
 from .report import Report, grid, two_columns
 from .snap_report import SNAP
 
@@ -183,14 +183,15 @@ SHARE: tuple[Quantity[tuple[tuple[int, int], float]], ...] = (
     Quantity("share", "part of the margin of 1 that their coupling takes", lambda taken: taken[1]),
 )
 
-BOX: tuple[Quantity[WorstCertificate], ...] = (
-    Quantity("lower_mm", "smallest translations"),
-    Quantity("upper_mm", "largest translations"),
+BOX = described(
+    WorstCertificate,
+    "lower upper",
     Quantity("method", "method of the search for the smallest certificate", lambda box: BOX_METHOD),
     Quantity("evaluations", "number of certificates computed"),
 )
 
-CERTIFICATION: tuple[Quantity[Certification], ...] = (
+CERTIFICATION = described(
+    Certification,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("translations_mm", "translations", lambda a: a.verdict.certificate.translations, form=".6g"),
     Quantity("finding", "SNAP_FREE, CAN_SNAP or OPEN", lambda a: a.finding.name),
@@ -200,9 +201,8 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("certificate", "certificate",
              lambda a: a.verdict.certificate.margin if np.isfinite(a.verdict.certificate.margin) else None,
              words=_certificate),
-    Quantity("max_tip_force_mN", "largest force on the tip, in any direction", lambda a: a.force, optional=True),
-    Quantity("certificate_under_force", "lower bound on the margin at all rotations and under all such forces",
-             lambda a: a.forced, label="under a force on the tip", words=_forced, optional=True),
+    of_field(Certification, "force", optional=True),
+    of_field(Certification, "forced", label="under a force on the tip", words=_forced, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",
              lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricSnapAssessment) else None),
     Quantity("margin_found", "smallest margin found",
@@ -228,8 +228,7 @@ CERTIFICATION: tuple[Quantity[Certification], ...] = (
     Quantity("path_deg", "rotations from the relaxed pose to beyond the snap", lambda a: _way(a.verdict)),
     Quantity("snap", "the snap found", lambda a: a.verdict.snap, of=SNAP),
     Quantity("repeat", "command that reproduces the snap", command),
-    Quantity("box", "the searched box of translations", of=BOX, label="box",
-             words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm"),
+    of_field(Certification, "box", label="box", words="{box[lower_mm]:.6g} mm to {box[upper_mm]:.6g} mm", of=BOX),
     line("searched by", lambda a: None if a.box is None else f"{BOX_METHOD}, {a.box.evaluations} evaluations"),
 )  # fmt: skip
 

@@ -24,7 +24,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_parts import RegionAnswer
 from ..runs.design_study import DesignAnswer
-from .quantities import Quantity, columns, line, within
+from .quantities import Quantity, columns, described, line, of_field, within
 from .report import Drawing, Report, drawing, file_name, grid
 from .snap_report import JOINTS
 
@@ -42,39 +42,34 @@ CAPTIONS = {
     "tolerance": "The certificate of robots as they may be made.",
 }
 
-DIMENSION: tuple[Quantity[Dimension], ...] = (
-    Quantity(
-        "name",
-        "name of the dimension and its tube",
-        label="",
-        words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name,
-    ),
-    Quantity("unit", "unit of its values"),
-    Quantity("before", "value of the given robot", label="before", form=".5g"),
-    Quantity("after", "value of the design", label="after", form=".5g"),
+DIMENSION = described(
+    Dimension,
+    of_field(Dimension, "name", label="", words=lambda d: f"{d.name} ({d.unit})" if d.unit else d.name),
+    "unit before after",
     Quantity(
         "bound", "active bound, `lower` or `upper`", lambda d: d.bound or None, label="", words="at its {bound} bound"
     ),
 )
 
-BINDING: tuple[Quantity[Sensitivity], ...] = (
+BINDING = described(
+    Sensitivity,
     Quantity("limit", "requirement, as text", lambda one: one.limit.words),
     Quantity("value", "limit value", lambda one: one.limit.value * one.limit.factor),
     Quantity("unit", "unit of the limit", lambda one: one.limit.unit),
-    Quantity("derivative_si", "derivative of the objective by the limit, both in SI", lambda one: one.derivative),
-    Quantity("words", "gain from relaxing the limit, as text", lambda one: one.sentence),
+    "derivative sentence",
 )
 
-POSE: tuple[Quantity[Equilibrium], ...] = (
+POSE = described(
+    Equilibrium,
     *JOINTS,
     Quantity("tip_position_mm", "tip position in the frame of the plate"),
-    Quantity("margin", "stability margin"),
+    "margin",
 )
 
-CHECK: tuple[Quantity[Check], ...] = (
-    Quantity("what", "the requirement", label="", words="{what}"),
-    Quantity("found", "the value found", label="found", words="{found}"),
-    Quantity("kept", "true if it is satisfied", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
+CHECK = described(
+    Check,
+    "what found",
+    of_field(Check, "kept", label="", words=lambda check: "kept" if check.kept else "BROKEN"),
 )
 
 
@@ -90,13 +85,10 @@ def _spread(t: ToleranceAnalysis) -> str | None:
     return f"RMS up to {t.spread.max() * TO_MM:.3f} mm, 95 % within {t.spread_95.max() * TO_MM:.3f} mm"
 
 
-TOLERANCE: tuple[Quantity[ToleranceAnalysis], ...] = (
+TOLERANCE = described(
+    ToleranceAnalysis,
     Quantity("samples", "number of sampled robots within the tolerances", lambda t: len(t.certificate)),
-    Quantity("snap_free_probability", "fraction of them that is snap-free", lambda t: t.snap_free),
-    Quantity("interval_95", "95 % confidence interval of this fraction", lambda t: t.interval),
-    Quantity("tip_spread_rms_mm", "RMS distance of the tip of a pose from its nominal position", lambda t: t.spread),
-    Quantity("tip_spread_95_mm", "distance that contains 95 % of these tips", lambda t: t.spread_95),
-    Quantity("failed", "samples that could not be solved"),
+    ...,
 )
 
 FRONT_POINT: tuple[Quantity[tuple[ParetoFront, FrontPoint]], ...] = (
@@ -104,16 +96,18 @@ FRONT_POINT: tuple[Quantity[tuple[ParetoFront, FrontPoint]], ...] = (
     Quantity("value", "value of the objective", lambda at: at[1].objective * at[0].task.objectives[0].factor),
 )
 
-FRONT: tuple[Quantity[ParetoFront], ...] = (
-    Quantity("objective", "objective that is traded for margin"),
+FRONT = described(
+    ParetoFront,
+    "objective",
     Quantity("unit", "unit of the objective", lambda front: front.task.objectives[0].unit),
     Quantity(
         "points", "points of the trade-off", lambda front: [(front, point) for point in front.points], of=FRONT_POINT
     ),
-    Quantity("infeasible_from", "smallest margin without a design", lambda front: front.ended),
+    "ended",
 )
 
-REGION: tuple[Quantity[RegionAnswer], ...] = (
+REGION = described(
+    RegionAnswer,
     Quantity(
         "searched_before",
         "fraction of the places of the search that the given robot reaches",
@@ -126,8 +120,7 @@ REGION: tuple[Quantity[RegionAnswer], ...] = (
     Quantity("places", "number of independent places for the evaluation", lambda r: len(r.after.targets)),
     Quantity("before", "lower bound on the fraction of them that the given robot reaches", lambda r: r.before.share),
     Quantity("after", "lower bound on the fraction of them that the design reaches", lambda r: r.after.share),
-    Quantity("planned", "number of plans made to these places"),
-    Quantity("proved", "number of proved plans"),
+    "planned proved",
     Quantity("base_mm", "position of the plate in the frame of the given plate", lambda r: r.base.origin),
     Quantity(
         "base_direction",
@@ -152,22 +145,21 @@ def _margins(s: DesignSolution) -> str | None:
     return f"{len(s.equilibria)}, least margin {min(e.margin for e in s.equilibria):.4f}" if s.equilibria else None
 
 
-SOLUTION: tuple[Quantity[DesignSolution], ...] = (
+SOLUTION = described(
+    DesignSolution,
     Quantity("task", "name of the task", lambda s: s.task.name),
     Quantity("robot", "name of the robot", lambda s: s.robot.name),
-    Quantity("certificate", "lower bound on the margin at all rotations", label="certificate",
+    of_field(DesignSolution, "certificate", label="certificate",
              words="{certificate:.6f}, a lower bound of the margin at all rotations"),
-    Quantity("dimensions", "free dimensions", of=DIMENSION),
-    Quantity("binding", "active requirements", lambda s: s.sensitivities, of=BINDING),
-    Quantity("poses", "the task poses", lambda s: s.equilibria, of=POSE, label="task poses",
-             words=_margins),
+    of_field(DesignSolution, "dimensions", of=DIMENSION),
+    of_field(DesignSolution, "sensitivities", of=BINDING),
+    of_field(DesignSolution, "equilibria", label="task poses", words=_margins, of=POSE),
     Quantity("checks", "independent checks of the result", lambda s: s.verification.checks, of=CHECK),
     Quantity("starts", "number of starts", lambda s: s.ranking.starts, label="starts", words=_starts),
     Quantity("designs", "number of distinct designs found", lambda s: len(s.ranking.designs)),
     Quantity("failures", "number of failed starts, by stage", lambda s: s.ranking.failures),
-    Quantity("rounds", "number of times that worst cases were added", label="worst cases added",
-             words="in {rounds} rounds"),
-    Quantity("seconds", "run time, s"),
+    of_field(DesignSolution, "rounds", label="worst cases added", words="in {rounds} rounds"),
+    "seconds",
 )  # fmt: skip
 
 CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
@@ -181,16 +173,17 @@ CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
 )  # fmt: skip
 """A choice from stock, by what was wanted."""
 
-DESIGN: tuple[Quantity[DesignAnswer], ...] = (
+DESIGN = described(
+    DesignAnswer,
     *within(SOLUTION, lambda a: a.solution),
     Quantity("objectives", "objectives with their units", lambda a: _objectives(a)),
     Quantity(
         "remarks",
         "active limits, tubes with little effect, a coarse search",
     ),
-    Quantity("tolerance", "effect of manufacturing tolerances; null unless requested", of=TOLERANCE),
-    Quantity("pareto", "trade-off between margin and objective; null unless requested", lambda a: a.front, of=FRONT),
-    Quantity("region", "reached fraction of a region; null unless it is the objective", of=REGION),
+    of_field(DesignAnswer, "tolerance", of=TOLERANCE),
+    of_field(DesignAnswer, "front", of=FRONT),
+    of_field(DesignAnswer, "region", of=REGION),
     *within((line("as manufactured", _made), line("tip spread", _spread)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
     Quantity("stock", "choices from stock, best first; null unless requested", lambda a: _choices(a), of=CHOICE,

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from .. import __version__
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import SolveError
+from ..files.field_metadata import unit
 from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line, of_field
 from .report import Report
 
 LIBRARIES = ("casadi", "numpy", "scipy", "matplotlib")
@@ -48,22 +50,17 @@ TOLERANCE = 1e-9
 class Doctor:
     """An installation, and its self-test: a robot solved, and integrated again by another method."""
 
-    versions: dict[str, str]
-    """Library -> version."""
-    system: str
-    kernel: str
-    """Where the compiled kernel is from, or why there is none."""
-    threads: dict[str, str]
-    """Variables that set threads."""
+    versions: Annotated[dict[str, str], "versions of Python and of the packages"]
+    system: Annotated[str, "system"]
+    kernel: Annotated[str, "compiled kernel"]
+    threads: Annotated[dict[str, str], "environment variables that set the number of threads"]
     cache: Path
-    cache_bytes: int
+    cache_bytes: Annotated[int, "size of the cache, bytes"]
     missing: dict[str, tuple[str, ...]]
     """Extra -> modules that it lacks."""
-    difference: float
-    """m, of the tips by both methods."""
-    solve: float
-    """s, that one solve takes."""
-    passed: bool
+    difference: Annotated[float, unit("mm"), "difference of the tip from re-integration"]
+    solve: Annotated[float, unit("us"), "time of one solve of two tubes, microseconds"]
+    passed: Annotated[bool, "true if the self-test passed"]
 
 
 def _extras(a: Doctor) -> str:
@@ -79,22 +76,20 @@ def _verdict(a: Doctor) -> str:
     return f"{words}: off by {a.difference * TO_MM:.0e} mm from a re-integration; {a.solve * 1e6:.0f} us a solve"
 
 
-DOCTOR: tuple[Quantity[Doctor], ...] = (
-    Quantity("versions", "versions of Python and of the packages",
-             words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items()), label="versions"),
-    Quantity("system", "system", words="{system}"),
-    Quantity("kernel", "compiled kernel", words="{kernel}"),
-    Quantity("threads", "environment variables that set the number of threads", label="threads",
-             words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items())
+DOCTOR = described(
+    Doctor,
+    of_field(Doctor, "versions", label="versions",
+             words=lambda a: ", ".join(f"{name} {v}" for name, v in a.versions.items())),
+    of_field(Doctor, "system", words="{system}"),
+    of_field(Doctor, "kernel", words="{kernel}"),
+    of_field(Doctor, "threads", label="threads", words=lambda a: ", ".join(f"{k}={v}" for k, v in a.threads.items())
              or "as the libraries choose, one for small problems"),
     Quantity("cache", "folder of the cache", lambda a: str(a.cache),
              words=lambda a: f"{a.cache}, {a.cache_bytes / 1e6:.1f} MB", label="cache"),
-    Quantity("cache_bytes", "size of the cache, bytes"),
+    "cache_bytes",
     Quantity("missing", "missing packages of each extra",
              lambda a: {name: list(lacks) for name, lacks in a.missing.items()}, label="extras", words=_extras),
-    Quantity("passed", "true if the self-test passed"),
-    Quantity("difference_mm", "difference of the tip from re-integration"),
-    Quantity("solve_us", "time of one solve of two tubes, microseconds"),
+    "passed difference solve",
     line("self-test", _verdict),
 )  # fmt: skip
 

@@ -13,43 +13,19 @@ from ..robots.concentric import ConcentricRobot, friction_of
 from ..typing import Array
 from .formatting import counted, margin_in_words, millimetres, order_remarks, tip_in_words, tip_number
 from .load_words import LOADED
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line, of_field
 from .readings import readings
 from .report import Report
 
 NOTICED = 1e-3
 """Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
 
-VERIFICATION: tuple[Quantity[Verification], ...] = (
-    Quantity("tip_position_mm", "difference of the tip position", form=".6g", label="distance of the tips"),
-    Quantity(
-        "tip_rotation_rad", "angle between the tip frames", form=".6g", label="angle between the frames of the tips"
-    ),
-    Quantity("rotation_rad", "largest difference of a tube's rotation", form=".6g"),
-    Quantity(
-        "end_torsion_rad_per_m",
-        "largest remaining torsion at the end of a tube",
-        form=".6g",
-        label="largest torsion left at the end of a tube",
-    ),
-    Quantity(
-        "end_curvature_per_m",
-        "curvature at the tip without a moment",
-        form=".6g",
-        label="curvature at the tip that no moment makes",
-    ),
-    Quantity(
-        "base_rotation_rad",
-        "largest difference from an imposed rotation at the base",
-        form=".6g",
-        label="largest difference to a rotation imposed at the base",
-    ),
-)
+VERIFICATION = described(Verification, "tip_position tip_rotation rotation end_torsion end_curvature base_rotation")
 
-EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
+EQUILIBRIUM = described(
+    Equilibrium,
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
-    Quantity("rotations_deg", "rotations", form=".6g"),
-    Quantity("translations_mm", "translations", form=".6g"),
+    "rotations translations",
     *readings(lambda e: e),
     Quantity("status", "result of the solve", lambda e: e.status.name),
     Quantity("stable", "true if it is stable"),
@@ -73,16 +49,13 @@ EQUILIBRIUM: tuple[Quantity[Equilibrium], ...] = (
     line("clearance", lambda e: _loose(e)),
     Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
-    Quantity("tip_rotations_deg", "rotation of every tube at the tip", form=".4f", label="rotations at the tips"),
-    Quantity("margin", "stability margin", words=lambda e: margin_in_words(e.margin), label="margin"),
-    Quantity("energy_mJ", "elastic energy", form=".4f"),
+    "tip_rotations",
+    of_field(Equilibrium, "margin", label="margin", words=lambda e: margin_in_words(e.margin)),
+    "energy",
     *LOADED,
-    Quantity("residual_rad", "residual of the equations", form=".1e", label="residual"),
-    Quantity("mesh_error_rad", "estimated error of the tubes' rotations"),
-    Quantity("tip_error_mm", "estimated error of the tip"),
+    "residual mesh_error tip_error",
     line("estimated error", "{mesh_error_rad:.1e} rad along the tubes, {tip_error_mm:.1e} mm at the tip"),
-    Quantity("verification", "difference from adaptive re-integration", of=VERIFICATION,
-             label="re-integration differs",
+    of_field(Equilibrium, "verification", of=VERIFICATION, label="re-integration differs",
              words="{verification[tip_position_mm]:.1e} mm at the tip, {verification[rotation_rad]:.1e} rad"),
     Quantity("statistics", "method, mesh, iterations and time", lambda e: dict(vars(e.statistics)), label="solved",
              words=lambda e: _how(e)),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from ..control.c_library import CLibrary
-from .quantities import Quantity
+from .quantities import Quantity, described
 from .report import Report
 
-LIBRARY: tuple[Quantity[CLibrary], ...] = (
-    Quantity("name", "name of the robot"),
+LIBRARY = described(
+    CLibrary,
+    "name",
     Quantity("tubes", "number of tubes", lambda a: a.robot.n_tubes),
-    Quantity("prefix", "prefix of all names of the library"),
+    "prefix",
     Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
              words=lambda a: ", ".join(a.files)),
     Quantity("lines", "lines of C", lambda a: sum(

@@ -15,13 +15,14 @@ from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.rig_file import save_rig
 from .heat_report import HEATING, SUCCESS, HeatingReport, held_duties, missed, success_words, unlikely
 from .mold_report import MOLD, MoldReport
-from .quantities import Quantity
+from .quantities import Quantity, described, of_field
 from .report import Drawing, Report, grid, remarks
 
-TUBE: tuple[Quantity[TubeParts], ...] = (
-    Quantity("tube", "number of the tube, from 1", lambda part: part.number),
-    Quantity("mold", "its mold", of=MOLD),
-    Quantity("heating", "its heating", of=HEATING),
+TUBE = described(
+    TubeParts,
+    "number",
+    of_field(TubeParts, "mold", of=MOLD),
+    of_field(TubeParts, "heating", of=HEATING),
     Quantity(
         "between_clamps_mm",
         "length of tube between the clamps, by the mold and by the heating",
@@ -36,11 +37,12 @@ TUBE: tuple[Quantity[TubeParts], ...] = (
     Quantity("remarks", "remarks for making it", lambda part: part.made.remarks),
 )
 
-FABRICATION: tuple[Quantity[Fabrication], ...] = (
+FABRICATION = described(
+    Fabrication,
     *SUCCESS,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("tubes", "mold and heating of every tube", lambda a: a.parts, of=TUBE),
-    Quantity("left_out", "omitted tubes, with the reason"),
+    of_field(Fabrication, "parts", of=TUBE),
+    "left_out",
 )
 
 

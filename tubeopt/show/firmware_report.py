@@ -12,22 +12,19 @@ from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.controller import Contribution, Feedback
 from .heat_report import missed
-from .quantities import Quantity, columns, line, within
+from .quantities import Quantity, columns, described, line, of_field, within
 from .report import Report, grid, remarks
 
-CONTRIBUTION: tuple[Quantity[Contribution], ...] = (
-    Quantity("name", "uncertain parameter", label="not known", words=lambda item: item.name.replace("_", " ")),
-    Quantity("deviation_K", "standard deviation of the hold temperature by this parameter", label="moves the hold by >",
-             form=".2f"),
+CONTRIBUTION = described(
+    Contribution,
+    of_field(Contribution, "name", label="not known", words=lambda item: item.name.replace("_", " ")),
+    "deviation",
 )  # fmt: skip
 
-PART: tuple[Quantity[Part], ...] = (
-    Quantity("name", "name of the part", label="part", words="{name}"),
-    Quantity("rating", "required rating", label="rating", words="{rating}"),
-    Quantity("why", "reason for the rating", label="why", words="{why}"),
-)
+PART = described(Part)
 
-FEEDBACK: tuple[Quantity[Feedback], ...] = (
+FEEDBACK = described(
+    Feedback,
     Quantity("sensor", "sensor", lambda f: f.sensor.name),
     Quantity("sensor_bias_K", "half-width of its constant error", lambda f: f.sensor.bias),
     Quantity("proportional_per_K", "proportional gain: fraction of the planned duty per K",
@@ -38,7 +35,7 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
              words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
              f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
     Quantity("interval", "95 % confidence interval of the probability"),
-    Quantity("open_loop", "the same fraction with the schedule alone, without sensor", label="without the sensor",
+    of_field(Feedback, "open_loop", label="without the sensor",
              words=lambda f: f"{100 * f.open_loop:.0f} % of {f.samples}; the schedule leaves the sensor room"),
     Quantity("too_cold", "fraction below the window"),
     Quantity("too_hot", "fraction above window or limit"),
@@ -47,18 +44,18 @@ FEEDBACK: tuple[Quantity[Feedback], ...] = (
     line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
     Quantity("top_degC", "highest temperature of any point at any time, all rigs", lambda f: f.top.max(),
              label="hottest point, any rig", words="{top_degC:.1f} degC"),
-    Quantity("contributions", "effects on the hold temperature, largest first",
-             of=CONTRIBUTION),
+    of_field(Feedback, "contributions", of=CONTRIBUTION),
 )  # fmt: skip
 
-LED_HEATING: tuple[Quantity[LedHeating], ...] = (
+LED_HEATING = described(
+    LedHeating,
     Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
     Quantity("window_degC", "temperature window of the hold", lambda a: a.plan.spec.window_degC),
     Quantity("limit_degC", "temperature limit of every point at all times", lambda a: a.plan.spec.limit),
     Quantity("feasible", "true if the schedule alone keeps all limits on the nominal rig", lambda a: a.plan.feasible),
     Quantity("board", "board for the sketch", lambda a: a.wiring.known.title, label="board",
              words="{board}, pulses at {pwm_Hz:.1f} Hz"),
-    Quantity("pwm_Hz", "PWM frequency", lambda a: a.frequency),
+    "frequency",
     *within(FEEDBACK, lambda a: a.feedback),
     Quantity("parts", "list of parts", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
 )  # fmt: skip

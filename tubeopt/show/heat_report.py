@@ -14,11 +14,11 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_study import Heating, Success
 from ..runs.rig_file import rig_to_dict, save_rig
-from ..shaping.heating.calibration import BIAS, UNITS, Estimate, RigFit, kind_of
+from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
-from .quantities import Quantity, line, within
+from .quantities import Quantity, described, line, of_field, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -61,14 +61,14 @@ def _chosen(plan: HeatingPlan) -> str | None:
     return "; ".join(words[name] for name in plan.spec.free) or None
 
 
-CURE: tuple[Quantity[Cure], ...] = (
-    Quantity("change", "the change"),
-    Quantity("shortfall_K", "remaining miss of window and limit"),
-    Quantity("broken", "ramp or currents that would exceed their limits"),
+CURE = described(
+    Cure,
+    "change shortfall broken",
     Quantity("cures", "true if all limits would be satisfied"),
 )
 
-PLAN: tuple[Quantity[HeatingPlan], ...] = (
+PLAN = described(
+    HeatingPlan,
     Quantity("rig", "name of the rig", lambda p: p.rig.name),
     Quantity("mold_material", "material of the mold", lambda p: p.rig.mold.material.name),
     Quantity("window_degC", "temperature window of the hold", lambda p: p.spec.window_degC, words=_verdict,
@@ -77,29 +77,26 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("hold_s", "hold time", lambda p: p.spec.hold_time),
     Quantity("slot_s", "duration of one duty-cycle value", lambda p: p.spec.slot),
     Quantity("feasible", "true if all limits are satisfied"),
-    Quantity("shortfall_K", "miss of window and limit"),
-    Quantity("broken", "ramp or currents that exceed their limits"),
+    "shortfall broken",
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
-    Quantity("lowest_degC", "lowest temperature of the curved part in the hold"),
-    Quantity("highest_degC", "highest temperature of the curved part in the hold"),
-    Quantity("hottest_degC", "highest temperature of any point at any time",
-             words="{hottest_degC:.1f} degC (limit {limit_degC:g})", label="hottest point, ever"),
+    "lowest highest",
+    of_field(HeatingPlan, "hottest", label="hottest point, ever",
+             words="{hottest_degC:.1f} degC (limit {limit_degC:g})"),
     Quantity("mesh_error_K", "estimated mesh error of these temperatures"),
     line("heating, then hold", "{hold_start_s:g} s, to {hold_end_s:g} s"),
     line("duty in the hold", _duties),
-    Quantity("hold_start_s", "start of the hold"),
+    "hold_start",
     Quantity("hold_end_s", "end of the hold"),
     line("fastest warming", "{steepest_K_per_s:.1f} K/s (limit {ramp_limit_K_per_s:g})"),
     Quantity("rounding_error_K", "largest change of a temperature by rounding to integer duties",
              label="rounding to counts", words="changes temperatures by {rounding_error_K:.1f} K at most"),
-    Quantity("ramp_K_per_s", "largest heating rate, mean over a slot"),
-    Quantity("steepest_K_per_s", "largest heating rate at any instant"),
+    "ramp steepest",
     Quantity("ramp_limit_K_per_s", "limit of the heating rate", lambda p: p.spec.ramp),
     Quantity("pwm_ripple_K", "temperature ripple within a PWM period"),
     Quantity("cold_end_mm", "length of the cold end", words=_cold_end, label="cold end"),
     Quantity("extra_length_mm", "extra length of tube, cut off afterwards",
              words="{extra_length_mm:.1f} mm in all, to be cut off afterwards", label="extra tube"),
-    Quantity("growth_mm", "thermal expansion of the tube", form=".2f", label="growth when hot"),
+    "growth",
     Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
     Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
     Quantity("side_clearance_um", "side clearance of the tube in its groove", lambda p: p.rig.mold.play),
@@ -116,32 +113,27 @@ PLAN: tuple[Quantity[HeatingPlan], ...] = (
     Quantity("battery_V", "open-circuit voltage of the battery", lambda p: p.rig.battery.voltage),
     Quantity("state_of_charge_percent", "state of charge of the battery", lambda p: p.rig.battery.state_of_charge),
     Quantity("charge_used_percent", "charge used, of the battery's capacity", lambda p: p.charge[0] - p.charge[-1]),
-    Quantity("energy_kJ", "energy drawn from the battery"),
-    Quantity("peak_current_A", "largest current while the MOSFET conducts"),
-    Quantity("mean_current_A", "largest product of current and duty"),
+    "energy peak_current mean_current",
     Quantity("mold_degC", "highest temperature of the groove's wall", lambda p: p.mold_temperature.max()),
     Quantity("clamp_degC", "highest temperature of the clamps", lambda p: p.clamp_temperature.max()),
     Quantity("quench", "quench medium, water or air", lambda p: p.spec.quench),
-    Quantity("quench_s", "time until the whole tube is below 100 degC", lambda p: p.quench_time, label="quench",
-             words="in {quench}: below 100 degC after {quench_s:.1f} s"),
-    Quantity("energy_error", "relative error of the energy balance", label="energy balance",
+    of_field(HeatingPlan, "quench_time", label="quench", words="in {quench}: below 100 degC after {quench_s:.1f} s"),
+    of_field(HeatingPlan, "energy_error", label="energy balance",
              words="closed to {energy_error:.1e}; mesh error {mesh_error_K:.1f} K"),
     line("chosen", _chosen),
-    Quantity("iterations", "iterations of the optimal control problem in its last round; 0 if it was not needed"),
-    Quantity("problems", "violated limits, as text"),
-    Quantity("cures", "changes that would help, best first", of=CURE),
-    Quantity("duty", "duty of every slot, 0 to 255"),
+    "iterations problems",
+    of_field(HeatingPlan, "cures", of=CURE),
+    "duty",
 )  # fmt: skip
 
 OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
               "hottest_degC", "duty"}  # fmt: skip
 """What is told of the table for a state of charge."""
 
-OF_THE_BAND: tuple[Quantity[Band], ...] = (
+OF_THE_BAND = described(
+    Band,
     Quantity("samples", "number of uncertain rigs", lambda band: len(band.lowest)),
-    Quantity("probability", "fraction that stays in the window"),
-    Quantity("too_cold", "fraction that falls below the window"),
-    Quantity("too_hot", "fraction that rises above window or limit"),
+    "probability too_cold too_hot",
     Quantity(
         "lowest_degC",
         f"quantiles {QUANTILES} of the lowest temperature in the hold",
@@ -187,7 +179,8 @@ def unlikely(success: Success | None) -> str:
     )
 
 
-BAND: tuple[Quantity[Heating], ...] = (
+BAND = described(
+    Heating,
     Quantity("loss_percent", "half-width of the uncertainty of the heat loss", lambda a: a.uncertainty.loss),
     Quantity(
         "contact_resistance_percent",
@@ -200,16 +193,16 @@ BAND: tuple[Quantity[Heating], ...] = (
         lambda a: a.uncertainty.resistivity,
     ),
     *within(OF_THE_BAND, lambda a: a.band),
-    Quantity("duty_scale", "factor on the duties", lambda a: a.scale),
+    "scale",
 )
 
-HEATING: tuple[Quantity[Heating], ...] = (
+HEATING = described(
+    Heating,
     *SUCCESS,
     *within(PLAN, lambda a: a.plan),
     Quantity("band", "temperatures of uncertain rigs; null unless requested", lambda a: None if a.band is None else a,
              of=BAND, optional=True),
-    Quantity("tables", "the same for other states of charge",
-             of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
+    of_field(Heating, "tables", of=[quantity for quantity in PLAN if quantity.key in OF_A_TABLE]),
 )  # fmt: skip
 
 
@@ -301,19 +294,10 @@ def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
     return paths
 
 
-ESTIMATE: tuple[Quantity[Estimate], ...] = (
-    Quantity("name", "name of the parameter"),
-    Quantity("factor", "factor on the value of the rig file; bias in K"),
-    Quantity("low", "lower end of its interval"),
-    Quantity("high", "upper end of its interval"),
-    Quantity("held", "true if it was fixed because the log does not determine it"),
-)
-
-RIG_FIT: tuple[Quantity[RigFit], ...] = (
-    Quantity("estimates", "the fitted parameters", of=ESTIMATE),
-    Quantity("confidence", "confidence of the intervals"),
-    Quantity("noise", "RMS residuals: temperature in K, voltage in V, current in A"),
-    Quantity("remarks", "remarks on the fit"),
+RIG_FIT = described(
+    RigFit,
+    "estimates",
+    "confidence noise remarks",
 )
 
 

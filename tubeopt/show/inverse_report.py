@@ -18,30 +18,24 @@ from ..errors import SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import MM, TO_MILLI, TO_MM, in_unit
-from ..inverse import InverseSolution, JointPath
+from ..inverse import InverseSolution
 from ..robots.path_file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
 from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
-from .quantities import Quantity, line, rows, within
+from .quantities import Quantity, described, line, of_field, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, two_columns
 
 NOTES = 10
 """Targets about which something is said; the others are counted."""
 
-WAY: tuple[Quantity[JointPath], ...] = (
-    Quantity("from", "start of the path", lambda way: way.origin),
-    Quantity("rotations_deg", "rotations at its waypoints"),
-    Quantity("translations_mm", "translations at its waypoints"),
-)
-
-SOLUTION: tuple[Quantity[InverseSolution], ...] = (
-    Quantity("target_mm", "target position of the tip", lambda s: s.target_position, form=".6g", label="target"),
-    Quantity("target_direction", "target direction of the tip"),
+SOLUTION = described(
+    InverseSolution,
+    "target_position target_direction",
     Quantity("status", "result of the search", lambda s: s.status.name),
-    Quantity("rotations_deg", "rotation of every tube", words=lambda s: degrees(s.rotations, ".6f"), label="rotations"),
-    Quantity("translations_mm", "translation of every tube", words=lambda s: millimetres(s.translations, ".6f"),
-             label="translations"),
+    of_field(InverseSolution, "rotations", form="", label="rotations", words=lambda s: degrees(s.rotations, ".6f")),
+    of_field(InverseSolution, "translations", form="", label="translations",
+             words=lambda s: millimetres(s.translations, ".6f")),
     *readings(lambda s: s.equilibrium),
     Quantity("tip_position_mm", "tip position in the frame of the plate", lambda s: s.equilibrium.tip_position,
              form=".6f", label="tip position"),
@@ -49,14 +43,14 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
              "number of the tube at the tip: the one that ends farthest from the plate, of several the innermost; "
              "null if all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
              words=lambda s: tip_in_words(s.equilibrium.robot, s.equilibrium.tube_end) or None),
-    Quantity("position_error_mm", "distance of the tip from its target",
-             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm", label="misses by"),
+    of_field(InverseSolution, "position_error", label="misses by",
+             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
     Quantity("tip_direction", "direction of the tip", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
     Quantity("direction_error_deg", "angle between the tip and its target direction",
              lambda s: None if s.target_direction is None else s.direction_error, form=".1e",
              label="off the direction by"),
-    Quantity("margin", "stability margin", form=".3f", label="margin"),
+    of_field(InverseSolution, "margin", form=".3f", label="margin"),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
              words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
     Quantity("clearance_from",
@@ -64,13 +58,10 @@ SOLUTION: tuple[Quantity[InverseSolution], ...] = (
              lambda s: s.scene.stands_for or None, optional=True, label="clearance from",
              words=lambda s: "; ".join(s.scene.stands_for) or None),
     Quantity("energy_mJ", "elastic energy", lambda s: s.equilibrium.energy),
-    Quantity("cold_start_agrees", "true if a cold start gives the same equilibrium"),
-    Quantity("straight_from_start", "true if the straight path from the start arrives without a snap",
-             lambda s: s.straight_from_seed),
-    Quantity("reachable", "true if a snap-free path to it is known; null if unknown"),
-    Quantity("path", "a snap-free path", of=WAY, words=lambda s: _way_words(s), label="snap-free path"),
-    Quantity("jump", "reason why the straight path from the target before jumps"),
-    Quantity("active", "active constraints", words=lambda s: ", ".join(s.active) or None, label="limited by"),
+    "cold_start_agrees straight_from_seed reachable",
+    of_field(InverseSolution, "path", label="snap-free path", words=lambda s: _way_words(s)),
+    "jump",
+    of_field(InverseSolution, "active", label="limited by", words=lambda s: ", ".join(s.active) or None),
     Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
              words=lambda s: _how(s)),
 )  # fmt: skip
@@ -90,10 +81,11 @@ def _how(s: InverseSolution) -> str:
     return f"in {count.seconds * TO_MILLI:.1f} ms by {count.method}, {tries}, from the {count.start}"
 
 
-POSTURES: tuple[Quantity[Postures], ...] = (
+POSTURES = described(
+    Postures,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
-    Quantity("solutions", "the solutions, best first", of=SOLUTION),
-    Quantity("timed_out", "true if the time limit ended the search for all solutions or for their paths"),
+    of_field(Postures, "solutions", of=SOLUTION),
+    "timed_out",
 )
 
 
@@ -144,21 +136,23 @@ class PosturesReport(Report[Postures]):
             raise SolveError(f"{best.status}: {_miss(best)}", best)
 
 
-OF_THE_TARGET: tuple[Quantity[Row], ...] = (
-    Quantity("target_mm", "target position of the tip in the base frame", lambda r: r.position),
-    Quantity("target_direction", "target direction of the tip", lambda r: r.direction),
+OF_THE_TARGET = described(
+    Row,
+    "position direction",
     Quantity("status", "result of the search", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
 )
 """What is known of a target without any solution too."""
 
-ROW: tuple[Quantity[Row], ...] = (
-    Quantity("target", "number of the target, from 1; a fraction for an inserted one", lambda r: r.number),
+ROW = described(
+    Row,
+    "number",
     *OF_THE_TARGET,
     *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
-    Quantity("problem", "reason why there is no solution"),
+    "problem",
 )
 
-TARGETS: tuple[Quantity[TargetTable], ...] = (
+TARGETS = described(
+    TargetTable,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     Quantity("targets", "number of targets in the table", lambda a: len(_given(a))),
     Quantity(
@@ -174,7 +168,7 @@ TARGETS: tuple[Quantity[TargetTable], ...] = (
     line("snap-free path", lambda a: None if a.followed else _of_reached(a, _ways)),
     line("put in between", lambda a: _between(a)),
     line("jumps", lambda a: _jumps(a)),
-    Quantity("solutions", "the solutions, one per target", lambda a: a.rows, of=ROW),
+    of_field(TargetTable, "rows", of=ROW),
 )
 
 

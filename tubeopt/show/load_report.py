@@ -17,7 +17,7 @@ from ..stability import LoadLimit
 from ..validation import ForceEstimate, ForceRecord
 from .formatting import counted, margin_in_words, millimetres, released, row
 from .load_words import load_in_words
-from .quantities import Quantity, line, rows, within
+from .quantities import Quantity, described, line, of_field, rows, within
 from .report import Drawing, Report, drawing, grid, remarks
 from .snap_report import JOINTS, STATE
 
@@ -30,30 +30,28 @@ HAPPENS = {
     "flutter": "the equilibrium turns unstable: slow oscillations about it grow",
 }
 
-LIMIT: tuple[Quantity[LoadLimit], ...] = (
-    Quantity("factor", "load factor at which stability is lost", label="lost at",
-             words="{factor:.9g} times the load"),
-    Quantity("kind",
-             "fold: the equilibrium vanishes; bifurcation: it becomes unstable; flutter: slow oscillations grow",
-             label="there", words=lambda a: HAPPENS[a.kind]),
+LIMIT = described(
+    LoadLimit,
+    of_field(LoadLimit, "factor", label="lost at", words="{factor:.9g} times the load"),
+    of_field(LoadLimit, "kind", label="there", words=lambda a: HAPPENS[a.kind]),
     line("tip before", lambda a: millimetres(a.before.tip_position, ".4f")),
     line("tip after", lambda a: None if a.after is None else millimetres(a.after.tip_position, ".4f")),
-    Quantity("tip_jump_mm", "distance that the tip jumps",
-             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm", label="the tip jumps"),
-    Quantity("energy_released_mJ", "energy released by tubes and load; null for a load without energy",
-             label="energy released by tubes and load",
+    of_field(LoadLimit, "tip_jump", label="the tip jumps",
+             words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
+    of_field(LoadLimit, "energy_released", label="energy released by tubes and load",
              words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
     line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
-    Quantity("before", "equilibrium at the limit", of=STATE),
-    Quantity("after", "equilibrium after the loss of stability; null if none was found", of=STATE),
+    of_field(LoadLimit, "before", of=STATE),
+    of_field(LoadLimit, "after", of=STATE),
 )  # fmt: skip
 
-BEARING: tuple[Quantity[Bearing], ...] = (
+BEARING = described(
+    Bearing,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     Quantity("load", "the load, as text", lambda a: load_in_words(a.load), label="load", words="{load}"),
-    Quantity("up_to", "largest load factor searched"),
-    Quantity("limit", "the load limit; null if stability is not lost", of=LIMIT),
+    "up_to",
+    of_field(Bearing, "limit", of=LIMIT),
 )  # fmt: skip
 
 
@@ -95,17 +93,15 @@ class BearingReport(Report[Bearing]):
                                       remark=f"{words}; ghost: where the robot lands")}  # fmt: skip
 
 
-FORCE: tuple[Quantity[ForceEstimate], ...] = (
-    Quantity("force_mN", "force on the tip in the base frame", form=".3f", label="force at the tip"),
+FORCE = described(
+    ForceEstimate,
+    "force",
     Quantity("standard_error_mN", "standard error along each axis; null if undetermined",
              lambda e: np.sqrt(np.diag(e.covariance))),
-    Quantity("directions", "unit vectors, from the best to the worst determined"),
-    Quantity("errors_mN", "standard error along each of them", form=".3f",
-             label="standard errors, best direction to worst"),
+    "directions errors",
     Quantity("undetermined", "directions in which the force cannot be distinguished from zero", label="",
              words="{undetermined}"),
-    Quantity("residual_mm", "RMS distance between measured and fitted points", form=".4f",
-             label="RMS distance of the points"),
+    "residual",
 )  # fmt: skip
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
@@ -120,14 +116,14 @@ CONFIDENCE = (
 )
 """What is said of standard errors."""
 
-RECORD: tuple[Quantity[ForceRecord], ...] = (
+RECORD = described(
+    ForceRecord,
     Quantity("robot", "name of the robot", lambda r: r.robot.name),
     Quantity("rows", "number of rows of the recording", lambda r: len(r.estimates), form="d",
              label="rows of the recording"),
     Quantity("told", "number of rows with an estimate", lambda r: sum(e is not None for e in r.estimates), form="d",
              label="rows with an estimate"),
-    Quantity("noise_mm", "standard deviation of a measured coordinate", form=".3g",
-             label="noise of a measured coordinate"),
+    "noise",
     line("largest force", lambda r: _largest(r)),
     line("standard errors (median)", lambda r: _errors(r)),
     line("confidence", lambda r: CONFIDENCE if _told(r) else None),

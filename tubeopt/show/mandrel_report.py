@@ -9,7 +9,7 @@ from typing import Any
 from ..robots.tubes import Tube
 from ..shaping.mold.checks import pressing_strain
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
-from .quantities import Quantity
+from .quantities import Quantity, described
 from .report import Report
 
 
@@ -23,8 +23,9 @@ OFF_IT: tuple[Quantity[Tube], ...] = (
     Quantity("curved_length_mm", "curved length of the tube"),
 )
 
-MANDREL: tuple[Quantity[Mandrel], ...] = (
-    Quantity("tube", "number of the tube, 1 for the innermost", lambda m: m.number),
+MANDREL = described(
+    Mandrel,
+    "number",
     Quantity("made", "method, turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
              words="{made}", label="turned or printed"),
     Quantity("diameter_mm", "diameter of the cylinder", _turned(lambda b: 2 * b.radius), form=".4f", optional=True,
@@ -38,17 +39,17 @@ MANDREL: tuple[Quantity[Mandrel], ...] = (
     Quantity("handed", "hand of the helix", _turned(lambda b: b.handed), optional=True),
     Quantity("size_mm", "size of the block", lambda m: m.body.size if isinstance(m.body, Block) else None, form=".4g",
              optional=True, label="block"),
-    Quantity("width_mm", "width of the groove", form=".4g", label="groove, width"),
+    "width",
     Quantity("bend_length_mm", "length of the bend", lambda m: m.held.curved_length, form=".5g", label="bend, length"),
     Quantity("curvature_per_m", "largest curvature of the groove", lambda m: m.held.curvature, form=".5g"),
     Quantity("strain_percent", "strain of the wound tube", lambda m: pressing_strain(m.tube, m.held.curvature),
              form=".3g", label="strain when wound in"),
     Quantity("cold_length_mm", "length of the cold end from the clamp", lambda m: m.cold.length, form=".4g",
              label="cold end from the clamp"),
-    Quantity("free_length_mm", "length of tube between the clamps", form=".4g", label="tube between the clamps"),
+    "free_length",
     Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
     Quantity("predicted", "predicted tube", predict_wound_tube, of=OFF_IT),
-    Quantity("remarks", "remarks for making and using it"),
+    "remarks",
 )  # fmt: skip
 
 

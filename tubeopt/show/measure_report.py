@@ -11,7 +11,7 @@ from ..files.files import write_text
 from ..files.units import SIGNS
 from ..robots.path_file import waypoints_csv
 from ..validation import Placement
-from .quantities import Quantity, in_units, with_unit
+from .quantities import Quantity, described, in_units, with_unit
 from .report import Report, grid
 from .validation_report import SUFFIXES
 
@@ -24,7 +24,8 @@ def _expected(p: Placement) -> list[dict[str, Any]]:
     ]
 
 
-PLACEMENT: tuple[Quantity[Placement], ...] = (
+PLACEMENT = described(
+    Placement,
     Quantity("robot", "name of the robot", lambda p: p.robot.name),
     Quantity(
         "count",
@@ -41,16 +42,9 @@ PLACEMENT: tuple[Quantity[Placement], ...] = (
         label="waypoints with home and what leads round snaps",
     ),
     Quantity("least_margin", "smallest margin", lambda p: p.margin.min(), form=".3f", label="least margin"),
-    Quantity(
-        "noise_mm",
-        "noise of the measurement that the expected errors assume",
-        form=".3g",
-        label="assumed noise",
-    ),
+    "noise",
     Quantity("expected", "expected standard errors, and those of random configurations", _expected),
-    Quantity("rotations_deg", "rotations of the drives at the waypoints"),
-    Quantity("translations_mm", "translations of the drives at the waypoints"),
-    Quantity("measured", "true for waypoints that are measured"),
+    "rotations translations measured",
 )
 
 

@@ -21,17 +21,17 @@ from ..shaping.mold.layout import Hole
 from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
-from .quantities import Quantity, with_unit, within
+from .quantities import Quantity, described, of_field, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks
 
-CLAMP: tuple[Quantity[Clamp], ...] = (
-    Quantity("end", "proximal or distal"),
-    Quantity("face_mm", "centre of the face towards the plate"),
-    Quantity("direction", "direction of the tube into the clamp"),
+CLAMP = described(
+    Clamp,
+    "end face direction",
     Quantity("slides", "true if it slides when the tube expands"),
 )
 
-GROOVE: tuple[Quantity[Groove], ...] = (
+GROOVE = described(
+    Groove,
     Quantity("wanted_radius_mm", "target radius of the tube",
              lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf, form=".4g", label="wanted radius"),
     Quantity("mold_radius_mm", "radius of the groove", lambda g: g.radius, form=".4g", label="mold radius"),
@@ -42,8 +42,7 @@ GROOVE: tuple[Quantity[Groove], ...] = (
     Quantity("bend_angle_deg", "angle of the bend", form=".4g", label="bend, angle"),
     Quantity("lead_in_mm", "straight groove before the bend", lambda g: g.centreline.lead_in.length),
     Quantity("lead_out_mm", "straight groove behind the bend", lambda g: g.centreline.lead_out.length),
-    Quantity("width_mm", "width of the groove", form=".4g", label="groove, width"),
-    Quantity("depth_mm", "depth of the groove", form=".4g", label="groove, depth"),
+    "width depth",
     Quantity("end_mill_mm", "diameter of the end mill", lambda g: g.mill.diameter, form=".4g", label="end mill"),
     Quantity("strain_percent", "strain of the tube when pressed in", form=".4g", label="strain when pressed in"),
     Quantity("cold_length_mm", "length of the cold end from the clamp", lambda g: g.cold.length, form=".4g",
@@ -53,14 +52,14 @@ GROOVE: tuple[Quantity[Groove], ...] = (
              lambda g: g.cold.loss_coefficient),
     Quantity("gaps_mm", "gaps between the plate's edges and the clamps"),
     Quantity("free_length_mm", "length of tube between the clamps"),
-    Quantity("growth_mm", "thermal expansion of the tube", form=".4g", label="growth when hot"),
+    "growth",
     Quantity("travel_mm", "travel of the sliding clamp", lambda g: max(clamp.travel for clamp in g.clamps), form=".4g"),
     Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
     Quantity("extra_length_mm", "part of the blank that is trimmed", form=".4g", label="trimmed"),
     Quantity("bend_begins_mm", "distance of the bend from the tube's end", lambda g: g.before_bend),
     Quantity("trim_proximal_mm", "length to cut off at the proximal end", lambda g: g.trim[0]),
     Quantity("trim_distal_mm", "length to cut off at the distal end", lambda g: g.trim[1]),
-    Quantity("clamps", "the two clamps", of=CLAMP),
+    of_field(Groove, "clamps", of=CLAMP),
     Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
 )  # fmt: skip
 
@@ -70,20 +69,15 @@ PREDICTED: tuple[Quantity[Tube], ...] = (
     Quantity("straight_length_mm", "straight length of the predicted tube"),
 )
 
-HOLE: tuple[Quantity[Hole], ...] = (
-    Quantity("purpose", "purpose of the hole"),
-    Quantity("centre_mm", "centre of the hole"),
-    Quantity("diameter_mm", "diameter of the hole"),
-)
-
-PROGRAM: tuple[Quantity[Program], ...] = (
-    Quantity("file", "name of the file"),
-    Quantity("tool", "first tool"),
+PROGRAM = described(
+    Program,
+    "file tool",
     Quantity("time_min", "machining time", lambda program: program.time / 60, form=".1f", label="that its moves take"),
 )
 
-MOLD: tuple[Quantity[RobotMold], ...] = (
-    Quantity("robot", "name of the robot", lambda a: a.name),
+MOLD = described(
+    RobotMold,
+    "name",
     Quantity("material", "material of both plates", lambda a: a.mold.spec.material.name),
     Quantity("size_mm", "width and height of the plates", lambda a: a.mold.size),
     Quantity("thickness_mm", "thickness of the lower plate", lambda a: a.mold.spec.plate.thickness),
@@ -103,7 +97,7 @@ MOLD: tuple[Quantity[RobotMold], ...] = (
     ),
     Quantity("programs", "G-code of both plates, in order of machining", lambda a: programs_of(a.mold), of=PROGRAM),
     Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clear_room(a.mold)),
-    Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=HOLE),
+    Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=described(Hole)),
     Quantity("checks", "checks, and whether they passed", lambda a: [_check(c) for c in a.mold.checks]),
     Quantity("remarks", "remarks for making and using it", lambda a: [*a.left_out, *a.mold.remarks]),
 )
@@ -178,9 +172,10 @@ def _radii(c: Calibration) -> list[float] | None:
     return None if known is None else [1 / max(known), 1 / min(known)]
 
 
-CALIBRATION: tuple[Quantity[Calibration], ...] = (
+CALIBRATION = described(
+    Calibration,
     Quantity("trials", "the trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature)), label="trials"),
-    Quantity("model", "spring-back model", words="{model}", label="model"),
+    of_field(Calibration, "model", label="model", words="{model}"),
     Quantity("fraction_percent", "lost fraction of the curvature at small curvature", lambda c: c.springback.fraction,
              words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
              label="lost at small curvature"),
@@ -191,12 +186,10 @@ CALIBRATION: tuple[Quantity[Calibration], ...] = (
     Quantity("shrinkage_percent", "fraction of the bend length lost on cooling",
              lambda c: c.springback.shrinkage),
     Quantity("radius_range_mm", "smallest and largest mold radius of the trials", _radii, digits=9, optional=True),
-    Quantity("fraction_interval_percent", "95 % interval of the fraction"),
-    Quantity("slope_interval_mm", "95 % interval of the slope"),
-    Quantity("noise_percent", "scatter between equal tubes",
-             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %",
-             label="scatter of one tube"),
-    Quantity("remarks", "remarks on the fit"),
+    "fraction_interval slope_interval",
+    of_field(Calibration, "noise", label="scatter of one tube",
+             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
+    "remarks",
 )  # fmt: skip
 
 
@@ -225,33 +218,33 @@ class CalibrationReport(Report[Calibration]):
         return [self.save_record(directory), directory / "springback.yaml"]
 
 
-RATING: tuple[Quantity[MaterialRating], ...] = (
+RATING = described(
+    MaterialRating,
     Quantity("material", "name of the material", lambda r: r.material.name),
     Quantity("suitable", "true if it is suitable"),
     Quantity("held", "true if the rig keeps the window with it", lambda r: r.plan is None or r.plan.feasible),
     Quantity("shortfall_K", "miss of the window with it"),
-    Quantity("heat_drawn_J_per_m", "heat into the mold per length of tube during the hold"),
-    Quantity("heat_flow_W_per_m", "heat flow into the mold per length of tube at the end of the hold"),
-    Quantity("heat_J", "heat of the curved part and of the mold around it, until the end of the hold"),
+    "heat_drawn heat_flow heat",
     Quantity("energy_J", "energy drawn from the battery; null if the tube cannot be heated"),
-    Quantity("leak", "fraction of the current that leaks into the mold"),
+    "leak",
     Quantity("limit_degC", "temperature limit of the material", lambda r: r.material.limit_temperature_degC),
-    Quantity("limit_margin_K", "margin to that limit"),
+    "limit_margin",
     Quantity("conductivity_W_per_m_K", "thermal conductivity", lambda r: r.material.conductivity),
     Quantity("density_kg_per_m3", "density", lambda r: r.material.density),
     Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
     Quantity("resistivity_ohm_m", "electrical resistivity", lambda r: r.material.resistivity),
     Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
-    Quantity("reasons", "reasons for and against it"),
+    "reasons",
     Quantity("source", "source of its constants", lambda r: r.material.source),
 )
 
-RANKING: tuple[Quantity[Ranking], ...] = (
+RANKING = described(
+    Ranking,
     Quantity("outer_diameter_mm", "outer diameter of the tube", lambda a: a.tube.outer_diameter),
     Quantity("curved_length_mm", "curved length of the tube", lambda a: a.tube.curved_length),
     Quantity("set_degC", "set temperature", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
     Quantity("hold_s", "hold time", lambda a: a.heat.hold_time),
-    Quantity("materials", "the materials, best first", lambda a: a.ratings, of=RATING),
+    of_field(Ranking, "ratings", of=RATING),
 )
 
 

@@ -21,7 +21,7 @@ from ..runs.design_study import PairAnswer
 from ..typing import Array
 from .design_report import CHECK, DIMENSION, before_after, checked_again, dimensions
 from .formatting import at_least
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line, of_field
 from .report import Drawing, Report, drawing
 
 
@@ -73,7 +73,8 @@ ARM: tuple[Quantity[_Arm], ...] = (
     Quantity("checks", "independent checks of the result", lambda a: a.solution.verification.checks, of=CHECK),
 )
 
-PAIR: tuple[Quantity[PairAnswer], ...] = (
+PAIR = described(
+    PairAnswer,
     Quantity("wanted", "the objective", lambda a: a.search.wanted),
     Quantity("searched_before", "fraction of the pairs of places of the search, given robots",
              lambda a: a.search.before),
@@ -87,9 +88,8 @@ PAIR: tuple[Quantity[PairAnswer], ...] = (
          f"{len(a.after.apart)} places not searched with"),
     line("reached by itself", _alone),
     Quantity("clearance_mm", "clearance between the arms", lambda a: a.after.clearance),
-    Quantity("planned", "number of plans of both arms to such pairs"),
-    Quantity("proved", "number of proved plans", words="{proved} of {planned} motions of both arms to such pairs",
-             label="proved"),
+    "planned",
+    of_field(PairAnswer, "proved", label="proved", words="{proved} of {planned} motions of both arms to such pairs"),
     line("plates", _stands),
     Quantity("arms", "the two arms", _arms, of=ARM),
     Quantity("remarks", "active limits, tubes with little effect, a coarse search"),

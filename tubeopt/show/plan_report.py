@@ -27,7 +27,7 @@ from ..typing import Array
 from .equilibrium_report import by_history
 from .formatting import at_least, tip_in_words, tip_number
 from .load_words import load_in_words
-from .quantities import Quantity, line, rows, within
+from .quantities import Quantity, described, line, of_field, rows, within
 from .readings import joints_in_words, readings
 from .report import Drawing, Report, drawing, two_columns
 
@@ -80,20 +80,18 @@ def _tip_speed(p: Proof) -> str:
     return f"at most {p.largest_tip_rate * TO_MM:.2f} mm/s, proved; {measured}"
 
 
-FORCED: tuple[Quantity[ForceBound], ...] = (
+FORCED = described(
+    ForceBound,
     line("any force on the tip", _any_force),
-    Quantity("max_force_mN", "largest force on the tip, in any direction, that margin and clearance include"),
-    Quantity("deflection_mm", "bound on the displacement of the arm by such a force"),
+    "max_force deflection",
 )
 
-PROOF: tuple[Quantity[Proof], ...] = (
+PROOF = described(
+    Proof,
     Quantity("proved", "true if all requirements are proved", lambda p: p.holds),
     Quantity("assumed", "assumptions of all results", _assuming),
-    Quantity("faults", "violated or unproved requirements, as text"),
-    Quantity("followed_percent", "part of the motion that was followed"),
-    Quantity("snap_at_percent", "position of a snap along the motion", lambda p: p.snap),
-    Quantity("least_margin", "smallest margin", form=".4f", label="least margin"),
-    Quantity("least_clearance_mm", "proved distance of the arm from obstacles", label="clearance", words=_clearance),
+    "faults followed snap least_margin",
+    of_field(Proof, "least_clearance", label="clearance", words=_clearance),
     Quantity(
         "clearance_from",
         "reference of the clearance, for obstacles that are points or open surfaces; absent otherwise",
@@ -103,7 +101,7 @@ PROOF: tuple[Quantity[Proof], ...] = (
         words=lambda p: "; ".join(p.clearance_from) or None,
     ),
     Quantity("clearance_bound_mm", "lower bound on the distance between the checked instants"),
-    Quantity("measured_clearance_mm", "smallest distance at the checked instants"),
+    "measured_clearance",
     *within(FORCED, lambda p: p.forced),
     line(
         "largest rates",
@@ -111,21 +109,11 @@ PROOF: tuple[Quantity[Proof], ...] = (
         "{largest_rotation_acceleration_deg_per_s2:.2f} deg/s^2, "
         "{largest_translation_acceleration_mm_per_s2:.2f} mm/s^2",
     ),
-    Quantity("largest_rotation_rate_deg_per_s", "largest rotation rate of a tube"),
-    Quantity("largest_translation_rate_mm_per_s", "largest translation rate of a tube"),
-    Quantity("largest_rotation_acceleration_deg_per_s2", "largest rotation acceleration of a tube"),
-    Quantity("largest_translation_acceleration_mm_per_s2", "largest translation acceleration of a tube"),
+    "largest_rotation_rate largest_translation_rate largest_rotation_acceleration largest_translation_acceleration",
     line("path of the tip", "{tip_length_mm:.2f} mm, in steps of at most {largest_tip_step_mm:.2f} mm"),
     line("speed of the tip", _tip_speed),
-    Quantity("largest_tip_step_mm", "largest step of the tip between equilibria"),
-    Quantity("tip_length_mm", "length of the path of the tip"),
-    Quantity("largest_tip_rate_mm_per_s", "proved bound on the speed of the tip at all times"),
-    Quantity("measured_tip_rate_mm_per_s", "largest mean speed of the tip between two equilibria"),
-    Quantity(
-        "reintegration_mm",
-        "largest difference of a tip from adaptive re-integration; under a load, the estimated error",
-    ),
-    Quantity("equilibria", "number of equilibria of the proof", label="followed again", words=_again),
+    "largest_tip_step tip_length largest_tip_rate measured_tip_rate reintegration",
+    of_field(Proof, "equilibria", label="followed again", words=_again),
 )
 
 
@@ -160,16 +148,15 @@ def _chosen(t: Trajectory) -> str | None:
     return f"{words}; {t.entry.considered} positions considered, {t.entry.tried} tried"
 
 
-ENTRY: tuple[Quantity[Entry], ...] = (
+ENTRY = described(
+    Entry,
     Quantity("position_mm", "position of the plate in the frame of the given plate", lambda e: e.frame.origin),
     Quantity(
         "direction", "direction of the arm at the plate in the frame of the given plate", lambda e: e.frame.axes[:, 2]
     ),
     Quantity("patient_position_mm", "position of the plate in the patient, RAS", lambda e: e.base.origin),
     Quantity("patient_direction", "direction of the arm at the plate in the patient, RAS", lambda e: e.base.axes[:, 2]),
-    Quantity("considered", "number of positions considered"),
-    Quantity("clear", "number of them with a collision-free arm at the start"),
-    Quantity("tried", "number of these that were tried as start of a plan"),
+    "considered clear tried",
 )
 
 
@@ -179,7 +166,8 @@ def _smoothed(t: Trajectory) -> str | None:
     return f"{words}, {s.smooth_seconds:.1f} s" if s.smoothed else None
 
 
-TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
+TRAJECTORY = described(
+    Trajectory,
     Quantity("robot", "name of the robot", lambda t: t.robot.name),
     _ends(0, "start", "from"),
     _ends(-1, "goal", "to"),
@@ -190,9 +178,8 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
     Quantity("samples", "number of samples", lambda t: len(t.time)),
     Quantity("tip_rotations_deg", "rotation of every tube at its own tip, at the end", lambda t: t.end.tip_rotations),
     line("the tip is", lambda t: tip_in_words(t.robot, t.arms[-1].tube_end) or None),
-    Quantity("turns", "full turns added to the rotations of the goal",
-             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None,
-             label="full turns added"),
+    of_field(Trajectory, "turns", label="full turns added",
+             words=lambda t: ", ".join(str(turn) for turn in t.turns) if any(t.turns) else None),
     Quantity("status", "result of the planning"),
     Quantity("largest_deviation_mm", "largest deviation from the requested path",
              lambda t: None if t.deviation is None else t.deviation.max(), form=".3f", label="largest deviation"),
@@ -201,8 +188,8 @@ TRAJECTORY: tuple[Quantity[Trajectory], ...] = (
              "without friction", lambda t: largest_by_history(t), optional=True, label="friction holds it",
              words="within ± {tip_by_history_mm:.3f} mm along x, y, z, to first order"),
     line("plate", _chosen),
-    Quantity("entry", "chosen position of the plate; null if it was not free", of=ENTRY, optional=True),
-    Quantity("proof", "the proof", of=PROOF),
+    of_field(Trajectory, "entry", of=ENTRY, optional=True),
+    of_field(Trajectory, "proof", of=PROOF),
     Quantity("statistics", "effort of the search", lambda t: asdict(t.statistics)),
 )  # fmt: skip
 

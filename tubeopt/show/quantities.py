@@ -1,21 +1,27 @@
-"""An answer as a list of quantities, from which everything that is said about it in numbers follows.
+"""Quantities of an answer: its `--json` (with it the columns of a sweep), the rows of its table, its part of the docs.
 
-A quantity has a key that ends in its unit, a few words, and a way to get it (in SI) from the answer. From the one list
-come the object of `--json` (and with it the columns of a sweep), the rows of the table, and the page of the docs that
-describes it. To add a number to an answer is to add a line to its list.
+A quantity has a key that ends in its unit, a description, and a way to get its value (in SI) from the answer. A field
+of an answer with marks (`files.field_metadata`) is a quantity by its marks; `described` lists those of a class.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import inspect
 import string
+import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from operator import attrgetter
+from types import EllipsisType
+from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
 
+from ..files.field_metadata import Form, Key
 from ..files.units import SIGNS, per_si, unit_of
+from ..typing import Delegate
 from .formatting import row
 
 A = TypeVar("A")
@@ -95,6 +101,63 @@ class Quantity(Generic[A]):
     def number(self, known: Mapping[str, Any]) -> str:
         """Its number or numbers in the record, as its format wants them, without the unit."""
         return str(_TEMPLATE.format_field(known[self.key], self.form))
+
+
+def described(kind: type[A], *entries: str | Quantity[A] | EllipsisType) -> tuple[Quantity[A], ...]:
+    """Quantities of an answer, in the order of JSON and table.
+
+    Args:
+        entries: names of marked fields of `kind` with blanks between them, other quantities, and `...` for all other
+            marked fields in their order; by default all marked fields.
+    """
+    listed: list[Quantity[A] | EllipsisType] = []
+    for entry in entries or (...,):
+        listed += [of_field(kind, name) for name in entry.split()] if isinstance(entry, str) else [entry]
+    keys = {one.key for one in listed if isinstance(one, Quantity)}
+    every = [of_field(kind, name) for name in _marked(kind)] if ... in listed else []
+    others = [one for one in every if one.key not in keys]
+    return tuple(each for one in listed for each in (others if isinstance(one, EllipsisType) else [one]))
+
+
+def of_field(kind: type[A], name: str, **changes: Any) -> Quantity[A]:
+    """The quantity of a marked field, or of the marked field of a part that `kind` delegates to.
+
+    Args:
+        changes: attributes of `Quantity` that the marks do not have, or that this list has otherwise. By default a
+            field that has parts with marks (`X`, `X | None`, `tuple[X, ...]`) is described by all of these.
+    """
+    marks = _marked(kind).get(name) or _of_part(kind, name)
+    first: dict[type, Any] = {type(mark): mark for mark in reversed(marks[1:])}
+    named, shown = first.get(Key, Key("")), first.get(Form, Form(""))
+    key = named.name or (f"{name}_{named.unit}" if named.unit else name)
+    made = {"form": shown.spec, "label": shown.label, "of": _of_parts(marks[0])}
+    return Quantity(key, **{"about": first[str], "get": attrgetter(name)} | made | changes)
+
+
+def _marked(kind: type) -> Mapping[str, tuple[Any, ...]]:
+    """Marked fields of a class in their order -> their type, and their marks."""
+    marked = {name: hint for name, hint in _hints(kind).items() if typing.get_origin(hint) is Annotated}
+    return {name: (hint.__origin__, *hint.__metadata__) for name, hint in marked.items()}
+
+
+@functools.lru_cache(maxsize=256)
+def _hints(kind: Any) -> Mapping[str, Any]:
+    return typing.get_type_hints(kind, include_extras=True)
+
+
+def _of_part(kind: type, name: str) -> tuple[Any, ...]:
+    """Type and marks of a field of the part that `kind` reads it from."""
+    delegate = inspect.getattr_static(kind, name)
+    assert isinstance(delegate, Delegate), f"{kind.__name__}.{name} has no marks"
+    return _marked(_hints(kind)[delegate.part])[name]
+
+
+def _of_parts(hint: Any) -> tuple[Quantity[Any], ...] | None:
+    """Quantities of the parts that a field has; None for numbers, text and parts without marks."""
+    kinds = [
+        each for each in (hint, *typing.get_args(hint)) if isinstance(each, type) and dataclasses.is_dataclass(each)
+    ]
+    return next((described(each) for each in kinds if _marked(each)), None)
 
 
 def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:

@@ -11,18 +11,19 @@ from rich.live import Live
 from ..errors import SolveError
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..shaping.heating.replanning import Leader
-from .quantities import Quantity
+from .quantities import Quantity, described, of_field
 from .report import Report, two_columns
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDTH = 60
 
-RUN: tuple[Quantity[HeatingRun], ...] = (
-    Quantity("reason", "reason for the end", label="ended", words="{reason}"),
+RUN = described(
+    HeatingRun,
+    of_field(HeatingRun, "reason", label="ended", words="{reason}"),
     Quantity("done", "true if the whole schedule was executed"),
     Quantity("time_s", "duration", label="after", words="{time_s:.1f} s"),
     Quantity("hottest_degC", "highest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
-    Quantity("window_degC", "temperature window of the hold"),
+    "window",
     Quantity("lowest_degC", "lowest reading in the hold; null without one", lambda r: r.held and r.held[0]),
     Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
     Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from ..runs.shipped_files import ShippedFile, ShippedFiles
-from .quantities import Quantity
+from .quantities import Quantity, described
 from .report import Report
 
-FILE: tuple[Quantity[ShippedFile], ...] = (
-    Quantity("name", "name for commands"),
-    Quantity("folder", "folder: robots, rigs, studies, ..."),
-    Quantity("kind", "its key `kind`; null without one"),
-    Quantity("tubes", "number of tubes of a robot", lambda file: file.n_tubes),
-    Quantity("about", "description"),
-)
+FILE = described(ShippedFile)
 
 
 class ShippedReport(Report[ShippedFiles]):

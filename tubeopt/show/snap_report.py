@@ -12,7 +12,7 @@ from rich.text import Text
 
 from .. import stability
 from ..equilibrium.readings import to_readings
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import Equilibrium, FrictionState
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
 from ..files.units import TO_MILLI, TO_MM
@@ -22,47 +22,39 @@ from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array
 from .formatting import counted, degrees, in_a_word, margin_in_words, millimetres, released, row, tip_number
-from .quantities import Quantity, line, record, rows, within
+from .quantities import Quantity, described, line, of_field, record, rows, within
 from .readings import readings
 from .report import Drawing, Report, drawing, grid, to_text, two_columns
 
-JOINTS: tuple[Quantity[Any], ...] = (
-    Quantity("rotations_deg", "rotation of every tube"),
-    Quantity("translations_mm", "translation of every tube"),
+JOINTS: tuple[Quantity[Any], ...] = tuple(
+    of_field(Equilibrium, name, form="") for name in ("rotations", "translations")
 )
 """Joint values of an answer."""
 
-FRICTION: tuple[Quantity[Any], ...] = (
-    Quantity("held_margin", "margin with friction; absent without friction", optional=True),
-    Quantity("friction_heat_mJ", "heat of friction since the first waypoint; absent without friction",
-             lambda friction: friction.heat, optional=True),
-)  # fmt: skip
-
-STATE: tuple[Quantity[Equilibrium], ...] = (
+STATE = described(
+    Equilibrium,
     Quantity("stable", "true if it is stable"),
-    Quantity("margin", "stability margin"),
-    Quantity("index", "number of unstable directions (Morse index)"),
-    Quantity("energy_mJ", "elastic energy"),
+    "margin index energy",
     Quantity("potential_mJ", "elastic energy less the work of the load; absent without load, null without an energy",
              lambda e: None if e.load is None else e.potential, optional=True),
-    *within(FRICTION, lambda e: e.friction),
+    *within([of_field(FrictionState, name, optional=True) for name in ("held_margin", "heat")], lambda e: e.friction),
     Quantity("tip_position_mm", "tip position in the frame of the plate"),
     Quantity("tip_direction", "direction of the tip", lambda e: e.tip_rotation[:, 2]),
-    Quantity("tip_rotations_deg", "rotation of every tube at its own tip"),
+    "tip_rotations",
 )  # fmt: skip
 """An equilibrium in short."""
 
-EQUILIBRIA: tuple[Quantity[Equilibria], ...] = (
+EQUILIBRIA = described(
+    Equilibria,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     *readings(lambda a: a.equilibria[0]),
-    Quantity("equilibria", "all equilibria, the lowest energy first; without an energy the largest margin first",
-             of=(*STATE, Quantity("residual_rad", "residual of the equations"),
-                 Quantity("tip_error_mm", "estimated error of the tip"))),
+    of_field(Equilibria, "equilibria", of=(*STATE, *described(Equilibrium, "residual tip_error"))),
 )  # fmt: skip
 
-SNAP: tuple[Quantity[Snap], ...] = (
-    Quantity("fraction", "fraction of the path to the snap"),
+SNAP = described(
+    Snap,
+    "fraction",
     Quantity("rotations_deg", "rotations at the snap", label="snap at rotations", form=".9g"),
     Quantity("translations_mm", "translations at the snap", form=".9g", label="translations"),
     *readings(lambda snap: snap.before),
@@ -78,11 +70,12 @@ SNAP: tuple[Quantity[Snap], ...] = (
     line("tubes' tips before", lambda snap: degrees(snap.before.tip_rotations, ".6f")),
     line("tubes' tips after", lambda snap: degrees(snap.after.tip_rotations, ".6f")),
     line("margin after", lambda snap: margin_in_words(snap.after.margin)),
-    Quantity("before", "equilibrium that is lost", of=STATE),
-    Quantity("after", "equilibrium after the snap", of=STATE),
+    of_field(Snap, "before", of=STATE),
+    of_field(Snap, "after", of=STATE),
 )
 
-WAY: tuple[Quantity[Way], ...] = (
+WAY = described(
+    Way,
     Quantity("robot", "name of the robot", lambda w: w.robot.name),
     Quantity("from_deg", "rotations at the start", lambda w: w.start[0]),
     Quantity("from_mm", "translations at the start", lambda w: w.start[1]),
@@ -91,12 +84,12 @@ WAY: tuple[Quantity[Way], ...] = (
     Quantity("answer", "result, as text", lambda w: way_sentence(w)),
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
-    Quantity("snap", "the snap; null without one", of=SNAP),
-    Quantity("arrived", "equilibrium at the end of a path without a snap", of=STATE, label="tip at the end",
-             words="{arrived[tip_position_mm]:.4f} mm"),
+    of_field(Way, "snap", of=SNAP),
+    of_field(Way, "arrived", label="tip at the end", words="{arrived[tip_position_mm]:.4f} mm", of=STATE),
 )  # fmt: skip
 
-PATH: tuple[Quantity[stability.Path], ...] = (
+PATH = described(
+    stability.Path,
     Quantity("robot", "name of the robot", lambda m: m.equilibria[0].robot.name),
     line("least margin", lambda m: f"{min(e.margin for e in m.equilibria):.3f} at a waypoint"),
     line("friction", lambda m: _rubbed(m)),
@@ -104,9 +97,8 @@ PATH: tuple[Quantity[stability.Path], ...] = (
     line("tip at the end", lambda m: millimetres(m.equilibria[-1].tip_position, ".4f")),
     Quantity("remarks", "carriages out of order, or an outer tube at the tip; absent otherwise",
              lambda m: _remarks(m) or None, optional=True),
-    Quantity("snaps", "snaps along the path",
-             of=(Quantity("after_waypoint", "number of the waypoint before it, from 1",
-                          lambda snap: snap.index + 1), *SNAP)),
+    of_field(stability.Path, "snaps", of=(
+        Quantity("after_waypoint", "number of the waypoint before it, from 1", lambda snap: snap.index + 1), *SNAP)),
 )  # fmt: skip
 
 
@@ -260,10 +252,11 @@ def _snapping_fraction(a: RobotMap) -> float:
     return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
-MAP: tuple[Quantity[RobotMap], ...] = (
+MAP = described(
+    RobotMap,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     line("axes", "rotations of tubes {tubes[0]} and {tubes[1]} from -180 to 180 deg, {samples} points each"),
-    Quantity("translations_mm", "translations", form=".9g"),
+    "translations",
     Quantity("tubes", "the two rotated tubes, from 1", lambda a: [tube + 1 for tube in a.map.tubes]),
     Quantity("samples", "points per axis", lambda a: len(a.map.angles)),
     Quantity("directions", "number of directions searched for the first snap", lambda a: len(a.map.boundary)),

@@ -38,7 +38,7 @@ from .heat_report import PLAN
 from .inverse_report import SOLUTION
 from .load_report import FORCE, LIMIT
 from .plan_report import PROOF
-from .quantities import Quantity, line
+from .quantities import Quantity, described, line, of_field
 from .report import Drawing, drawing
 from .robot_report import TUBE
 from .snap_report import SNAP
@@ -68,10 +68,11 @@ def _least(margins: Any) -> str:
     return f"{np.nanmin(margins):.4f} to {np.nanmax(margins):.4f}"
 
 
-CERTIFICATE: tuple[Quantity[Certificate], ...] = (
-    Quantity("margin", "certificate", words=lambda c: f"{c.margin:.6g}, a lower bound of the margin at all rotations"),
+CERTIFICATE = described(
+    Certificate,
+    of_field(Certificate, "margin", words=lambda c: f"{c.margin:.6g}, a lower bound of the margin at all rotations"),
     line("so that", lambda c: "no rotations make it snap" if c.snap_free else "nothing is proved"),
-    Quantity("translations_mm", "translations", form=".6g"),
+    "translations",
     line("limited by", lambda c: None if c.pair is None else f"tubes {c.pair[0] + 1} and {c.pair[1] + 1}"),
 )
 
@@ -83,17 +84,19 @@ VERDICT: tuple[Quantity[SnapAssessment], ...] = (
     line("searched", lambda v: counted(v.paths, "path")),
 )
 
-WORST_MARGIN: tuple[Quantity[WorstMargin], ...] = (
+WORST_MARGIN = described(
+    WorstMargin,
     Quantity("margin", "smallest margin found", form=".6g", label="least margin found"),
     line("at", lambda w: degrees(w.equilibrium.rotations, ".6g")),
-    Quantity("searches", "local searches", form="d"),
+    "searches",
 )
 
-WORST_CERTIFICATE: tuple[Quantity[WorstCertificate], ...] = (
+WORST_CERTIFICATE = described(
+    WorstCertificate,
     line("least certificate", lambda w: f"{w.certificate.margin:.6g}"),
     line("at translations", lambda w: millimetres(w.certificate.translations, ".6g")),
     line("within", lambda w: f"{millimetres(w.lower, '.6g')} to {millimetres(w.upper, '.6g')}"),
-    Quantity("evaluations", "evaluations", form="d"),
+    "evaluations",
 )
 
 STABILITY_MAP: tuple[Quantity[StabilityMap], ...] = (
@@ -147,9 +150,10 @@ DESIGN: tuple[Quantity[DesignSolution], ...] = (
     ),
 )
 
-PROBLEM: tuple[Quantity[ProblemSolution], ...] = (
+PROBLEM = described(
+    ProblemSolution,
     line("status", lambda s: str(s.status)),
-    Quantity("objective", "objective", form=".6g"),
+    "objective",
     line("values", lambda s: ", ".join(s.values)),
     line("violated", lambda s: ", ".join(str(one) for one in s.violations) or None),
     line("solved", lambda s: f"in {s.statistics.seconds:.2f} s, {s.statistics.iterations} iterations"),

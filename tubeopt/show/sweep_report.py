@@ -11,7 +11,7 @@ from rich.console import RenderableType
 
 from ..errors import SolveError
 from ..runs.sweeping import Sweep
-from .quantities import Quantity
+from .quantities import Quantity, described, of_field
 from .report import Report
 
 SHOWN = 3
@@ -22,11 +22,12 @@ FAILURE: tuple[Quantity[tuple[int, str]], ...] = (
     Quantity("reason", "reason for the failure", lambda failed: failed[1]),
 )
 
-SWEEP: tuple[Quantity[Sweep], ...] = (
-    Quantity("points", "number of points", words=lambda a: _points(a), label="points"),
-    Quantity("computed", "points computed by this run"),
+SWEEP = described(
+    Sweep,
+    of_field(Sweep, "points", label="points", words=lambda a: _points(a)),
+    "computed",
     Quantity("failed", "number of failed points", lambda a: len(a.failures), form="d", label="failed"),
-    Quantity("failures", "the failed points", of=FAILURE),
+    of_field(Sweep, "failures", of=FAILURE),
     Quantity("table", "file of the table", lambda a: _kept(a, a.table)),
     Quantity("arrays", "file of the same arrays", lambda a: _kept(a, a.arrays)),
     Quantity("journal", "journal: a line per point, in order of computation", lambda a: _kept(a, a.journal)),

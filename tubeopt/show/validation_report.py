@@ -19,14 +19,12 @@ from ..validation import (
     ErrorSummary,
     Estimate,
     Fit,
-    Parity,
     Registration,
-    RegistrationError,
     Step,
     Validation,
 )
 from . import quantities
-from .quantities import Quantity, in_units, line, with_unit
+from .quantities import Quantity, described, in_units, line, of_field, with_unit
 from .report import Drawing, Report, drawing, grid
 
 ERRORS = ("mean", "rms", "p95", "max")
@@ -63,24 +61,11 @@ def _worst(groups: tuple[ErrorGroup, ...]) -> str | None:
     return f"{np.degrees(worst.value):g} deg, mean {worst.summary.mean * TO_MM:.2f} mm"
 
 
-REGISTRATION: tuple[Quantity[Registration], ...] = (
-    Quantity("method", "method of the registration, device to plate"),
-    Quantity("rotation", "rotation matrix, device to plate"),
-    Quantity("translation_mm", "translation, device to plate"),
+REGISTRATION = described(
+    Registration,
+    "method rotation translation",
     Quantity("yaw_deg", "rotation about the plate's axis"),
     Quantity("tilt_deg", "angle between the frames' z axes"),
-)
-
-REGISTRATION_ERROR: tuple[Quantity[RegistrationError], ...] = (
-    Quantity("turn_deg", "standard error of the rotation about the worst axis"),
-    Quantity("reach_mm", "standard error of a point at the arm's length from the plate"),
-)
-
-PARITY: tuple[Quantity[Parity], ...] = (
-    Quantity("pairs", "places that were passed in both directions"),
-    Quantity("history_mm", "RMS of half the difference of the errors in both directions"),
-    Quantity("static_mm", "RMS of half the sum of the errors in both directions"),
-    Quantity("measured_mm", "RMS of half the difference of the measured tips in both directions"),
 )
 
 
@@ -112,15 +97,15 @@ def _registered(found: Registration) -> str:
     return f"{found.method}: yaw {np.degrees(found.yaw):.2f} deg, tilt {np.degrees(found.tilt):.2f} deg"
 
 
-COMPARISON: tuple[Quantity[Validation], ...] = (
+COMPARISON = described(
+    Validation,
     Quantity("robot", "name of the robot", lambda v: v.robot.name),
     Quantity("measurements", "file of the measurements", lambda v: v.measurements.source),
     Quantity("count", "number of measured configurations", lambda v: len(v.measurements), words=_measured,
              label="measured"),
-    Quantity("registration", "registration, device to plate", of=REGISTRATION,
-             words=lambda v: _registered(v.registration), label="registration"),
-    Quantity("registration_error", "standard errors of a registration by least squares",
-             of=REGISTRATION_ERROR, label="known to", words="{registration_error[turn_deg]:.2f} deg and "
+    of_field(Validation, "registration", label="registration",
+             words=lambda v: _registered(v.registration), of=REGISTRATION),
+    of_field(Validation, "registration_error", label="known to", words="{registration_error[turn_deg]:.2f} deg and "
              "{registration_error[reach_mm]:.2f} mm at the arm's length (standard errors)"),
     Quantity("error", "errors of the tip", lambda v: _summary(v.summary, v.length),
              words=lambda v: _errors_in_words(v.summary, v.length), label="tip error"),
@@ -128,15 +113,13 @@ COMPARISON: tuple[Quantity[Validation], ...] = (
              label="worst direction", words=lambda v: _worst(v.by_direction)),
     Quantity("by_separation", "errors by separation", lambda v: _groups(v.by_separation, "separation_deg", v.length),
              label="worst separation", words=lambda v: _worst(v.by_separation)),
-    Quantity("length_mm", "length of the arm, reference of percentages", label="percentages",
-             words="of the arm's length, {length_mm:.1f} mm"),
+    of_field(Validation, "length", label="percentages", words="of the arm's length, {length_mm:.1f} mm"),
     Quantity("sensor_spread_rms_mm", "RMS distance of sensors from their mean",
              lambda v: np.sqrt((v.measurements.sensor_spread**2).mean())),
     Quantity("least_margin", "smallest margin of the configurations", lambda v: np.nanmin(v.margin)),
     Quantity("axis_error_rms_deg", "RMS angle between measured and predicted direction", _axis_error, form=".2f"),
     Quantity("stations", "errors at each distance behind the tip", lambda v: _stations(v)),
-    Quantity("parity", "errors that depend on the direction of motion", of=PARITY, label="both directions",
-             words=lambda v: _both_ways(v)),
+    of_field(Validation, "parity", label="both directions", words=lambda v: _both_ways(v)),
     Quantity("remarks", "remarks on the measurements"),
 )  # fmt: skip
 
@@ -191,13 +174,10 @@ FIT_ERRORS: tuple[Quantity[Fit], ...] = (
              words=lambda f: _errors_in_words(f.held_out, f.after.length) if f.held_out else None),
 )  # fmt: skip
 
-FIT: tuple[Quantity[Fit], ...] = (
+FIT = described(
+    Fit,
     Quantity("estimates", "the parameters, with their intervals", lambda f: [_estimate(e) for e in f.estimates]),
-    Quantity("confidence", "confidence of the intervals"),
-    Quantity("correlation", "correlation of the estimates"),
-    Quantity("noise_mm", "noise per coordinate", form=".3f"),
-    Quantity("remarks", "remarks on the fit"),
-    Quantity("axis_noise_deg", "noise of a direction", form=".3f"),
+    "confidence correlation noise remarks axis_noise",
     Quantity("calibration", "calibration of drives, sensor, plate and registration, as in robot.yaml",
              lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
              label="drives", words="their offsets, gains and latency go into robot.yaml of --out, with sensor, plate "
@@ -205,9 +185,9 @@ FIT: tuple[Quantity[Fit], ...] = (
     Quantity("held_out_axis_deg", "RMS angle between measured and predicted direction, held out",
              lambda f: None if f.held_out_axis_errors is None else np.sqrt(np.nanmean(f.held_out_axis_errors**2)),
              form=".2f", label="RMS angle of directions that a fit to the others did not see"),
-    Quantity("before", "the comparison before the fit", of=COMPARISON),
-    Quantity("after", "the comparison after the fit", of=COMPARISON),
-    Quantity("shapes_solved", "number of solved shapes", lambda f: f.evaluations),
+    of_field(Fit, "before", of=COMPARISON),
+    of_field(Fit, "after", of=COMPARISON),
+    "evaluations",
 )  # fmt: skip
 
 
@@ -277,11 +257,12 @@ def _length(c: Comparison) -> float:
     return c.fit.after.length if c.fit else float("nan")
 
 
-EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
-    Quantity("folds", "number of held-out blocks"),
+EFFECTS_THAT_PAY = described(
+    Comparison,
+    "folds",
     Quantity("start", "held-out errors of the given robot", lambda c: _summary(c.start, _length(c)),
              label="as given", words="RMS {start[rms_mm]:.2f} mm held out"),
-    Quantity("start_axis_deg", "RMS angle of the directions, held out", form=".2f"),
+    "start_axis",
     Quantity("steps", "effects that reduce the held-out errors, in order",
              lambda c: [_step(s, _length(c)) for s in c.steps]),
     Quantity("chosen_anew",
@@ -289,11 +270,11 @@ EFFECTS_THAT_PAY: tuple[Quantity[Comparison], ...] = (
              " took part in that choice", lambda c: _summary(c.chosen_anew, _length(c)),
              label="held out, choice included",
              words="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
-    Quantity("dropped", "effects made useless by later ones"),
+    "dropped",
     Quantity("refused", "effects that do not reduce the held-out errors further",
              lambda c: [_step(s, _length(c)) for s in c.refused]),
-    Quantity("remarks", "remarks on the file"),
-    Quantity("fit", "the fit with the chosen effects", of=(*FIT_ERRORS[2:], *FIT)),
+    "remarks",
+    of_field(Comparison, "fit", of=(*FIT_ERRORS[2:], *FIT)),
 )  # fmt: skip
 
 

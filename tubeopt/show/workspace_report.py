@@ -12,18 +12,16 @@ from ..files.units import TO_MM, per_si
 from ..typing import Array
 from ..workspaces import SnappingLoss, save_workspace
 from ..workspaces.volume import Findings, Volume
-from .quantities import Quantity, line, within
+from .quantities import Quantity, described, line, of_field, within
 from .report import Drawing, Report, drawing
 
-LOSS: tuple[Quantity[SnappingLoss], ...] = (
-    Quantity("equilibria", "number of equilibria found, stable or not", form=".6g",
-             label="equilibria of all kinds that were found"),
-    Quantity("unstable", "number of unstable equilibria", form=".6g", label="those of them that are unstable"),
+LOSS = described(
+    SnappingLoss,
+    "equilibria unstable",
     Quantity("held_volume_cm3", "volume that stable equilibria reach", form=".6g"),
     Quantity("lost_volume_cm3", "volume that only unstable equilibria reach", form=".6g",
              label="volume that only unstable ones reach"),
-    Quantity("lost_first_half_cm3", "volume that only unstable equilibria reach, from the first half of the samples",
-             lambda loss: loss.early_loss, form=".6g", label="the same from the first half of the samples"),
+    "early_loss",
     Quantity("lost_fraction", "lost fraction of the whole volume", lambda loss: loss.fraction, form=".6g",
              label="part of all that is reached which is lost"),
     Quantity("lost_equilibria_interval", "95 % confidence interval of the fraction of all equilibria that lie there",
@@ -70,7 +68,8 @@ ALPHA: tuple[Quantity[Volume], ...] = (
 )  # fmt: skip
 """As an alpha shape, likewise."""
 
-WORKSPACE: tuple[Quantity[Findings], ...] = (
+WORKSPACE = described(
+    Findings,
     Quantity("robot", "name of the robot", lambda a: a.workspace.robot.name),
     Quantity("method", "sampling method of the joint values", lambda a: a.workspace.method),
     Quantity("seed", "seed of random and Sobol samples", lambda a: a.workspace.seed),
@@ -101,8 +100,8 @@ WORKSPACE: tuple[Quantity[Findings], ...] = (
              lambda a: a.voxels.dexterity.mean()),
     Quantity("largest_dexterity", "largest fraction of all directions in which a voxel is reached",
              lambda a: a.voxels.dexterity.max()),
-    Quantity("snapping", "volume lost to snapping; null unless requested", lambda a: a.loss, of=LOSS,
-             label="unstable", words="{snapping[unstable]} of {snapping[equilibria]} equilibria"),
+    of_field(Findings, "loss", label="unstable",
+             words="{snapping[unstable]} of {snapping[equilibria]} equilibria", of=LOSS),
     line("lost to snapping", lambda a: None if a.loss is None else _lost(a.loss)),
 )  # fmt: skip
 

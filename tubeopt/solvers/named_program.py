@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,7 @@ from ..arguments import typed
 from ..block.violation import Violation, violations_of, worst
 from ..display import Displayed
 from ..errors import InputError, instance, nearest
+from ..files.field_metadata import form
 from ..files.files import read_bytes, read_text, save_arrays, write_text
 from ..typing import Array, StatusEnum
 from .settings import Ipopt
@@ -105,8 +106,8 @@ class ProblemSolution(Displayed):
 
     status: ProblemStatus
     """Result of the solve."""
-    objective: float
-    """Value of the objective, in its own unit."""
+    objective: Annotated[float, form(".6g"), "objective"]
+    """In its own unit."""
     values: dict[str, Array]
     """Values of the variables, by name, in their own units."""
     multipliers: dict[str, Array]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from ..equilibrium.linearised import Linearised
 from ..equilibrium.member import PlainPoint, Point, Unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_assembly, reduced_problem
 from ..errors import InputError, positive
+from ..files.field_metadata import form, unit
 from ..physics.certificate import APART, OPPOSED, PARAMETERS, Pattern, largest_eigenvalue, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly, merge
 from ..robots.limits import check_force
@@ -152,11 +154,11 @@ class CertificateStatistics:
 class Certificate(Displayed):
     """Proved stability of a robot at given translations, for all rotations."""
 
-    margin: float
+    margin: Annotated[float, "certificate"]
     """mu_cert; above 0 no rotations can make the robot snap, and there is one equilibrium for each. -inf where nothing
     can be proved: tubes off the centreline that are not three equal ones per segment."""
-    translations: Array
-    """(n,) translations, m."""
+    translations: Annotated[Array, unit("mm"), form(".6g"), "translations"]
+    """Shape (n,)."""
     gradient: dict[str, Array]
     """Derivatives of the margin with respect to `physics.certificate.PARAMETERS`, each (n,), per SI unit. Where
     breakpoints meet they are those for a growing parameter. NaN for a double eigenvalue: the margin then has no

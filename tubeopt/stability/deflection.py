@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite_array, triple
+from ..files.field_metadata import unit
 from ..robots.load import ZERO, Load, Stretch, masses
 from ..robots.robot import Robot, shifts
 from ..typing import Array
@@ -115,13 +116,13 @@ class ForceBound(Displayed):
     """What holds for all rotations, on a way of translations, and for all tip forces up to a size that keep their
     direction, beside a load where there is one."""
 
-    max_force: float
-    """N."""
+    max_force: Annotated[
+        float, unit("mN"), "largest force on the tip, in any direction, that margin and clearance include"
+    ]
     margin: float
     """No stable equilibrium has less; above 0 there is one for every force, and nothing snaps or buckles."""
-    deflection: float
-    """How far any point of the arm at most is from where it is without such a force, m; infinite where the margin is
-    not above 0."""
+    deflection: Annotated[float, unit("mm"), "bound on the displacement of the arm by such a force"]
+    """Of any point; infinite where the margin is not above 0."""
 
 
 def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, load: Load | None = None) -> ForceBound:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, TypeVar, overload
+from typing import Annotated, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,8 +99,8 @@ class Path(Displayed):
 
     equilibria: Sequence[Equilibrium]
     """(T,) at the waypoints."""
-    snaps: tuple[Snap, ...]
-    """Snaps along the path, in order."""
+    snaps: Annotated[tuple[Snap, ...], "snaps along the path"]
+    """In order."""
 
     @cached_property
     def dense(self) -> tuple[Stretch, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from ..equilibrium.member import Loaded, LoadedPoint, Place
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
+from ..files.field_metadata import unit
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
@@ -42,23 +44,24 @@ class LoadLimitStatus(StatusEnum):
 class LoadLimit(Displayed):
     """The end of the stable branch that grows from no load."""
 
-    factor: float
-    """Load factor at which the branch ends or loses stability."""
-    kind: str
+    factor: Annotated[float, "load factor at which stability is lost"]
+    kind: Annotated[
+        str, "fold: the equilibrium vanishes; bifurcation: it becomes unstable; flutter: slow oscillations grow"
+    ]
     """"fold": the equilibrium vanishes, and the robot snaps. "bifurcation": it continues but is unstable, and the robot
     leaves it to one of two sides, like a buckling column; symmetric poses do this. "flutter", only under a load without
     an energy: it continues, but slow oscillations about it grow (docs/loads.md).
     """
-    before: Equilibrium
-    """The equilibrium at the limit (margin 0)."""
-    after: Equilibrium | None
+    before: Annotated[Equilibrium, "equilibrium at the limit"]
+    """Its margin is 0."""
+    after: Annotated[Equilibrium | None, "equilibrium after the loss of stability; null if none was found"]
     """Equilibrium after the loss of stability. At a fold at the same load; at a bifurcation at a load larger by `past`
     of `Continuation`, on one of two equally likely sides. None if descent finds no equilibrium, and after flutter.
     """
-    tip_jump: float
-    """m, at the load of `after`, from the equilibrium that the robot leaves; NaN without an `after`."""
-    energy_released: float
-    """Likewise, of tubes and load together, J; NaN under a load without an energy."""
+    tip_jump: Annotated[float, unit("mm"), "distance that the tip jumps"]
+    """At the load of `after`, from the equilibrium that the robot leaves; NaN without `after`."""
+    energy_released: Annotated[float, unit("mJ"), "energy released by tubes and load; null for a load without energy"]
+    """NaN under a load without an energy."""
 
     @property
     def value(self) -> float:

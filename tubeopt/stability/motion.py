@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
@@ -37,12 +38,11 @@ class Snap(Displayed):
 
     index: int
     """Index of the waypoint before it."""
-    fraction: float
-    """Fraction of the path to the next waypoint."""
-    before: Equilibrium
-    """Equilibrium that vanishes (margin 0), at the joint values of the snap."""
-    after: Equilibrium
-    """Equilibrium after the snap."""
+    fraction: Annotated[float, "fraction of the path to the snap"]
+    """Of the path to the next waypoint."""
+    before: Annotated[Equilibrium, "equilibrium that is lost"]
+    """Its margin is 0, at the joint values of the snap."""
+    after: Annotated[Equilibrium, "equilibrium after the snap"]
 
     rotations, translations = Delegate[Array]("before"), Delegate[Array]("before")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -17,6 +18,7 @@ from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, Settings, vector
+from ..files.field_metadata import form, unit
 from ..robots.robot import Robot, shifts
 from ..solvers.blas import small
 from ..solvers.sampling import sobol
@@ -145,8 +147,7 @@ class WorstMargin(Displayed):
 
     equilibrium: Equilibrium
     """Equilibrium with the smallest margin found, with its joint values."""
-    searches: int
-    """Local ones that were done."""
+    searches: Annotated[int, form("d"), "local searches"]
     unstable: Array
     """(B, n) tip angles of the unstable equilibria at which local searches ended, rad."""
 
@@ -255,12 +256,11 @@ class WorstCertificate(Displayed):
 
     certificate: Certificate
     """The smallest certificate found."""
-    lower: Array
-    """(n,) least translations of the box, m."""
-    upper: Array
-    """(n,) upper bounds of the translations, m."""
-    evaluations: int
-    """Number of certificates computed."""
+    lower: Annotated[Array, unit("mm"), "smallest translations"]
+    """Shape (n,)."""
+    upper: Annotated[Array, unit("mm"), "largest translations"]
+    """Shape (n,)."""
+    evaluations: Annotated[int, form("d"), "evaluations"]
 
 
 @typed

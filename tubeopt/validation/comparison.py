@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ..arguments import typed
 from ..bodies.certainty import RegistrationError
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite_array
+from ..files.field_metadata import unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
@@ -111,8 +113,7 @@ class Validation(Displayed):
     """Its calibration makes joint values of the readings."""
     measurements: Measurements
     """What it is held against."""
-    registration: Registration
-    """How measured points came into the plate frame."""
+    registration: Annotated[Registration, "registration, device to plate"]
     measured: Array
     """(N, 3) positions of the foremost station, m."""
     predicted: Array
@@ -123,12 +124,12 @@ class Validation(Displayed):
     """(N,) angle between the measured and the predicted direction of the tip, rad; None where it was not measured."""
     margin: Array
     """(N,) stability margin of the predicted shapes."""
-    length: float
-    """Greatest arc length of the arm in front of the plate, m: what percentages refer to."""
-    parity: Parity | None
-    """How far the errors depend on the way; None where the way does not retrace itself."""
-    registration_error: RegistrationError | None
-    """Of a registration by least squares, as far as these tips tell it; None of one that was given."""
+    length: Annotated[float, unit("mm"), "length of the arm, reference of percentages"]
+    """Greatest arc length in front of the plate."""
+    parity: Annotated[Parity | None, "errors that depend on the direction of motion"]
+    """None where the path does not retrace itself."""
+    registration_error: Annotated[RegistrationError | None, "standard errors of a registration by least squares"]
+    """None of a registration that was given."""
     left_out: tuple[tuple[int, str], ...] = ()
     """(row, reason in words) of rows without a stable shape."""
 

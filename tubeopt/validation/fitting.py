@@ -18,7 +18,7 @@ import scipy
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite, instance, positive
-from ..files.field_metadata import OneOf, check_fields
+from ..files.field_metadata import OneOf, check_fields, form, key, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, descend, normal_equations
@@ -121,28 +121,22 @@ class Fit(Displayed):
     """With the estimated parameters, those of its drives as its `calibration`; save it as YAML."""
     estimates: tuple[Estimate, ...]
     """One for every chosen parameter."""
-    correlation: Array
-    """(P, P) of the estimates, NaN for those that are held."""
-    confidence: float
-    """Of the intervals."""
-    noise: float
-    """Estimated standard deviation of one measured coordinate, m."""
-    axis_noise: float | None
-    """Of a direction, rad, or None."""
-    before: Validation
-    """The robot as given, against all measurements."""
-    after: Validation
-    """The robot as fitted, against all measurements."""
+    correlation: Annotated[Array, "correlation of the estimates"]
+    """Shape (P, P); NaN for fixed parameters."""
+    confidence: Annotated[float, "confidence of the intervals"]
+    noise: Annotated[float, unit("mm"), form(".3f"), "noise per coordinate"]
+    axis_noise: Annotated[float | None, unit("deg"), form(".3f"), "noise of a direction"]
+    before: Annotated[Validation, "the comparison before the fit"]
+    after: Annotated[Validation, "the comparison after the fit"]
     held_out_errors: Array | None
     """(N,) tip errors of each row, by the fit to the folds without it, m; None without folds."""
     held_out_axis_errors: Array | None
     """(N,) angles of the same, rad; None without folds, or without directions."""
     fold: Index | None
     """(N,) fold of each row, None without folds."""
-    remarks: tuple[str, ...]
-    """In words, what the data do not determine, or hardly, and what was noticed when they were read."""
-    evaluations: int
-    """Shapes that were solved."""
+    remarks: Annotated[tuple[str, ...], "remarks on the fit"]
+    """What the data do not determine, or hardly, and what was noticed when they were read."""
+    evaluations: Annotated[int, key("shapes_solved"), "number of solved shapes"]
 
     @property
     def value(self) -> Robot:

@@ -8,10 +8,12 @@ the way first came by, and held out in blocks of places.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
 
+from ..files.field_metadata import unit
 from ..typing import Array, Index
 from .measurements import Measurements
 from .timeline import runs_of
@@ -97,14 +99,12 @@ def deal(measurements: Measurements, folds: int, place: Index | None = None) -> 
 class Parity:
     """Residuals of places that were passed both ways, root mean squares, m; noise is in all alike."""
 
-    pairs: int
-    """How many."""
-    history: float
-    """Of half their difference, which depends on the direction there: latency, friction, backlash."""
-    static: float
-    """Of half their sum, which does not."""
-    measured: float
-    """Of half the difference of the tips as measured, without any model."""
+    pairs: Annotated[int, "places that were passed in both directions"]
+    history: Annotated[float, unit("mm"), "RMS of half the difference of the errors in both directions"]
+    """From effects of the direction: latency, friction, backlash."""
+    static: Annotated[float, unit("mm"), "RMS of half the sum of the errors in both directions"]
+    measured: Annotated[float, unit("mm"), "RMS of half the difference of the measured tips in both directions"]
+    """Without any model."""
 
 
 def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:

@@ -30,7 +30,7 @@ from ..errors import (
     vector,
     whole,
 )
-from ..files.field_metadata import POSITIVE, SEEN_WITHIN, OneOf, unit, usual_length
+from ..files.field_metadata import POSITIVE, SEEN_WITHIN, OneOf, form, unit, usual_length
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -123,22 +123,31 @@ class Measured:
 class ForceEstimate(Displayed):
     """Estimated force at the tip, in world axes, with its covariance."""
 
-    force: Array
-    """(3,) force, N."""
+    force: Annotated[Array, unit("mN"), form(".3f", label="force at the tip"), "force on the tip in the base frame"]
+    """Shape (3,)."""
     covariance: Array
     """(3, 3) covariance from the measurement noise, to second order, N^2; inf along directions that the measurement
     does not bound. Its ellipsoid is an approximation. If a standard error is several hundredths of a newton, it may
     contain the force less often than stated: `coverage` computes how often. `contains` is a region with the stated
     confidence.
     """
-    directions: Array
-    """(3, 3) unit vectors by row, from the best to the worst determined."""
-    errors: Array
-    """(3,) standard error along each, N."""
+    directions: Annotated[Array, "unit vectors, from the best to the worst determined"]
+    """Shape (3, 3), by row."""
+    errors: Annotated[
+        Array,
+        unit("mN"),
+        form(".3f", label="standard errors, best direction to worst"),
+        "standard error along each of them",
+    ]
+    """Shape (3,)."""
     equilibrium: Equilibrium
     """Equilibrium of the robot under that force."""
-    residual: float
-    """Root mean square distance of the measured points from the fitted ones, m."""
+    residual: Annotated[
+        float,
+        unit("mm"),
+        form(".4f", label="RMS distance of the points"),
+        "RMS distance between measured and fitted points",
+    ]
     fit: tuple[float, int]
     """Sum of squares of residuals over noise, and by what number it is on average: measured coordinates less 3."""
     iterations: int
@@ -232,8 +241,12 @@ class ForceRecord(Displayed):
     """The robot."""
     measurements: Measurements
     """The measurements."""
-    noise: float
-    """Standard deviation of a measured coordinate, m."""
+    noise: Annotated[
+        float,
+        unit("mm"),
+        form(".3g", label="noise of a measured coordinate"),
+        "standard deviation of a measured coordinate",
+    ]
     estimates: tuple[ForceEstimate | None, ...]
     """Estimates, one per row; None for rows without one."""
     failures: tuple[tuple[int, str], ...]

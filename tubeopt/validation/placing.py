@@ -18,7 +18,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
 from ..errors import InputError, Settings, SolveError, instance
-from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, unit, usual_length
+from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, form, unit, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -63,12 +63,12 @@ class Placement(Displayed):
 
     robot: Robot
     """That is to be measured."""
-    rotations: Array
-    """(N, n) readings of the drives, rad; home where a leg goes round a snap."""
-    translations: Array
-    """(N, n) of the same, m."""
-    measured: Mask
-    """(N,) whether a row is one to measure, or only on the way."""
+    rotations: Annotated[Array, unit("deg"), "rotations of the drives at the waypoints"]
+    """Shape (N, n), readings; home where a segment goes round a snap."""
+    translations: Annotated[Array, unit("mm"), "translations of the drives at the waypoints"]
+    """Shape (N, n), readings."""
+    measured: Annotated[Mask, "true for waypoints that are measured"]
+    """Shape (N,)."""
     margin: Array
     """(N,) stability margin."""
     parameters: tuple[str, ...]
@@ -79,8 +79,12 @@ class Placement(Displayed):
     """(P,) expected at `noise`."""
     random: Array
     """(P,) of as many random configurations, the median."""
-    noise: float
-    """Standard deviation of a measured coordinate, m, that the errors are told for."""
+    noise: Annotated[
+        float,
+        unit("mm"),
+        form(".3g", label="assumed noise"),
+        "noise of the measurement that the expected errors assume",
+    ]
 
 
 @typed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..errors import InputError, choice, finite_array, vector
+from ..files.field_metadata import unit
 from ..robots.calibration import SavedRegistration
 from ..typing import Array
 
@@ -58,9 +60,9 @@ SENSOR_FRAME = BasePose()
 class Registration:
     """A rigid motion without scale: plate coordinates are rotation (3, 3) @ device coordinates + translation (3,) m."""
 
-    method: str
-    rotation: Array
-    translation: Array
+    method: Annotated[str, "method of the registration, device to plate"]
+    rotation: Annotated[Array, "rotation matrix, device to plate"]
+    translation: Annotated[Array, unit("mm"), "translation, device to plate"]
 
     def apply(self, points: Array) -> Array:
         """Points (..., 3) of the device in the plate frame, m."""

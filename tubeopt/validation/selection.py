@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, nearest
+from ..files.field_metadata import form, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, cost_of, descend
@@ -65,24 +67,21 @@ class Comparison(Displayed):
 
     start: ErrorSummary
     """Held-out tip errors of the robot as given, only registered."""
-    start_axis: float | None
-    """Its angles, rad, or None."""
+    start_axis: Annotated[float | None, unit("deg"), form(".2f"), "RMS angle of the directions, held out"]
     steps: tuple[Step, ...]
     """The effects that were kept, in order."""
-    dropped: tuple[str, ...]
-    """Effects of sets on the way to the last that others made useless; `refused` tells what they would bring."""
+    dropped: Annotated[tuple[str, ...], "effects made useless by later ones"]
+    """`refused` has what they would bring."""
     refused: tuple[Step, ...]
     """Those that do not pay beside the kept ones, the best first."""
-    fit: Fit | None
-    """With the kept effects; None where none pays. Its held-out errors, like those of the steps, are of rows that took
+    fit: Annotated[Fit | None, "the fit with the chosen effects"]
+    """None where no effect reduces the errors. Its held-out errors, like those of the steps, are of rows that took
     part in the choice of effects."""
     chosen_anew: ErrorSummary
     """Held-out tip errors that include the choice: each fold is predicted by the effects that the others choose, to
     first order around the fit, m."""
-    folds: int
-    """How many there are."""
-    remarks: tuple[str, ...]
-    """What was noticed when the measurements were read, in words."""
+    folds: Annotated[int, "number of held-out blocks"]
+    remarks: Annotated[tuple[str, ...], "remarks on the file"]
 
     @property
     def chosen(self) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -15,6 +15,7 @@ from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import Kind, explicit_arm, explicit_kind, explicit_parameters
 from ..display import Displayed
 from ..errors import InputError, positive
+from ..files.field_metadata import form, key
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
@@ -43,16 +44,20 @@ class SnappingLoss(Displayed):
     """The robot."""
     size: float
     """Edge of the voxels, m."""
-    equilibria: int
-    """Number of computed equilibria."""
-    unstable: int
-    """Number of unstable equilibria."""
+    equilibria: Annotated[
+        int, form(".6g", label="equilibria of all kinds that were found"), "number of equilibria found, stable or not"
+    ]
+    unstable: Annotated[int, form(".6g", label="those of them that are unstable"), "number of unstable equilibria"]
     held: Keys
     """(V, 3) index of the voxels with a stable equilibrium."""
     lost: Keys
     """(W, 3) of those with at least `SURE` equilibria, all of them unstable."""
-    early_loss: float
-    """`lost_volume` from the first half of the equilibria, m^3."""
+    early_loss: Annotated[
+        float,
+        key("lost_first_half_cm3"),
+        form(".6g", label="the same from the first half of the samples"),
+        "volume that only unstable equilibria reach, from the first half of the samples",
+    ]
     interval: tuple[float, float]
     """95 % confidence interval of the fraction of all equilibria that lie where no stable one is (Clopper and Pearson
     1934). Its upper end counts voxels with fewer than `SURE` unstable equilibria and no stable one as lost."""

@@ -187,7 +187,7 @@ class Findings(Displayed):
     """Volume of a body of revolution."""
     alpha: Volume | None
     """Volume of an alpha shape."""
-    loss: SnappingLoss | None
+    loss: Annotated[SnappingLoss | None, key("snapping"), "volume lost to snapping; null unless requested"]
 
 
 @typed

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from ...errors import InputError, choice
-from ...files.field_metadata import POSITIVE, OneOf, check_fields, key, unit
+from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
 from ..heating.plan import HeatingPlan
 from ..heating.rig import COUNTS, Battery, Circuit, Rig
 
@@ -194,12 +194,9 @@ SPARE = 1.25
 class Part:
     """A part of a rig."""
 
-    name: str
-    """What is needed."""
-    rating: str
-    """What it must be, in words."""
-    why: str
-    """From what that follows."""
+    name: Annotated[str, form("s", label="part"), "name of the part"]
+    rating: Annotated[str, form("s", label="rating"), "required rating"]
+    why: Annotated[str, form("s", label="why"), "reason for the rating"]
 
 
 def root_mean_square(plan: HeatingPlan) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -342,11 +342,11 @@ class Estimate:
     A bias is no factor: by how much a thermometer shows too much, K; held at 0 between infinities.
     """
 
-    name: str
-    factor: float
-    low: float
-    high: float
-    held: bool
+    name: Annotated[str, "name of the parameter"]
+    factor: Annotated[float, "factor on the value of the rig file; bias in K"]
+    low: Annotated[float, "lower end of its interval"]
+    high: Annotated[float, "upper end of its interval"]
+    held: Annotated[bool, "true if it was fixed because the log does not determine it"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,20 +355,16 @@ class RigFit(Displayed):
 
     rig: Rig
     """With the factors applied."""
-    estimates: tuple[Estimate, ...]
-    """One for every factor that was asked for."""
-    confidence: float
-    """Of the intervals."""
-    noise: dict[str, float]
-    """Standard deviation of the residuals of each channel, K, V, A."""
+    estimates: Annotated[tuple[Estimate, ...], "the fitted parameters"]
+    confidence: Annotated[float, "confidence of the intervals"]
+    noise: Annotated[dict[str, float], "RMS residuals: temperature in K, voltage in V, current in A"]
     before: dict[str, Array]
     """(T,) channels that the rig predicts as given."""
     after: dict[str, Array]
     """(T,) channels that it predicts as fitted, biases included."""
     log: HeatingLog
     """That was fitted, without what was not believed."""
-    remarks: tuple[str, ...]
-    """In words, what the log does not determine, and what the model does not explain."""
+    remarks: Annotated[tuple[str, ...], "remarks on the fit"]
 
 
 def predict(tube: Tube, rigs: Sequence[Rig], log: HeatingLog, grid: Resolution = FINE) -> dict[str, Array]:

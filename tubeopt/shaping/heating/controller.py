@@ -16,12 +16,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ...display import Displayed
+from ...files.field_metadata import form, unit
 from ...typing import Array
 from .rig import COUNTS
 from .sensors import Felt, Sensor
@@ -194,8 +196,13 @@ def run_loop(
 class Contribution:
     """How much one thing that is not known moves the temperature of the hold: its name, and a standard deviation, K."""
 
-    name: str
-    deviation: float
+    name: Annotated[str, "uncertain parameter"]
+    deviation: Annotated[
+        float,
+        unit("K"),
+        form(".2f", label="moves the hold by >"),
+        "standard deviation of the hold temperature by this parameter",
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +225,9 @@ class Feedback(Displayed):
     """(S,) of any point ever, degC."""
     kept: NDArray[np.bool_]
     """(S,) whether the window was kept through a whole hold, and the limit always."""
-    open_loop: float
-    """Share of rigs that keep it with the schedule alone."""
-    contributions: tuple[Contribution, ...]
-    """Effects of the uncertain parameters, largest first; "sensor" is its bias."""
+    open_loop: Annotated[float, "the same fraction with the schedule alone, without sensor"]
+    contributions: Annotated[tuple[Contribution, ...], "effects on the hold temperature, largest first"]
+    """ "sensor" is its bias."""
     window: tuple[float, float]
     """Smallest and largest allowed temperature, degC."""
     limit: float

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from ...constants import ZERO_CELSIUS
+from ...files.field_metadata import unit
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
 from .rig import COUNTS, Rig
@@ -55,28 +57,23 @@ NO_ERROR = MeshError(0.0, 0.0)
 class Outcome:
     """What became of what was asked, within slots too."""
 
-    lowest: float
-    """Lowest temperature of the curved part during the hold, degC."""
-    highest: float
-    """Highest temperature of the curved part during the hold, degC."""
-    hottest: float
-    """Temperature of any point at any time, degC."""
-    shortfall: float
-    """By how much window or limit are missed, each with its mesh error, K."""
+    lowest: Annotated[float, unit("degC"), "lowest temperature of the curved part in the hold"]
+    highest: Annotated[float, unit("degC"), "highest temperature of the curved part in the hold"]
+    hottest: Annotated[float, unit("degC"), "highest temperature of any point at any time"]
+    shortfall: Annotated[float, unit("K"), "miss of window and limit"]
+    """Each with its mesh error."""
     excess: float
     """By how much the hottest point is above the limit, its mesh error included, K."""
     mesh: MeshError
     """Error of these temperatures by the grid."""
-    ramp: float
-    """Fastest warming of any point outside of the clamps as a mean over a slot, K/s."""
-    steepest: float
-    """Fastest warming at any instant, the duty taken for a mean power, K/s: what the specification limits."""
-    mean_current: float
-    """Greatest current times duty, A."""
-    peak_current: float
-    """Greatest current while the MOSFET conducts, A."""
-    broken: tuple[str, ...]
-    """In words, which of ramp and currents are beyond their limits, and by how much."""
+    ramp: Annotated[float, unit("K_per_s"), "largest heating rate, mean over a slot"]
+    """Of any point outside the clamps."""
+    steepest: Annotated[float, unit("K_per_s"), "largest heating rate at any instant"]
+    """With the duty taken as a mean power: what the specification limits."""
+    mean_current: Annotated[float, unit("A"), "largest product of current and duty"]
+    peak_current: Annotated[float, unit("A"), "largest current while the MOSFET conducts"]
+    broken: Annotated[tuple[str, ...], "ramp or currents that exceed their limits"]
+    """As text, with the excess."""
 
     @property
     def kept(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError
 from ...files.csv_file import to_csv
+from ...files.field_metadata import form, key, unit
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE, CLAMP, DRAWN
 from ...robots.tubes import Tube
@@ -49,11 +50,9 @@ class HeatingStatus(StatusEnum):
 class Cure:
     """A change, in words, and what would still be wrong with it."""
 
-    change: str
-    shortfall: float
-    """By how much the window would be missed, K."""
-    broken: tuple[str, ...] = ()
-    """What of ramp and currents would not be kept."""
+    change: Annotated[str, "the change"]
+    shortfall: Annotated[float, unit("K"), "remaining miss of window and limit"]
+    broken: Annotated[tuple[str, ...], "ramp or currents that would exceed their limits"] = ()
 
     @property
     def cures(self) -> bool:
@@ -75,8 +74,8 @@ class Course:
 
     time: Array
     """(T,) beginning of every slot, s."""
-    duty: Counts
-    """(T,) int, 0-255, from there to the next; the last ones are 0."""
+    duty: Annotated[Counts, "duty of every slot, 0 to 255"]
+    """Shape (T,), integers, from there to the next; the last ones are 0."""
     temperature: Array
     """(T, X) degC along the tube at these times."""
     position: Array
@@ -105,12 +104,11 @@ class Course:
 class Energies:
     """Where the energy goes."""
 
-    energy: float
-    """Drawn from the battery, J."""
+    energy: Annotated[float, unit("kJ"), "energy drawn from the battery"]
     tube_energy: float
     """Heat in tube, mold and clamps at the end, J."""
-    energy_error: float
-    """Energy unaccounted for in the re-simulation, as a fraction."""
+    energy_error: Annotated[float, "relative error of the energy balance"]
+    """Of the re-simulation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,20 +132,18 @@ class HeatingPlan(Displayed):
     """Temperatures, ramp and currents compared with window and limits, also between samples."""
     energies: Energies
     """Energy balance."""
-    hold_start: float
-    """Beginning of the hold, s."""
+    hold_start: Annotated[float, unit("s"), "start of the hold"]
     reasons: tuple[str, ...]
     """Reasons why the window is missed, as text; empty if it is kept."""
-    problems: tuple[str, ...]
-    """Violated limits with their reasons, and other problems, as text, such as an overheated mold."""
-    cures: tuple[Cure, ...]
-    """Changes that would help if a limit is violated; those that suffice come first."""
-    quench_time: float
-    """Time from the end of the hold until the whole tube is below 100 degC, out of the mold, s."""
-    growth: float
-    """Thermal expansion of the tube's length at the end of the hold, m."""
-    iterations: int
-    """Iterations of the optimal control problem in its last round; 0 if it was not needed."""
+    problems: Annotated[tuple[str, ...], "violated limits, as text"]
+    """With their reasons; also other problems, such as an overheated mold."""
+    cures: Annotated[tuple[Cure, ...], "changes that would help, best first"]
+    """Only if a limit is violated; those that suffice come first."""
+    quench_time: Annotated[float, key("quench_s"), "time until the whole tube is below 100 degC"]
+    """After the end of the hold, out of the mold."""
+    growth: Annotated[float, unit("mm"), form(".2f", label="growth when hot"), "thermal expansion of the tube"]
+    """At the end of the hold."""
+    iterations: Annotated[int, "iterations of the optimal control problem in its last round; 0 if it was not needed"]
     feedback: Feedback | None = None
     """The law that leads the schedule by a sensor, where one was given."""
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import scipy
@@ -91,12 +92,9 @@ class Band:
     """(S,) of the curved part during the hold, degC."""
     top: Array
     """(S,) of all points at all times, degC."""
-    probability: float
-    """Of keeping window and limit."""
-    too_cold: float
-    """Probability of falling below the window."""
-    too_hot: float
-    """Probability of exceeding its upper end or the limit."""
+    probability: Annotated[float, "fraction that stays in the window"]
+    too_cold: Annotated[float, "fraction that falls below the window"]
+    too_hot: Annotated[float, "fraction that rises above window or limit"]
 
     def quantiles(self, fraction: float = 0.9) -> tuple[Array, Array]:
         """(T,) lower and (T,) upper limit, degC, of the curved part in this fraction of the samples."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -66,9 +67,9 @@ def write_gcode(mold: Mold, directory: Path) -> list[Path]:
 class Program:
     """A program: its file, the plate, the tool that it begins with, and what it says."""
 
-    file: str
+    file: Annotated[str, "name of the file"]
     part: str
-    tool: str
+    tool: Annotated[str, "first tool"]
     text: str
 
     @cached_property

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 
 from ...errors import InputError
+from ...files.field_metadata import form, unit
 from ...robots.tubes import Tube
 from ...typing import Array
 from .groove import Arc, Centreline, Point, bounds, crosses_itself, leads_to_edge, least_distance, with_leads
@@ -54,8 +56,7 @@ class Blank:
     """Of the tube; its length is that of the specification where one is given."""
     mill: EndMill
     """That cuts it."""
-    width: float
-    """m."""
+    width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
     bend: tuple[Arc, ...]
     """With its top at y = 0."""
     least_lead: float
@@ -238,9 +239,9 @@ VENT_BRIDGE = 0.5e-3
 class Hole:
     """A round hole: what for ("bolt", "dowel" or "vent"), centre and diameter (m)."""
 
-    purpose: str
-    centre: Point
-    diameter: float
+    purpose: Annotated[str, "purpose of the hole"]
+    centre: Annotated[Point, unit("mm"), "centre of the hole"]
+    diameter: Annotated[float, unit("mm"), "diameter of the hole"]
 
 
 def place_fasteners(

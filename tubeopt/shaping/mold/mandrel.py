@@ -14,7 +14,7 @@ from functools import partial
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -22,6 +22,7 @@ import scipy
 from ...display import Displayed
 from ...errors import InputError, SolveError, instance
 from ...files.csv_file import to_csv
+from ...files.field_metadata import form, key, unit
 from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...robots.pieces import Piece
@@ -182,8 +183,7 @@ class MandrelStatistics:
 class Mandrel(Displayed):
     """A mandrel for one tube."""
 
-    number: int
-    """Of the tube in texts."""
+    number: Annotated[int, key("tube"), "number of the tube, 1 for the innermost"]
     tube: Tube
     """What it is to become."""
     held: Tube
@@ -194,16 +194,16 @@ class Mandrel(Displayed):
     """What is turned or printed."""
     winding: Winding
     """Centreline of the groove in it, leads included."""
-    width: float
-    """Of the groove, and diameter of its round bottom, m."""
+    width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
+    """Also the diameter of its round bottom."""
     cold: ColdEnd
     """The cold end of the tube; its length is that of the specification where one is given."""
-    free_length: float
-    """From clamp to clamp, m."""
+    free_length: Annotated[
+        float, unit("mm"), form(".4g", label="tube between the clamps"), "length of tube between the clamps"
+    ]
     checks: tuple[Check, ...]
     """What was checked, with numbers and limits."""
-    remarks: tuple[str, ...]
-    """What to keep in mind."""
+    remarks: Annotated[tuple[str, ...], "remarks for making and using it"]
 
     @property
     def value(self) -> Winding:

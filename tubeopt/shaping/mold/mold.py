@@ -10,12 +10,14 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from ...arguments import typed
 from ...display import Displayed
 from ...errors import InputError, instance, whole
+from ...files.field_metadata import form, key, unit
 from ...robots.robot import Robot
 from ...robots.tubes import Tube
 from ...typing import Array, Delegate, StatusEnum
@@ -54,12 +56,10 @@ CLAMP_CLEARANCE = 1e-3
 class Clamp:
     """A clamp outside the plate."""
 
-    end: str
-    """ "proximal" or "distal"."""
-    face: Point
-    """Where its jaws begin, on the tube's axis, m."""
-    direction: Point
-    """Of the tube, outwards, unit."""
+    end: Annotated[str, "proximal or distal"]
+    face: Annotated[Point, unit("mm"), "centre of the face towards the plate"]
+    direction: Annotated[Point, "direction of the tube into the clamp"]
+    """Unit vector."""
     travel: float
     """By which it may slide outwards, m; 0 for the fixed one."""
 
@@ -96,12 +96,11 @@ class Groove:
     """What is cut."""
     centreline: Centreline
     """From plate edge to plate edge."""
-    depth: float
-    """m."""
-    growth: float
-    """Of the tube between the clamps when it is hot, m; that of the specification where one is given."""
-    clamps: tuple[Clamp, Clamp]
-    """The proximal and the distal one."""
+    depth: Annotated[float, unit("mm"), form(".4g", label="groove, depth"), "depth of the groove"]
+    growth: Annotated[float, unit("mm"), form(".4g", label="growth when hot"), "thermal expansion of the tube"]
+    """Between the clamps; from the specification where it gives one."""
+    clamps: Annotated[tuple[Clamp, Clamp], "the two clamps"]
+    """Proximal and distal."""
     grip: float
     """Length of tube in each clamp, m."""
     vents: tuple[Hole, ...] = ()
@@ -404,8 +403,7 @@ class RobotMold(Displayed):
 
     mold: Mold
     """As planned; its grooves are numbered as the tubes of the robot."""
-    name: str
-    """Of the robot."""
+    name: Annotated[str, key("robot"), "name of the robot"]
     left_out: tuple[str, ...]
     """Why other tubes have no groove."""
 

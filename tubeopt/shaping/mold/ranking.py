@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...errors import InputError
+from ...files.field_metadata import unit
 from ...robots.tubes import Tube
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ..heating.plan import HeatingPlan
@@ -31,20 +33,18 @@ class MaterialRating:
 
     material: MoldMaterial
     """Which."""
-    heat_drawn: float
-    """By the mold in the hold time, the tube being hot from its beginning, J per m of tube."""
-    heat_flow: float
-    """At the end of the hold, W per m of tube."""
-    leak: float
-    """Part of the current that bypasses the tube through the plates, with perfect contact: an upper bound."""
-    heat: float
-    """That the curved part and the mold around it take to the end of the hold, J; ends and circuit take more."""
-    limit_margin: float
-    """The material's limit less the tube's set temperature, K."""
+    heat_drawn: Annotated[float, unit("J_per_m"), "heat into the mold per length of tube during the hold"]
+    """The tube is hot from the beginning."""
+    heat_flow: Annotated[float, unit("W_per_m"), "heat flow into the mold per length of tube at the end of the hold"]
+    leak: Annotated[float, "fraction of the current that leaks into the mold"]
+    """Upper bound: with perfect contact."""
+    heat: Annotated[float, unit("J"), "heat of the curved part and of the mold around it, until the end of the hold"]
+    """Ends and circuit take more."""
+    limit_margin: Annotated[float, unit("K"), "margin to that limit"]
+    """Limit of the material less the set temperature."""
     plan: HeatingPlan | None = None
     """Of the tube on the rig with such a mold; None where no rig was given."""
-    reasons: tuple[str, ...] = ()
-    """Why it is suitable or not, in words."""
+    reasons: Annotated[tuple[str, ...], "reasons for and against it"] = ()
 
     @property
     def shortfall(self) -> float | None:

@@ -95,20 +95,19 @@ class Calibration(Displayed):
 
     springback: Springback
     """The fitted model, with the range of the trials."""
-    model: str
+    model: Annotated[str, "spring-back model"]
     """Constant or linear."""
     mold_curvature: Array
     """(N,) of the molds of the trials, 1/m."""
     obtained_curvature: Array
     """(N,) of the tubes that came out of them, 1/m."""
-    fraction_interval: tuple[float, float] | None
-    """95 % interval; None where there are too few trials to know."""
-    slope_interval: tuple[float, float] | None
-    """95 % interval, m; None where there are too few trials to know, or no slope."""
-    noise: float
-    """Standard deviation of the lost fraction about the model; NaN where there are too few trials."""
-    remarks: tuple[str, ...]
-    """What to keep in mind."""
+    fraction_interval: Annotated[tuple[float, float] | None, unit("percent"), "95 % interval of the fraction"]
+    """None where trials are too few."""
+    slope_interval: Annotated[tuple[float, float] | None, unit("mm"), "95 % interval of the slope"]
+    """None where trials are too few, or without a slope."""
+    noise: Annotated[float, unit("percent"), "scatter between equal tubes"]
+    """Standard deviation of the lost fraction about the model; NaN where trials are too few."""
+    remarks: Annotated[tuple[str, ...], "remarks on the fit"]
 
     @property
     def lost(self) -> Array:
