@@ -71,7 +71,7 @@ class DesignSolution(Displayed):
     """Value of each, by kind (own ones by their words), SI."""
     dimensions: Annotated[tuple[Dimension, ...], "free dimensions"]
     sensitivities: Annotated[tuple[Sensitivity, ...], key("binding"), "active requirements"]
-    """What easing each would gain, the largest gain first."""
+    """Gain from relaxing each, the largest first."""
     ranking: Ranking
     """Designs of all starts."""
     rounds: Annotated[int, "number of times that worst cases were added"]

@@ -39,7 +39,7 @@ class Snap(Displayed):
     index: int
     """Index of the waypoint before it."""
     fraction: Annotated[float, "fraction of the path to the snap"]
-    """Of the path to the next waypoint."""
+    """The path is that to the next waypoint."""
     before: Annotated[Equilibrium, "equilibrium that is lost"]
     """Its margin is 0, at the joint values of the snap."""
     after: Annotated[Equilibrium, "equilibrium after the snap"]
