@@ -26,7 +26,7 @@ at most a sixth too small."""
 
 
 OF_A_CELL = ("heat", "resistance", "to_clamp", "to_air", "radiating", "grip_share")
-"""Entries of `Volumes` that belong to one cell of the tube."""
+"""Entries of `Volumes` that belong to one cell of the tube, in the order in which laws and kernel take them."""
 
 
 @lru_cache(maxsize=16)
@@ -109,9 +109,9 @@ def cell_functions() -> tuple[ca.Function, ...]:
     """The laws of one cell, of which the compiled kernel makes the same step as `step_function` on grids of any size.
 
     ohm: of a cell. load: of a duty, with the current while the MOSFET conducts. cell: what a cell gains by itself, what
-    of that goes into the clamp and to the air, its heat capacity, and how fast what leaves grows with its temperature.
-    link: what passes to a cell from the next one, and its slopes in both temperatures. stray: heat of the current
-    beside the tube in a part of the mold. lumps: rates of the lumped state.
+    its part of the mold gains from the current beside the tube, what of the first goes into the clamp and to the air,
+    its heat capacity, and how fast what leaves grows with its temperature. link: what passes to a cell from the next
+    one, and its slopes in both temperatures. lumps: rates of the lumped state.
     """
     scalars = ("tube", "other", "clamp", "into_clamp", "off", "half", "duty", "coefficient")
     tube, other, clamp, into_clamp, off, half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
@@ -120,6 +120,7 @@ def cell_functions() -> tuple[ca.Function, ...]:
     own = {name: ca.SX.sym(name) for name in OF_A_CELL}
     v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
     gain, given, air = heat.cell_gains(tube, clamp, load, v, g)
+    stray = heat.stray_heat(load, coefficient, g)
     begun, total = _loaded(half, lumped, duty, g)
     link = heat.heat_along(tube, other, coefficient, g)
     gains = heat.lump_gains(clamp, into_clamp, off, load, g)
@@ -127,11 +128,10 @@ def cell_functions() -> tuple[ca.Function, ...]:
         "ohm": ([tube, own["resistance"], p], [heat.resistances(tube, v, g)]),
         "load": ([half, lumped, duty, p], [ca.vertcat(begun.half, begun.mean, begun.drive, total)]),
         "cell": (
-            [tube, clamp, seen, *own.values(), p],
-            [gain, given, air, heat.tube_capacity(tube, v, g), ca.jacobian(given + air, tube)],
+            [tube, clamp, seen, *own.values(), coefficient, p],
+            [gain, stray, given, air, heat.tube_capacity(tube, v, g), ca.jacobian(given + air, tube)],
         ),
         "link": ([tube, other, coefficient, p], [link, ca.jacobian(link, tube), ca.jacobian(link, other)]),
-        "stray": ([seen, coefficient, p], [heat.stray_heat(load, coefficient, g)]),
         "lumps": ([clamp, into_clamp, off, seen, lumped, p], [_slow(*gains, load, seen[3], lumped, g)]),
     }
     return tuple(

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.heat import PROPERTIES, Resolution
-from ...physics.heat_functions import CLAMP, GAMMA, LUMPED, cell_functions
+from ...physics.heat import PROPERTIES, Resolution, volume_shapes
+from ...physics.heat_functions import CLAMP, GAMMA, LUMPED, OF_A_CELL, cell_functions
 from ...typing import Array
 from .library import kernel_path, open_library
 from .text import c_text
@@ -35,10 +35,30 @@ def heating_kernel() -> Any:
     if loaded is None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-    loaded.workspace_size.argtypes, loaded.workspace_size.restype = [whole] * 3, whole
-    loaded.march.argtypes, loaded.march.restype = [*[whole] * 7, *[pointer] * 9], None
-    loaded.spread.argtypes, loaded.spread.restype = [*[whole] * 3, *[pointer] * 6], None
+    loaded.workspace_size.argtypes, loaded.workspace_size.restype = [whole] * 2, whole
+    loaded.march.argtypes, loaded.march.restype = [*[whole] * 6, *[pointer] * 9], None
+    loaded.spread.argtypes, loaded.spread.restype = [*[whole] * 2, *[pointer] * 6], None
     return loaded
+
+
+def _fields(volumes: Array, resolution: Resolution) -> Array:
+    """(B, F) the coefficients (B, V) as the kernel has them: eight numbers for each of the n cells of the tube, and
+    three fields (1 + M, n) with rows for the tube and for each shell: conductances outwards and along, and capacities.
+
+    Shells of cells without a mold have capacity 1 and conduct nothing, so that all rows are alike.
+    """
+    n, rows, bare = resolution.cells, 1 + resolution.shells, resolution.cells - resolution.covered
+    shapes = volume_shapes(resolution)
+    ends = np.cumsum([height * width for height, width in shapes.values()])[:-1]
+    columns = zip(shapes.items(), np.split(volumes, ends, axis=1), strict=True)
+    parts = {name: part.reshape(len(part), width, height) for (name, (height, width)), part in columns}
+    tube, fields = np.zeros((len(volumes), 8, n)), np.zeros((len(volumes), 3, rows, n))
+    for row, name in zip(tube.swapaxes(0, 1), (*OF_A_CELL, "conduction", "cover_share"), strict=True):
+        row[:, bare if name == "cover_share" else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
+    outward, along, capacity = fields.swapaxes(0, 1)
+    outward[:, :, bare:] = np.concatenate([parts[name] for name in ("to_mold", "radial", "outer")], axis=1)
+    along[:, 1:, bare : n - 1], capacity[:, 1:, :bare], capacity[:, 1:, bare:] = parts["axial"], 1.0, parts["shell_heat"]
+    return np.concatenate([tube.reshape(len(volumes), -1), fields.reshape(len(volumes), -1)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +85,9 @@ class Marcher:
 
     def __init__(self, kernel: Any, resolution: Resolution, properties: Array, volumes: Array) -> None:
         self._kernel, self.members = kernel, len(properties)
-        self._grid = resolution.cells, resolution.covered, resolution.shells
-        self._numbers = np.ascontiguousarray(properties), np.ascontiguousarray(volumes)
+        self._grid = resolution.cells, 1 + resolution.shells
+        self._numbers = np.ascontiguousarray(properties), _fields(volumes, resolution)
         memory = np.zeros(kernel.workspace_size(*self._grid))
-        memory[0] = -1.0  # no step is factored
         # For one window, and one state, memory whose place is known: to ask NumPy for it takes longer than a step.
         self._course = np.empty((2, self.members, resolution.cells, 1 + resolution.shells))
         self._lumped, self._duty = np.empty((2, self.members, LUMPED)), np.empty((1, self.members))
