@@ -13,16 +13,15 @@ typedef struct {
 
 /* What a problem points to. */
 typedef struct {
-    double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], rate[MOST_POINTS][N];
+    Sections at[MOST_POINTS];
     double force[MOST_POINTS][3];
 } Along;
 
 typedef struct {
     Bed beds[2];
     Along along[RULES];
-    double ends_stiffness[(STEPS + 1) * MOST_PIECES][N], ends_moment[(STEPS + 1) * MOST_PIECES][N];
-    double ends_phase[(STEPS + 1) * MOST_PIECES][N], ends_rate[(STEPS + 1) * MOST_PIECES][N];
-    double ends_twist[(STEPS + 1) * MOST_PIECES][N], ends_wound[(STEPS + 1) * MOST_PIECES][N], base_force[3];
+    Sections ends[(STEPS + 1) * MOST_PIECES];
+    double ends_twist[(STEPS + 1) * MOST_PIECES][N], base_force[3];
     Rules rules;
     Workspace work;
     Answer answers[2];
@@ -87,37 +86,22 @@ static void lay_rule(Bearing *b, const Bed *bed, const tubeopt_load *load, int w
     for (int x = 0; x < l->pieces * k; x++) {
         int p = x / k;
         double mass = bed->beyond[p] + bed->mass[p] * l->length[p] * (1 - rule->nodes[x % k]);
-        for (int i = 0; i < N; i++) {
-            Section here = section_on(&ROBOT, l, p, i, rule->nodes[x % k]);
-            along->stiffness[x][i] = here.stiffness;
-            along->moment[x][i] = here.moment;
-            along->phase[x][i] = here.phase;
-            along->rate[x][i] = here.rate;
-        }
+        sections_on(&ROBOT, l, p, rule->nodes[x % k], &along->at[x]);
         for (int r = 0; r < 3; r++) along->force[x][r] = load->force[r] + mass * load->gravity[r];
     }
-    Problem problem = {l->pieces, bed->tip_tube, bed->whole, l->start, l->length, along->stiffness[0],
-                       along->moment[0], along->phase[0], along->rate[0], bed->bent[0], bed->felt[0], bed->held,
-                       along->force[0], b->base_force, b->ends_stiffness[0], b->ends_moment[0], b->ends_phase[0],
-                       b->ends_rate[0], b->ends_twist[0], b->ends_wound[0]};
-    *out = problem;
+    *out = (Problem){l->pieces, bed->tip_tube, bed->whole, l->start, l->length, bed->bent[0], bed->felt[0], bed->held,
+                     along->at, b->ends, b->ends_twist[0], along->force[0], b->base_force};
 }
 
 /* All three problems of a bed. */
 static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
     const Layout *l = &bed->layout;
-    for (int x = 0; x < (STEPS + 1) * l->pieces; x++)
-        for (int i = 0; i < N; i++) {
-            int p = x / (STEPS + 1);
-            double at = (double)(x % (STEPS + 1)) / STEPS;
-            Section here = section_on(&ROBOT, l, p, i, at);
-            b->ends_stiffness[x][i] = here.stiffness;
-            b->ends_moment[x][i] = here.moment;
-            b->ends_phase[x][i] = here.phase;
-            b->ends_rate[x][i] = here.rate;
-            b->ends_twist[x][i] = twist_on(&ROBOT, l, p, i, at);
-            b->ends_wound[x][i] = here.wound;
-        }
+    for (int x = 0; x < (STEPS + 1) * l->pieces; x++) {
+        int p = x / (STEPS + 1);
+        double at = (double)(x % (STEPS + 1)) / STEPS;
+        sections_on(&ROBOT, l, p, at, &b->ends[x]);
+        for (int i = 0; i < N; i++) b->ends_twist[x][i] = twist_on(&ROBOT, l, p, i, at);
+    }
     double mass = bed->beyond[0] + bed->mass[0] * l->length[0];
     for (int r = 0; r < 3; r++) b->base_force[r] = load->force[r] + mass * load->gravity[r];
     lay_rule(b, bed, load, 0, &b->rules.problem);
@@ -148,17 +132,11 @@ static void sample_arm(const Bed *bed, const Layout *from, int pieces, const dou
 
 /* Curvature without load of a cross-section whose tubes are at theta (N); returns its stiffness. */
 static double natural_at(const Layout *l, int p, double x, const double *theta, double *out) {
-    double direction[N], stiffness[N], moment[N], sum = 0;
-    for (int i = 0; i < N; i++) {
-        Section here = section_on(&ROBOT, l, p, i, x);
-        direction[i] = theta[i] + here.phase;
-        stiffness[i] = here.stiffness;
-        moment[i] = here.moment;
-        sum += here.stiffness;
-    }
-    const double *in[3] = {direction, stiffness, moment};
-    double *res[6] = {0, 0, 0, out, 0, 0};
-    bending(in, res, 0, 0, 0);
+    double sum = 0;
+    Sections here;
+    sections_on(&ROBOT, l, p, x, &here);
+    bend_freely(&here, theta, out);
+    for (int i = 0; i < N; i++) sum += here.stiffness[i];
     return sum;
 }
 

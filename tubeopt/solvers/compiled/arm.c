@@ -18,7 +18,7 @@ typedef struct {
 } Answer;
 
 /* Whether a tube turns by c t alone on a piece: it is even and on the centreline. */
-static int turns_evenly(const Unknowns *q, int p, int i) { return !ECCENTRIC && q->layout->even[p][i]; }
+static int turns_evenly(const Unknowns *q, int p, int i) { return !ECCENTRIC && q->layout->across[p].even[i]; }
 
 /* t of a tube at point k of a piece. */
 static double torque_at(const Unknowns *q, const Profile *arm, int p, int k, int i) {
@@ -62,8 +62,8 @@ static void turn_along(const Unknowns *q, const double *alpha, const Gains *gain
             }
             at[i] -= h * gain;
             arm->torque[p][i] = at[i];
-            arm->compliance[p][i] = l->even[p][i] ? l->rate[p][i] : even_out(q, arm, p, i);
-            for (int k = 0; k < t->degree && gains && !l->even[p][i]; k++)
+            arm->compliance[p][i] = l->across[p].even[i] ? l->across[p].tubes.rate[i] : even_out(q, arm, p, i);
+            for (int k = 0; k < t->degree && gains && !l->across[p].even[i]; k++)
                 arm->extra[p][k * N + i] += gains->twists[p][k * N + i];
             for (int k = 0; k < t->degree && !turns_evenly(q, p, i); k++)
                 extra += t->weights[k] * arm->extra[p][k * N + i];
@@ -106,7 +106,7 @@ static double rotation_at(const Unknowns *q, const Profile *arm, int p, int i, d
     double h = q->layout->length[p], bent = 0, uneven = 0;
     int degree = q->tableau->degree;
     for (int k = 0; k < degree; k++) bent += twice[k] * arm->moment[p][k * N + i];
-    for (int k = 0; k < degree && !q->layout->even[p][i]; k++) uneven += once[k] * arm->extra[p][k * N + i];
+    for (int k = 0; k < degree && !q->layout->across[p].even[i]; k++) uneven += once[k] * arm->extra[p][k * N + i];
     return arm->rotation[p][i] + h * (arm->compliance[p][i] * (x * arm->torque[p][i] + h * bent) + uneven);
 }
 
@@ -241,11 +241,12 @@ static const Looks VARIED = {SUBSTEPS * STEPS, VARIED_COUNT, VARIED_POINTS, VARI
 
 /* All tubes at a point: phi, the directions of their pulls, and what they are. */
 typedef struct {
-    double phi[N], direction[N], stiffness[N], moment[N], rate[N], wound[N];
+    double phi[N], direction[N];
+    Sections tubes;
 } Place;
 
 /* Where tubes do not vary along a piece, the curvature turns but as they are twisted. */
-static const Looks *looks_of(const Layout *l, int p) { return l->steady[p] ? &EVEN : &VARIED; }
+static const Looks *looks_of(const Layout *l, int p) { return l->across[p].steady ? &EVEN : &VARIED; }
 
 static void find_places(const Unknowns *q, const Profile *arm, int p, const Looks *at, Place *places) {
     double h = q->layout->length[p];
@@ -264,17 +265,14 @@ static void find_places(const Unknowns *q, const Profile *arm, int p, const Look
             Section here = section_on(q->tubes, q->layout, p, i, at->points[g]);
             places[g].phi[i] = phi[g];
             places[g].direction[i] = phi[g] + here.phase;
-            places[g].stiffness[i] = here.stiffness;
-            places[g].moment[i] = here.moment;
-            places[g].rate[i] = here.rate;
-            places[g].wound[i] = here.wound;
+            put_section(&places[g].tubes, i, here);
         }
     }
 }
 
 /* u at a place, and g. */
 static void bend_at(const Unknowns *q, const Place *at, double *u, double *stretch) {
-    const double *in[5] = {at->direction, at->stiffness, at->moment, q->tubes->offset, q->tubes->angle};
+    const double *in[5] = {at->direction, at->tubes.stiffness, at->tubes.moment, q->tubes->offset, q->tubes->angle};
     double *out[2] = {u, stretch};
     section_curvature(in, out, 0, 0, 0);
 }
@@ -310,14 +308,14 @@ static void carry_poses(const Unknowns *q, const Looks *at, const Place *places,
 static double check_piece(const Unknowns *q, const Profile *arm, int p, const Place *places, double *wrong) {
     const Layout *l = q->layout;
     double h = l->length[p], bending, energy = 0, stretch[N], moment[CHECK_DEGREE][N], rate[CHECK_DEGREE][N];
-    int alone = !l->collocated[p] && l->steady[p]; /* where no tube is turned by another one, one point tells it */
+    int alone = !l->collocated[p] && l->across[p].steady; /* where no tube is turned by another one, one point tells it */
     for (int k = 0; k < (alone ? 1 : CHECK_DEGREE); k++) {
         const Place *at = places + k;
-        const double *in[5] = {at->direction, at->stiffness, at->moment, q->tubes->offset, q->tubes->angle};
+        const double *in[5] = {at->direction, at->tubes.stiffness, at->tubes.moment, q->tubes->offset, q->tubes->angle};
         double *out[3] = {moment[k], stretch, &bending};
         section_moment(in, out, 0, 0, 0);
         energy += h * (alone ? 1 : CHECK_WEIGHTS[k]) * bending;
-        for (int i = 0; i < N; i++) rate[k][i] = stretch[i] * at->rate[i];
+        for (int i = 0; i < N; i++) rate[k][i] = stretch[i] * at->tubes.rate[i];
     }
     for (int i = 0; i < N && !alone; i++) {
         double turned[CHECK_DEGREE], torque[CHECK_DEGREE], worst = 0, gained = 0;
@@ -354,8 +352,8 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
         int at = p * STEPS + k;
         double total = 0, stiff = 0;
         for (int i = 0; i < N; i++) {
-            total += fabs(ends[k].moment[i]);
-            stiff += ends[k].stiffness[i];
+            total += fabs(ends[k].tubes.moment[i]);
+            stiff += ends[k].tubes.stiffness[i];
         }
         pull = fmax(pull, total / stiff);
         if (p && !k) continue;
@@ -365,8 +363,8 @@ static double add_piece(const Unknowns *q, const Profile *arm, int p, double *po
             double torque = arm->torque[p][i];
             for (int j = 0; j < MOST_DEGREE; j++)
                 torque += l->length[p] * looks->once[j * looks->count + 3 * looks->steps + k] * arm->moment[p][j * N + i];
-            out->rotation[at][i] = ends[k].phi[i] + ends[k].wound[i];
-            out->torsion[at][i] = stretch[i] * torque * ends[k].rate[i] + twist_on(q->tubes, l, p, i, (double)k / STEPS);
+            out->rotation[at][i] = ends[k].phi[i] + ends[k].tubes.wound[i];
+            out->torsion[at][i] = stretch[i] * torque * ends[k].tubes.rate[i] + twist_on(q->tubes, l, p, i, (double)k / STEPS);
         }
         if (!k) continue;
         const double *here = each + (k - 1) * 12;
@@ -426,7 +424,7 @@ static void finish(const Unknowns *q, const State *state, const Profile *arm, An
     memcpy(out->point, q->s, q->points * sizeof(double));
     memcpy(out->point_rotation, state->theta, q->points * sizeof(state->theta[0]));
     for (int x = 0; x < q->points; x++)
-        for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->wound[x][i];
+        for (int i = 0; i < N; i++) out->point_rotation[x][i] += q->at[x].wound[i];
     tips_and_lever(q, pulls, out, error);
 }
 

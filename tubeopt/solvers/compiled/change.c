@@ -11,14 +11,14 @@
    there. */
 typedef struct {
     int piece;
-    Section tubes[2][N];
+    Sections tubes[2];
 } Jump;
 
 /* The solved arm at the points of all pieces, and how the margin leans on them. */
 typedef struct {
     const Profile *arm;
-    double direction[MOST_POINTS][N], kb[MOST_POINTS][N], m[MOST_POINTS][N]; /* theta + phase */
-    double bend_slope[MOST_POINTS][2 * N];                                   /* u_theta by columns */
+    double direction[MOST_POINTS][N], bend_slope[MOST_POINTS][2 * N]; /* theta + phase; u_theta by columns */
+    Sections at[MOST_POINTS];
     double frame[MOST_POINTS][9], position[MOST_POINTS][3];
     double lean[MOST_POINTS][3 * N], form; /* y'V''y by theta, kb, m, weighted, at the collocated points; its integral */
     double released;                       /* 1 - margin */
@@ -71,10 +71,10 @@ static void add_jumps(const Unknowns *q, const int *mine, Around *a, Change *c) 
         double s = places[k];
         if (!(s > -nudge) || (k && s - places[k - 1] <= ROUND_OFF_LENGTH)) continue;
         for (int i = 0; i < N; i++) {
-            jump->tubes[0][i] = beside(q, i, s, s + (mine[i] ? -nudge : nudge));
-            jump->tubes[1][i] = beside(q, i, s, s + nudge);
+            put_section(&jump->tubes[0], i, beside(q, i, s, s + (mine[i] ? -nudge : nudge)));
+            put_section(&jump->tubes[1], i, beside(q, i, s, s + nudge));
         }
-        if (!memcmp(jump->tubes[0], jump->tubes[1], sizeof jump->tubes[0])) continue;
+        if (!memcmp(&jump->tubes[0], &jump->tubes[1], sizeof jump->tubes[0])) continue;
         jump->piece = 0;
         while (jump->piece < l->pieces && l->start[jump->piece] < s - 2 * ROUND_OFF_LENGTH) jump->piece++;
         c->count++;
@@ -88,20 +88,19 @@ static void add_gains(const Unknowns *q, const Jump *jump, int side, const doubl
     int p = jump->piece, ends = p == q->layout->pieces;
     bend[0] = bend[1] = 0;
     for (int which = 0; which < 2; which++) {
-        const Section *tubes = jump->tubes[which];
-        double theta[N], kb[N], m[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], stretch[N], part, all = 0;
+        const Sections *tubes = &jump->tubes[which];
+        double theta[N], moment[N], slope[N * N], gradient[3 * N], energy, u[2], stretch[N], part, all = 0;
         double sign = which ? -side : side;
         for (int i = 0; i < N; i++) {
             double torque = ends ? 0 : a->arm->torque[p][i], swayed = ends ? 0 : a->mode.torque[p][i];
-            theta[i] = rotation[i] + tubes[i].phase - tubes[i].wound;
-            all += kb[i] = tubes[i].stiffness;
-            m[i] = tubes[i].moment;
-            a->gains.jolts[p][i] += sign * tubes[i].rate * torque;
-            *stored -= sign * tubes[i].rate * torque * torque / 2;
-            *formed -= sign * tubes[i].rate * swayed * swayed * a->released;
+            theta[i] = rotation[i] + tubes->phase[i] - tubes->wound[i];
+            all += tubes->stiffness[i];
+            a->gains.jolts[p][i] += sign * tubes->rate[i] * torque;
+            *stored -= sign * tubes->rate[i] * torque * torque / 2;
+            *formed -= sign * tubes->rate[i] * swayed * swayed * a->released;
         }
         if (!(all > 0)) continue; /* no tube */
-        const double *in[4] = {theta, kb, m, a->mode.rotation[p]};
+        const double *in[4] = {theta, tubes->stiffness, tubes->moment, a->mode.rotation[p]};
         double *balanced[3] = {moment, slope, &energy}, *bent[2] = {u, stretch}, *varied[2] = {&part, gradient};
         balance(in, balanced, 0, 0, 0);
         section_curvature(in, bent, 0, 0, 0);
@@ -153,13 +152,9 @@ static void look_around(const Unknowns *q, const Profile *arm, const Answer *out
     for (int p = 0; p < l->pieces; p++)
         for (int b = 0; b < k; b++) {
             int x = p * k + b;
-            for (int i = 0; i < N; i++) {
-                Section here = section_on(q->tubes, l, p, i, q->tableau->nodes[b]);
-                a->direction[x][i] = inside(q, arm, p, b, i) + here.phase;
-                a->kb[x][i] = here.stiffness;
-                a->m[x][i] = here.moment;
-            }
-            const double *in[3] = {a->direction[x], a->kb[x], a->m[x]};
+            sections_on(q->tubes, l, p, q->tableau->nodes[b], &a->at[x]);
+            for (int i = 0; i < N; i++) a->direction[x][i] = inside(q, arm, p, b, i) + a->at[x].phase[i];
+            const double *in[3] = {a->direction[x], a->at[x].stiffness, a->at[x].moment};
             double *res[1] = {a->bend_slope[x]};
             curvature_slope(in, res, 0, 0, 0);
             pose_inside(out, l->length[p], p, b, a->frame[x], a->position[x]);
@@ -207,9 +202,9 @@ static void lean_of_margin(const Unknowns *q, const State *state, const double *
     a->form = 0;
     for (int x = 0; x < q->points; x++) {
         double at[N] = {0}, direction[N], form, gradient[3 * N], *res[2] = {&form, gradient};
-        const double *in[4] = {direction, q->stiffness[x], q->moment[x], at};
+        const double *in[4] = {direction, q->at[x].stiffness, q->at[x].moment, at};
         for (int j = 0; j < N; j++) {
-            direction[j] = state->theta[x][j] + q->phase[x][j];
+            direction[j] = state->theta[x][j] + q->at[x].phase[j];
             if (q->place[x][j] >= 0) at[j] = a->released * y[q->first[j] + q->place[x][j]];
         }
         variation(in, res, 0, 0, 0);
@@ -338,10 +333,10 @@ static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c
             double weight = l->length[p] * q->tableau->weights[b], x = q->tableau->nodes[b];
             int at = p * k + b;
             for (int i = 0; i < N; i++) {
-                if (!mine[i] || l->even[p][i]) continue;
+                if (!mine[i] || l->across[p].even[i]) continue;
                 double place = l->start[p] + l->transmission[i] + x * l->length[p];
                 double torque = torque_at(q, a->arm, p, b, i), swayed = torque_at(q, &a->mode, p, b, i);
-                Section rate = passing_of(q->tubes->pieces, i, panel_on(q->tubes, l, p, i, x), place, l->present[p][i]);
+                Section rate = passing_of(q->tubes->pieces, i, panel_on(q->tubes, l, p, i, x), place, l->across[p].present[i]);
                 varies = 1;
                 by[i] = -rate.phase;
                 by[N + i] = -rate.stiffness;
@@ -351,7 +346,7 @@ static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c
                 c->formed += weight * rate.rate * swayed * swayed * a->released;
             }
             if (!varies) break;
-            const double *in[3] = {a->direction[at], a->kb[at], a->m[at]};
+            const double *in[3] = {a->direction[at], a->at[at].stiffness, a->at[at].moment};
             double *out[8] = {0, 0, 0, 0, turned, 0, bent, stored};
             linear(in, out, 0, 0, 0);
             for (int r = 0; r < 3 * N; r++) {

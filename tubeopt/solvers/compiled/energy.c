@@ -27,7 +27,7 @@ typedef struct {
 #if ECCENTRIC
     double compliance[FACTOR_SIZE], *whole[N]; /* L L' of each tube, (count, count) */
 #endif
-    double stiffness[MOST_POINTS][N], moment[MOST_POINTS][N], phase[MOST_POINTS][N], wound[MOST_POINTS][N];
+    Sections at[MOST_POINTS];
     double rate[MOST_PIECES][MOST_DEGREE][N];                /* 1 / kt, at the points that all pieces would have */
     double reach[MOST_PIECES + 1][N], ahead[MOST_POINTS][N]; /* int ds / kt up to the pieces, and to the points */
 } Unknowns;
@@ -48,8 +48,8 @@ static int factorise(Unknowns *q, int tube) {
     double passed = 0; /* the square of that row */
     for (int a = q->first[tube]; a < q->first[tube] + q->count[tube]; a += k) {
         double(*block)[WIDE] = q->block + a, (*column)[WIDE] = q->column + a, *beyond = q->beyond + a;
-        int x = q->point[a], p = q->piece[x], even = l->even[p][tube];
-        double before = q->reach[p][tube] - passed, scale = l->length[p] * l->rate[p][tube];
+        int x = q->point[a], p = q->piece[x], even = l->across[p].even[tube];
+        double before = q->reach[p][tube] - passed, scale = l->length[p] * l->across[p].tubes.rate[tube];
         memset(block, 0, k * sizeof block[0]);
         memset(column, 0, k * sizeof column[0]);
         for (int i = 0; i < k; i++)
@@ -100,16 +100,12 @@ static void look_along(Unknowns *q) {
                 Section here = section_on(q->tubes, l, p, i, t->nodes[k]);
                 q->rate[p][k][i] = here.rate;
                 sum += t->weights[k] * here.rate;
-                if (!l->collocated[p]) continue;
-                q->stiffness[x + k][i] = here.stiffness;
-                q->moment[x + k][i] = here.moment;
-                q->phase[x + k][i] = here.phase;
-                q->wound[x + k][i] = here.wound;
+                if (l->collocated[p]) put_section(&q->at[x + k], i, here);
             }
             q->reach[p + 1][i] = q->reach[p][i] + h * sum;
             for (int k = 0; k < degree && l->collocated[p]; k++) {
-                double part = t->nodes[k] * l->rate[p][i];
-                if (!l->even[p][i]) {
+                double part = t->nodes[k] * l->across[p].tubes.rate[i];
+                if (!l->across[p].even[i]) {
                     part = 0;
                     for (int o = 0; o < degree; o++) part += t->matrix[k * degree + o] * q->rate[p][o][i];
                 }
@@ -140,7 +136,7 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
     for (int i = 0; i < N; i++) {
         q->first[i] = q->size;
         for (int x = 0; x < q->points; x++) {
-            int p = q->piece[x], mine = all ? l->present[p][i] : l->curved[p][i];
+            int p = q->piece[x], mine = all ? l->across[p].present[i] : l->across[p].curved[i];
             q->place[x][i] = mine ? q->size - q->first[i] : -1;
             if (q->place[x][i] < 0) continue;
             if (q->size == MOST_UNKNOWNS - 4) return 0; /* room to fill up to a multiple of four */
@@ -229,8 +225,8 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
     state->energy = 0.5 * dot(state->z, state->z, q->size);
     for (int x = 0; x < q->points; x++) {
         double bending, direction[N];
-        for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + q->phase[x][i];
-        const double *in[3] = {direction, q->stiffness[x], q->moment[x]};
+        for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + q->at[x].phase[i];
+        const double *in[3] = {direction, q->at[x].stiffness, q->at[x].moment};
         double *out[3] = {state->moment[x], state->slope[x], &bending};
         balance(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;

@@ -57,7 +57,11 @@ def _fields(volumes: Array, resolution: Resolution) -> Array:
         row[:, bare if name == "cover_share" else 0 :][:, : parts[name].shape[2]] = parts[name][:, 0]
     outward, along, capacity = fields.swapaxes(0, 1)
     outward[:, :, bare:] = np.concatenate([parts[name] for name in ("to_mold", "radial", "outer")], axis=1)
-    along[:, 1:, bare : n - 1], capacity[:, 1:, :bare], capacity[:, 1:, bare:] = parts["axial"], 1.0, parts["shell_heat"]
+    along[:, 1:, bare : n - 1], capacity[:, 1:, :bare], capacity[:, 1:, bare:] = (
+        parts["axial"],
+        1.0,
+        parts["shell_heat"],
+    )
     return np.concatenate([tube.reshape(len(volumes), -1), fields.reshape(len(volumes), -1)], axis=1)
 
 

@@ -14,6 +14,7 @@
 #define FACTOR_SIZE (MOST_UNKNOWNS * (MOST_UNKNOWNS + 4))
 
 #include "four.c"
+#include "sections.c"
 #include "pieces.c"
 #include "layout.c"
 #include "linear.c"

@@ -1,14 +1,17 @@
 /* Joint values -> sections -> pieces of the mesh: what robots/assembly.py and block/transcription/mesh.py do. */
 
+/* The tubes on a section, of which `bent` are curved; those that are the same all along it are even, and known. */
+typedef struct {
+    int present[N], curved[N], bent, even[N], steady; /* steady: all are even */
+    Sections tubes;
+} Across;
+
 typedef struct {
     int pieces, sections;
     double start[MOST_PIECES], length[MOST_PIECES];
     int section[MOST_PIECES], collocated[MOST_PIECES];
-    int present[MOST_PIECES][N], curved[MOST_PIECES][N];
-    int even[MOST_PIECES][N], steady[MOST_PIECES]; /* tubes that are the same all along the piece; whether all of them are */
-    double stiffness[MOST_PIECES][N], moment[MOST_PIECES][N], phase[MOST_PIECES][N]; /* of even tubes */
-    double wound[MOST_PIECES][N], rate[MOST_PIECES][N];
-    /* Of the others, the panel along the piece, -1 where it changes; where the piece begins on it, from -1 to 1, and how far
+    Across across[MOST_PIECES];
+    /* Of tubes that are not even, the panel along the piece, -1 where it changes; where the piece begins on it, from -1 to 1, and how far
        it goes. */
     int panel[MOST_PIECES][N];
     double at[MOST_PIECES][N], span[MOST_PIECES][N];
@@ -60,12 +63,6 @@ static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *cuts)
     return kept;
 }
 
-/* The tubes on a section, of which `bent` are curved, and those that are the same all along it. */
-typedef struct {
-    int present[N], curved[N], bent, even[N], steady;
-    double stiffness[N], moment[N], phase[N], wound[N], rate[N];
-} Across;
-
 static Across across(const Tubes *t, const Layout *l, double low, double high) {
     Across a = {.bent = 0, .steady = 1};
     for (int i = 0; i < N; i++) {
@@ -77,13 +74,7 @@ static Across across(const Tubes *t, const Layout *l, double low, double high) {
         a.even[i] = count_of(t->pieces, i, panel, CHANNELS) == 1 && count_of(t->pieces, i, panel, 4) == 1 &&
                     panel_between(t->pieces, i, low + held, high + held) == panel;
         a.steady &= a.even[i];
-        if (!a.even[i]) continue;
-        Section here = section_of(t->pieces, i, panel, place, a.present[i]);
-        a.stiffness[i] = here.stiffness;
-        a.moment[i] = here.moment;
-        a.phase[i] = here.phase;
-        a.wound[i] = here.wound;
-        a.rate[i] = here.rate;
+        if (a.even[i]) put_section(&a.tubes, i, section_of(t->pieces, i, panel, place, a.present[i]));
     }
     return a;
 }
@@ -102,8 +93,7 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
             double place = s + l->transmission[i];
             int own = panel_of(t->pieces, i, place);
             size_t panel = i * t->pieces->most + own;
-            Section here = {a->stiffness[i], a->moment[i], 0, a->rate[i], 0};
-            if (!a->even[i]) here = section_of(t->pieces, i, own, place, a->present[i]);
+            Section here = a->even[i] ? section_in(&a->tubes, i) : section_of(t->pieces, i, own, place, a->present[i]);
             kb[i] = here.stiffness;
             m[i] = fabs(here.moment);
             kt[i] = 1 / here.rate;
@@ -128,7 +118,7 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
 /* Where the tubes that vary are along a piece. */
 static void place_tubes(const Tubes *t, Layout *l, int p) {
     for (int i = 0; i < N; i++) {
-        if (l->even[p][i]) continue;
+        if (l->across[p].even[i]) continue;
         double held = l->start[p] + l->transmission[i];
         int own = l->panel[p][i] = panel_between(t->pieces, i, held, held + l->length[p]);
         if (own < 0) continue;
@@ -148,15 +138,7 @@ static int add_pieces(const Tubes *t, Layout *l, int section, double from, doubl
         l->start[p] = from + j * l->length[p];
         l->section[p] = section;
         l->collocated[p] = collocated;
-        l->steady[p] = a->steady;
-        memcpy(l->present[p], a->present, sizeof a->present);
-        memcpy(l->curved[p], a->curved, sizeof a->curved);
-        memcpy(l->even[p], a->even, sizeof a->even);
-        memcpy(l->stiffness[p], a->stiffness, sizeof a->stiffness);
-        memcpy(l->moment[p], a->moment, sizeof a->moment);
-        memcpy(l->phase[p], a->phase, sizeof a->phase);
-        memcpy(l->wound[p], a->wound, sizeof a->wound);
-        memcpy(l->rate[p], a->rate, sizeof a->rate);
+        l->across[p] = *a;
         place_tubes(t, l, p);
     }
     return 1;
@@ -190,9 +172,8 @@ static inline int panel_on(const Tubes *t, const Layout *l, int p, int tube, dou
 
 /* A tube at fraction x of a piece. */
 static inline Section section_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
-    if (l->even[p][tube])
-        return (Section){l->stiffness[p][tube], l->moment[p][tube], l->phase[p][tube], l->rate[p][tube], l->wound[p][tube]};
-    int panel = l->panel[p][tube], present = l->present[p][tube];
+    if (l->across[p].even[tube]) return section_in(&l->across[p].tubes, tube);
+    int panel = l->panel[p][tube], present = l->across[p].present[tube];
     if (panel >= 0) {
         double at = l->at[p][tube] + x * l->span[p][tube];
         return section_at(t->pieces, tube, panel, at < -1 ? -1 : at > 1 ? 1 : at, present);
@@ -201,9 +182,14 @@ static inline Section section_on(const Tubes *t, const Layout *l, int p, int tub
     return section_of(t->pieces, tube, panel_on(t, l, p, tube, x), place, present);
 }
 
+/* All tubes there. */
+static void sections_on(const Tubes *t, const Layout *l, int p, double x, Sections *out) {
+    for (int i = 0; i < N; i++) put_section(out, i, section_on(t, l, p, i, x));
+}
+
 /* u*_z of a tube at fraction x of a piece, the same. */
 static double twist_on(const Tubes *t, const Layout *l, int p, int tube, double x) {
-    if (l->even[p][tube] || !l->present[p][tube]) return 0;
+    if (l->across[p].even[tube] || !l->across[p].present[tube]) return 0;
     double place = l->start[p] + l->transmission[tube] + x * l->length[p];
     return twist_of(t->pieces, tube, panel_on(t, l, p, tube, x), place);
 }

@@ -16,6 +16,7 @@
 enum { SOLVED = 0, DECLINED = 1 };
 
 #include "four.c"
+#include "sections.c"
 #include "linear.c"
 
 /* Points per piece, and what does not depend on the robot: of the answer, of the growing of the load, of the check. */
@@ -35,11 +36,9 @@ typedef struct {
     long long pieces, tip_tube;
     double whole; /* length of the arm */
     const double *start, *length;                            /* (P), (P) */
-    const double *stiffness, *moment, *phase, *rate;         /* (P K, N); rate is 1 / kt */
     const double *bent, *felt, *held;                        /* (P, N), (P, N), (N): compliance behind the plate */
-    const double *force, *base_force;                        /* (P K, 3), (3) */
-    const double *ends_stiffness, *ends_moment, *ends_phase; /* (5 P, N) there */
-    const double *ends_rate, *ends_twist, *ends_wound;
+    const Sections *at, *ends;                               /* (P K), and (5 P) where pieces are cut for the shape */
+    const double *ends_twist, *force, *base_force;           /* (5 P, N) u*_z there, (P K, 3), (3) */
 } Problem;
 
 typedef struct {
@@ -109,17 +108,13 @@ static int compare_finer(const double *alpha, Workspace *w, Answer *out) {
 /* theta and q of an equilibrium whose theta (P K, N) and curvature (P K, 2) at the points are known; `turn` (N) is added.
    NULL is the curvature without load. Tubes without unknowns are where they are held. */
 static void take_up(const Stage *s, const double *alpha, const double *theta, const double *turn, const double *curvature, State *state) {
-    const Problem *p = s->problem;
     for (int x = 0; x < s->points; x++) {
-        double direction[N], natural[2];
+        double natural[2];
         for (int i = 0; i < N; i++) {
             int bent = s->piece[x / s->degree].count[i] == s->degree;
             state->theta[x][i] = bent ? theta[x * N + i] + turn[i] : alpha[i];
-            direction[i] = theta[x * N + i] + p->phase[x * N + i];
         }
-        const double *in[3] = {direction, p->stiffness + x * N, p->moment + x * N};
-        double *out[6] = {0, 0, 0, natural, 0, 0};
-        if (curvature) bending(in, out, 0, 0, 0);
+        if (curvature) bend_freely(&s->problem->at[x], theta + x * N, natural);
         for (int j = 0; j < 2; j++)
             state->q[x][j] = curvature ? (curvature[2 * x + j] - natural[j]) / s->soft[x] : 0;
     }

@@ -23,6 +23,7 @@ from ...block.transcription.loaded import LoadedProblem
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
+from ...robots.lengthwise import CrossSections
 from ...typing import Array, Mask
 from ..settings import (
     HARDLY_SOFTENED,
@@ -96,13 +97,10 @@ def _rules() -> str:
     return c_tables(tables | {name: one.lagrange(other.nodes) for name, (one, other) in between.items()})
 
 
-_POINTERS = (
-    *("start", "length", "stiffness", "moment", "phase", "rate", "bent", "felt", "held", "force", "base_force"),
-    *("ends_stiffness", "ends_moment", "ends_phase", "ends_rate", "ends_twist", "ends_wound"),
-)
+_POINTERS = (*("start", "length", "bent", "felt", "held", "at", "ends", "ends_twist", "force", "base_force"),)
 
 
-_OWN = ("stiffness", "moment", "phase", "rate", "force", "base_force")
+_OWN = ("at", "force", "base_force")
 """What differs from rule to rule."""
 
 
@@ -150,6 +148,11 @@ def _kernel(n: int) -> Kernel | None:
     return kernel
 
 
+def _sections(at: CrossSections) -> Array:
+    """(m, 5, n) cross-sections as an array of the C struct Sections."""
+    return np.stack((at.stiffness, at.moment, at.phase, 1 / at.torsional_stiffness, at.wound), axis=1)
+
+
 @lru_cache(maxsize=64)
 def _structure(rules: LoadedRules) -> Any:
     """The C struct Rules, and the memory that it points into as `keep`."""
@@ -167,17 +170,12 @@ def _structure(rules: LoadedRules) -> Any:
         "bent": bent,
         "felt": felt,
         "held": torsion.here.transmission,
-        "ends_stiffness": ends.stiffness,
-        "ends_moment": ends.moment,
-        "ends_phase": ends.phase,
-        "ends_rate": 1 / ends.torsional_stiffness,
+        "ends": _sections(ends),
         "ends_twist": ends.twist,
-        "ends_wound": ends.wound,
     }
     arrays = list(shared.values())
     for one in problems:
-        own = one.torsion
-        arrays += [own.stiffness, own.moment, own.phase, own.here.rate, one.force, one.base[:3]]
+        arrays += [_sections(one.torsion.here.sections), one.force, one.base[:3]]
     # In one piece of memory, since asking NumPy for an address takes a microsecond.
     memory = np.concatenate(arrays, axis=None, dtype=float)
     sizes = [8 * array.size for array in arrays]

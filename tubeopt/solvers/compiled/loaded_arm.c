@@ -62,27 +62,24 @@ static void lay_point(const Stage *s, const State *state, const Torsion *torsion
                       Answer *out, int at) {
     const Problem *p = s->problem;
     int degree = s->degree, end = e * (STEPS + 1) + k;
-    double h = p->length[e], fraction = (double)k / STEPS, direction[N], natural[2], quaternion[4], columns[9];
+    double h = p->length[e], fraction = (double)k / STEPS, turned[N], natural[2], quaternion[4], columns[9];
     const Rule *rule = s->rule;
     const double *basis = rule->basis + k * degree, *once = rule->once + k * degree, *twice = rule->twice + k * degree;
     out->arc_length[at] = p->start[e] + h * fraction;
     for (int i = 0; i < N; i++) {
         double mean = 0, torque = torsion->twist[e][i], even = fraction * torque, uneven = 0;
-        for (int b = 0; b < degree; b++) mean += rule->weights[b] * p->rate[(e * degree + b) * N + i];
+        for (int b = 0; b < degree; b++) mean += rule->weights[b] * p->at[e * degree + b].rate[i];
         for (int b = 0; b < degree; b++) {
             int x = e * degree + b;
             torque += h * once[b] * torsion->per_length[x][i];
             even += h * twice[b] * torsion->per_length[x][i];
-            uneven += once[b] * (p->rate[x * N + i] - mean) * torsion->torque[x][i];
+            uneven += once[b] * (p->at[x].rate[i] - mean) * torsion->torque[x][i];
         }
-        double theta = torsion->theta[e][i] + h * (mean * even + uneven);
-        direction[i] = theta + p->ends_phase[end * N + i];
-        out->rotation[at][i] = theta + p->ends_wound[end * N + i];
-        out->torsion[at][i] = torque * p->ends_rate[end * N + i] + p->ends_twist[end * N + i];
+        turned[i] = torsion->theta[e][i] + h * (mean * even + uneven);
+        out->rotation[at][i] = turned[i] + p->ends[end].wound[i];
+        out->torsion[at][i] = torque * p->ends[end].rate[i] + p->ends_twist[end * N + i];
     }
-    const double *in[3] = {direction, p->ends_stiffness + end * N, p->ends_moment + end * N};
-    double *res[6] = {0, 0, 0, natural, 0, 0};
-    bending(in, res, 0, 0, 0);
+    bend_freely(&p->ends[end], turned, natural);
     memcpy(quaternion, state->begin[e], sizeof quaternion);
     memcpy(out->bent[at], natural, sizeof natural);
     memcpy(out->position[at], begun, sizeof out->position[at]);
@@ -118,7 +115,7 @@ static void lay_arm(const Stage *s, const State *state, const double *alpha, Ans
     for (int x = 0; x < s->points; x++) {
         out->energy += dot(state->q[x], state->q[x], 2) / 2;
         for (int i = 0; i < N; i++) {
-            out->energy += s->weight[x] * p->rate[x * N + i] * torsion.torque[x][i] * torsion.torque[x][i] / 2;
+            out->energy += s->weight[x] * p->at[x].rate[i] * torsion.torque[x][i] * torsion.torque[x][i] / 2;
             out->base_wrench[5] -= s->weight[x] * torsion.per_length[x][i];
         }
     }

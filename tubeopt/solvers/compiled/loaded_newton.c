@@ -91,7 +91,7 @@ static void twist_tubes(const Stage *s, const State *state, const double *alpha,
                 for (int b = 0; b < k; b++)
                     torque += p->length[e] * s->rule->matrix[a * k + b] * out->per_length[e * k + b][i];
                 out->torque[e * k + a][i] = torque;
-                out->theta[e + 1][i] += s->weight[e * k + a] * p->rate[(e * k + a) * N + i] * torque;
+                out->theta[e + 1][i] += s->weight[e * k + a] * p->at[e * k + a].rate[i] * torque;
             }
         }
 }
@@ -108,7 +108,7 @@ static double residual_of(const Stage *s, const State *state, const double *alph
             if (s->piece[e].count[i] < k) continue;
             double theta = torsion->theta[e][i];
             for (int b = 0; b < k; b++)
-                theta += p->length[e] * s->rule->matrix[x % k * k + b] * p->rate[(e * k + b) * N + i] *
+                theta += p->length[e] * s->rule->matrix[x % k * k + b] * p->at[e * k + b].rate[i] *
                          torsion->torque[e * k + b][i];
             out = fmax(out, fabs(theta - state->theta[x][i]));
         }
@@ -222,8 +222,8 @@ static void carry_direction(const Stage *stage, const double *from, const Stage 
             for (int a = 0; a < m && bent; a++) {
                 to[a] = 0;
                 for (int b = 0; b < k; b++)
-                    to[a] += basis[a * k + b] * from[b] * sqrt(p->rate[(e * k + b) * N + i] / stage->rule->weights[b]);
-                to[a] *= sqrt(other->rule->weights[a] / there->rate[(e * m + a) * N + i]);
+                    to[a] += basis[a * k + b] * from[b] * sqrt(p->at[e * k + b].rate[i] / stage->rule->weights[b]);
+                to[a] *= sqrt(other->rule->weights[a] / there->at[e * m + a].rate[i]);
             }
             if (!bent && stage->piece[e].count[i]) *to = *from;
             from += stage->piece[e].count[i];

@@ -67,6 +67,15 @@ ALWAYS_INLINE void add_transposed(double scale, const double *a, const double *b
     add_product(scale, a, other, out);
 }
 
+/* Curvature without load where tubes are rotated by theta. */
+static void bend_freely(const Sections *at, const double *theta, double *out) {
+    double direction[N];
+    for (int i = 0; i < N; i++) direction[i] = theta[i] + at->phase[i];
+    const double *in[3] = {direction, at->stiffness, at->moment};
+    double *res[6] = {0, 0, 0, out, 0, 0};
+    bending(in, res, 0, 0, 0);
+}
+
 #define ROUGH_STEP 1e-2     /* of Newton's method, rad: the last on few points, which are no better */
 #define ROUGH_CHORD_STEP 0.1 /* CHORD_STEP there */
 
@@ -81,7 +90,7 @@ static void prepare(Stage *s, const Problem *p, const Rule *rule) {
     s->chord = k == ROUGH_DEGREE ? ROUGH_CHORD_STEP : CHORD_STEP;
     for (int x = 0; x < s->points; x++) {
         double total = 0;
-        for (int i = 0; i < N; i++) total += p->stiffness[x * N + i];
+        for (int i = 0; i < N; i++) total += p->at[x].stiffness[i];
         s->weight[x] = p->length[x / k] * rule->weights[x % k];
         s->soft[x] = 1 / sqrt(s->weight[x] * total);
     }
@@ -97,7 +106,7 @@ static void prepare(Stage *s, const Problem *p, const Rule *rule) {
             rows += piece->count[i];
             double whole = 0;
             for (int b = 0; b < k; b++) {
-                double rate = p->rate[(e * k + b) * N + i], root = sqrt(rate * h / rule->weights[b]);
+                double rate = p->at[e * k + b].rate[i], root = sqrt(rate * h / rule->weights[b]);
                 whole += h * rule->weights[b] * rate;
                 for (int a = 0; a < k && bent; a++) piece->turn[i][a][b] = rule->matrix[a * k + b] * root;
                 piece->passed[i][b] = rule->weights[b] * root;
@@ -204,8 +213,8 @@ static void evaluate(Stage *s, State *state, double factor) {
     state->bending = state->work = s->assembled = 0;
     for (int x = 0; x < s->points; x++) {
         double direction[N], energy, natural[2];
-        for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + p->phase[x * N + i];
-        const double *in[3] = {direction, p->stiffness + x * N, p->moment + x * N};
+        for (int i = 0; i < N; i++) direction[i] = state->theta[x][i] + p->at[x].phase[i];
+        const double *in[3] = {direction, p->at[x].stiffness, p->at[x].moment};
         double *out[6] = {&energy,   state->moment[x],    state->slope[x],
                           natural, state->turned[x][0], state->second[x][0]};
         bending(in, out, 0, 0, 0);

@@ -17,10 +17,6 @@ typedef struct {
     long long refinement;              /* how often the pieces of the mesh are halved */
 } Pieces;
 
-typedef struct {
-    double stiffness, moment, phase, rate, wound; /* rate: 1 / GJ */
-} Section;
-
 /* Four polynomials of n coefficients, LANES apart, by Clenshaw's recurrence. */
 ALWAYS_INLINE void chebyshev_of_four(const double *c, int n, double x, double *out) {
     Four b = {0}, before = {0};

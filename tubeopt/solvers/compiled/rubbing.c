@@ -52,7 +52,7 @@ static int lay_out_rubbing(const Tubes *t, const Friction *f, Layout *l) {
     double overlap[N] = {0};
     for (int p = 0; p < l->pieces; p++)
         for (int i = 0; i + 1 < N; i++)
-            if (l->present[p][i + 1] && f->torque[i] > 0) overlap[i] += l->length[p];
+            if (l->across[p].present[i + 1] && f->torque[i] > 0) overlap[i] += l->length[p];
     Layout fine = *l;
     fine.pieces = 0;
     for (int p = 0, next; p < l->pieces; p = next) {
@@ -63,7 +63,7 @@ static int lay_out_rubbing(const Tubes *t, const Friction *f, Layout *l) {
         Across here = across(t, l, l->start[p], l->start[p] + whole);
         for (int i = 0; i < N; i++) here.curved[i] &= here.bent >= 2; /* `curved` tells the unknowns */
         for (int i = 0; i + 1 < N; i++) {
-            if (!(l->present[p][i + 1] && f->torque[i] > 0)) continue;
+            if (!(l->across[p].present[i + 1] && f->torque[i] > 0)) continue;
             here.curved[i] = here.curved[i + 1] = 1;
             longest = fmin(longest, overlap[i] / f->pieces);
         }
@@ -84,7 +84,7 @@ static int begin_held(const Motion *m, const double *shift, Held *h) {
     h->rows = 0;
     for (int i = 0; i + 1 < N; i++)
         for (int x = 0; x < q->points; x++) {
-            if (!(f->torque[i] > 0) || !h->layout.present[q->piece[x]][i + 1]) continue;
+            if (!(f->torque[i] > 0) || !h->layout.across[q->piece[x]].present[i + 1]) continue;
             int r = h->rows++;
             if (filled_up(q->size) + filled_up(r + 2) > MOST_UNKNOWNS) return 0;
             h->pair[r] = i;

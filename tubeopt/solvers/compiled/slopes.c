@@ -66,7 +66,7 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
             add_cross(lever, unit, moment);
         else
             memcpy(moment, unit, sizeof moment);
-        for (int i = 0; i < N; i++) stiffness += a->kb[x][i];
+        for (int i = 0; i < N; i++) stiffness += a->at[x].stiffness[i];
         for (int j = 0; j < 2; j++) {
             double pull = 0;
             for (int r = 0; r < 3; r++) pull += a->frame[x][3 * r + j] * moment[r];

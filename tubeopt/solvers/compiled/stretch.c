@@ -26,7 +26,7 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
     state->energy = 0;
     for (int x = 0; x < q->points; x++) {
         double bending;
-        const double *in[5] = {state->theta[x], q->stiffness[x], q->moment[x], t->offset, t->angle};
+        const double *in[5] = {state->theta[x], q->at[x].stiffness, q->at[x].moment, t->offset, t->angle};
         double *out[5] = {state->moment[x], state->slope[x], &bending, e->stretch[x], e->stretch_slope[x]};
         stretched(in, out, 0, 0, 0);
         state->energy += q->weight[x] * bending;

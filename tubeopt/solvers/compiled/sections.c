@@ -1,0 +1,23 @@
+/* Cross-sections of tubes. */
+
+/* Of one tube; rate: 1 / GJ, wound: integral of u*_z, phase: direction of the bend with that. */
+typedef struct {
+    double stiffness, moment, phase, rate, wound;
+} Section;
+
+/* Of all tubes at one place. */
+typedef struct {
+    double stiffness[N], moment[N], phase[N], rate[N], wound[N];
+} Sections;
+
+static inline void put_section(Sections *at, int i, Section one) {
+    at->stiffness[i] = one.stiffness;
+    at->moment[i] = one.moment;
+    at->phase[i] = one.phase;
+    at->rate[i] = one.rate;
+    at->wound[i] = one.wound;
+}
+
+static inline Section section_in(const Sections *at, int i) {
+    return (Section){at->stiffness[i], at->moment[i], at->phase[i], at->rate[i], at->wound[i]};
+}
