@@ -7,6 +7,7 @@
 #define EIGENVALUE_ERROR 1e-10 /* fraction of 1 / margin by which that may be off when they end */
 #define ROUGH_ERROR 1e-6       /* the same on the coarse points, which only tell where to start */
 #define SOFTENING_ERROR 1e-2   /* fraction of 1 - margin that may be wrong where it only tells where to look on */
+#define LARGE 1e100            /* numbers whose squares do not overflow */
 #define CHORD_STEP 1e-3        /* below it, rad, Newton's method keeps its factors */
 
 /* Largest change of the twist at a point in one step from an equilibrium of a margin, rad. */
@@ -152,99 +153,134 @@ static void lu_solve(const double *restrict a, int n, int stride, const int *piv
     }
 }
 
-/* Largest eigenvalue of the symmetric tridiagonal matrix (d, e) of n rows, e not 0: Laguerre's method on its
-   characteristic polynomial, which from above all roots comes down to the largest one without passing it. `before`: that
-   of the matrix without its last row, which bounds this one as if all of that row pulled at its eigenvector. */
-static double largest_of_tridiagonal(const double *d, const double *e, int n, double before) {
-    if (n == 1) return d[0];
-    double apart = (before - d[n - 1]) / 2, x = before - apart + sqrt(apart * apart + e[n - 2] * e[n - 2]);
-    for (int step = 0; step < 60; step++) {
-        /* q: ratio of successive leading minors of x - T; a, b: q'/q, q''/q; sums are those of p'/p and of its slope. */
-        double a = 0, b = 0, inverse = 0, first = 0, second = 0;
-        for (int i = 0; i < n; i++) {
-            double squared = i ? e[i - 1] * e[i - 1] * inverse : 0, q = x - d[i] - squared;
-            if (!(q > 0)) return x; /* at the root, to rounding */
-            double once = 1 + squared * a, twice = squared * (b - 2 * a * a);
-            inverse = 1 / q;
-            a = once * inverse;
-            b = twice * inverse;
-            first += a;
-            second += a * a - b;
-        }
-        double spread = (n - 1) * (n * second - first * first), down = n / (first + sqrt(fmax(spread, 0)));
-        x -= down;
-        if (down < 1e-14 * fabs(x)) break;
-    }
-    return x;
-}
-
-/* The eigenvector y of the tridiagonal matrix to `value`, its largest eigenvalue, unit length: pivots from above and from
-   below meet where they leave least, so that every component comes from a larger one. */
-static void vector_of_tridiagonal(const double *d, const double *e, int n, double value, double *y) {
-    double above[LANCZOS], below[LANCZOS], least = INFINITY;
-    int meet = 0;
-    for (int j = 0; j < n; j++) above[j] = value - d[j] - (j ? e[j - 1] * e[j - 1] / above[j - 1] : 0);
-    for (int j = n - 1; j >= 0; j--) below[j] = value - d[j] - (j + 1 < n ? e[j] * e[j] / below[j + 1] : 0);
-    for (int j = 0; j < n; j++) {
-        double left = fabs(above[j] + below[j] - (value - d[j]));
-        if (!(left < least)) continue;
-        least = left;
-        meet = j;
-    }
-    y[meet] = 1;
-    for (int j = meet - 1; j >= 0; j--) y[j] = y[j + 1] * e[j] / above[j];
-    for (int j = meet + 1; j < n; j++) y[j] = y[j - 1] * e[j - 1] / below[j];
-    double length = sqrt(dot(y, y, n));
-    for (int j = 0; j < n; j++) y[j] /= length;
-}
-
 /* A direction that has something of every other. */
 static void anywhere(double *z, int n) {
     for (int k = 0; k < n; k++) z[k] = 1 + (7 * k) % 5;
 }
 
-/* Lanczos' method for the least eigenvalue of A of n rows: the operator x <- A^-1 x, most steps up to LANCZOS, `small` as
-   below, and (most + 1) rows of length `stride` to work in; afterwards whether it settled. */
-typedef struct {
-    void (*inverse)(const void *of, double *x);
-    const void *of;
-    int n, most, stride, settled;
-    double small, apart, *basis;
-} Lanczos;
+/* det(x - H) of an upper Hessenberg matrix of m rows, without what stands more than `band` beside its diagonal, and its first
+   two derivatives, each over the product of what stands below the diagonal, by Hyman's method; `y` is left with what solves
+   all rows but the first, its last entry 1. */
+ALWAYS_INLINE void hyman(const double *h, int m, int band, double x, double *y, double *out) {
+    double once[LANCZOS], twice[LANCZOS];
+    for (int k = 0; k < m; k++) y[k] = once[k] = twice[k] = 0;
+    y[m - 1] = 1;
+    for (int i = m - 1; i >= 0; i--) {
+        const double *row = h + (size_t)i * LANCZOS;
+        double value = x * y[i], first = y[i] + x * once[i], second = 2 * once[i] + x * twice[i];
+        for (int j = i; j < m && j <= i + band; j++) {
+            value -= row[j] * y[j];
+            first -= row[j] * once[j];
+            second -= row[j] * twice[j];
+        }
+        if (i) {
+            double below = 1 / row[i - 1];
+            y[i - 1] = value * below;
+            once[i - 1] = first * below;
+            twice[i - 1] = second * below;
+            for (int k = i - 1; k < m && fabs(value * below) > LARGE; k++) {
+                y[k] /= LARGE; /* all that is found is linear in these, and only ratios matter */
+                once[k] /= LARGE;
+                twice[k] /= LARGE;
+            }
+        } else {
+            out[0] = value;
+            out[1] = first;
+            out[2] = second;
+        }
+    }
+}
 
-/* Least eigenvalue: the largest of the inverse with reorthogonalisation from `vector`, where the eigenvector is left.
-   Without coupling all eigenvalues are 1, and with it they gather there: the square of the residual over the distance
-   from 1, but at least `apart`, tells how far off the largest is. It ends when that is less than `small` of it. */
-ALWAYS_INLINE double least_of(Lanczos *l, double *vector) {
-    double diagonal[LANCZOS], beside[LANCZOS], y[LANCZOS], value = 0, *basis = l->basis;
-    int n = l->n, stride = l->stride, steps = n < l->most ? n : l->most, m = 0;
+/* Largest eigenvalue of such a matrix all of whose eigenvalues are real, with its eigenvector y of unit length: Laguerre's
+   method from `above` all of them, which comes down without passing the largest. NAN where it does not settle. */
+ALWAYS_INLINE double largest_of_hessenberg(const double *h, int m, int band, double above, double *y) {
+    double x = above, last = INFINITY, p[3];
+    for (int step = 0; step < 80; step++) {
+        hyman(h, m, band, x, y, p);
+        double first = p[1] / p[0], second = first * first - p[2] / p[0];
+        double spread = (m - 1) * (m * second - first * first), down = m / (first + sqrt(fmax(spread, 0)));
+        if (!(p[0] > 0)) down = 0; /* at the root, to rounding */
+        if (!isfinite(down)) return NAN;
+        x -= down;
+        /* Where eigenvalues gather, rounding ends the descent. */
+        if (fabs(down) <= 1e-14 * fabs(x) || (fabs(down) < 1e-6 * fabs(x) && fabs(down) > last / 4)) {
+            double norm = sqrt(dot(y, y, m));
+            for (int k = 0; k < m; k++) y[k] /= norm;
+            return x;
+        }
+        last = fabs(down);
+    }
+    return NAN;
+}
+
+/* Krylov's method for the largest eigenvalue of an operator x <- A x of n rows with real eigenvalues, most steps up to
+   LANCZOS: Lanczos' where A is symmetric, else Arnoldi's. `most` and `small`: see there; (most + 1) rows of length `stride`
+   to work in; afterwards whether it settled. */
+typedef struct {
+    void (*apply)(const void *of, double *x);
+    const void *of;
+    int symmetric, n, steps, stride, settled;
+    double small, apart, most, *basis;
+} Krylov;
+
+/* A bound of all eigenvalues of a symmetric tridiagonal matrix whose last entry is `corner`, beside which `beside` stands, and
+   those of the matrix without its last row are up to `before`: as if all of that row pulled at its eigenvector. Of another
+   matrix of m rows, the largest sum of a row. */
+static double above_all(const double *h, int m, int symmetric, double before, double beside) {
+    double out = 0, apart = (before - h[(m - 1) * (LANCZOS + 1)]) / 2;
+    if (symmetric) return before - apart + sqrt(apart * apart + beside * beside);
+    for (int i = 0; i < m; i++) {
+        double row = 0;
+        for (int j = i ? i - 1 : 0; j < m; j++) row += fabs(h[(size_t)i * LANCZOS + j]);
+        out = fmax(out, row);
+    }
+    return out;
+}
+
+/* The largest eigenvalue, with full orthogonalisation from `vector`, where its eigenvector is left; -1 where it has none.
+
+   Eigenvalues gather at 1, and the larger ones are 1 / (1 - (1 - margin) / most). It ends where the margin is off by less
+   than `small` of it: by the residual, or where A is symmetric by its square over the distance from 1, at least `apart`. */
+ALWAYS_INLINE double largest_of(Krylov *l, double *vector) {
+    double small[LANCZOS * LANCZOS], y[LANCZOS], value = 0, beside = 0, *basis = l->basis;
+    int n = l->n, stride = l->stride, steps = n < l->steps ? n : l->steps, m = 0;
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
-    for (;; m++) {
-        double *last = basis + (size_t)m * stride, *next = last + stride, whole;
+    for (l->settled = 0;; m++) {
+        double *last = basis + (size_t)m * stride, *next = last + stride, *corner = small + m * (LANCZOS + 1), before = beside;
         memcpy(next, last, n * sizeof(double));
-        l->inverse(l->of, next);
-        diagonal[m] = dot(next, last, n);
-        do { /* Twice is enough: again only where most of the vector went away. */
-            whole = dot(next, next, n);
+        l->apply(l->of, next);
+        /* Eigenvalues gather at 1: `small` is of A - 1, or rounding would hide how they differ. */
+        for (int k = 0; k < n; k++) next[k] -= last[k];
+        for (int j = 0; j <= m; j++) small[j * LANCZOS + m] = 0;
+        for (int pass = 0; pass < 2; pass++) { /* once leaves too little of modes close to one another */
             for (int j = 0; j <= m; j++) {
                 const double *restrict other = basis + (size_t)j * stride;
                 double along = dot(next, other, n);
+                small[j * LANCZOS + m] += along;
                 for (int k = 0; k < n; k++) next[k] -= along * other[k];
             }
-            beside[m] = sqrt(dot(next, next, n));
-        } while (beside[m] * beside[m] < 1e-2 * whole && beside[m] > 1e-13);
-        value = largest_of_tridiagonal(diagonal, beside, m + 1, value);
-        vector_of_tridiagonal(diagonal, beside, m + 1, value, y);
-        double residual = beside[m] * y[m];
-        l->settled = m + 1 == n || beside[m] < 1e-13 || residual * residual < l->small * value * fmax(value - 1, l->apart);
-        if (l->settled || m + 1 == steps) break;
-        for (int k = 0; k < n; k++) next[k] /= beside[m];
+        }
+        beside = sqrt(dot(next, next, n));
+        int end = m + 1 == n || beside < 1e-13;
+        if (l->symmetric || end || m + 1 == steps || m % 2 == 0) {
+            double above = above_all(small, m + 1, l->symmetric, value, before);
+            value = l->symmetric ? largest_of_hessenberg(small, m + 1, 1, above, y)
+                                 : largest_of_hessenberg(small, m + 1, LANCZOS, above, y);
+            if (!(value > -1)) return -1;
+            double residual = fabs(beside * y[m]), whole = 1 + value;
+            double within = l->small * whole * (1 + whole * (1 - l->most) / l->most);
+            double off = l->symmetric ? residual * residual / fmax(value, l->apart) : residual;
+            l->settled = end || off < within;
+            if (l->settled || m + 1 == steps) break;
+        }
+        corner[LANCZOS] = beside;
+        for (int k = 0; k < n; k++) next[k] /= beside;
     }
     memset(vector, 0, n * sizeof(double));
     for (int j = 0; j <= m; j++)
         for (int k = 0; k < n; k++) vector[k] += y[j] * basis[(size_t)j * stride + k];
-    return 1 / value;
+    return 1 + value;
 }
 
 typedef struct {
@@ -257,63 +293,10 @@ static void by_factor(const void *of, double *x) {
     cholesky_solve(f->factor, f->n, f->stride, x);
 }
 
-/* Least eigenvalue of A = R'R (cholesky), as `least_of`. */
+/* Least eigenvalue of A = R'R (cholesky), the largest of its inverse. */
 static double least_eigenvalue(const double *r, int n, int stride, double small, double apart, double *vector) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS];
     Factored of = {r, n, stride};
-    Lanczos lanczos = {by_factor, &of, n, LANCZOS, MOST_UNKNOWNS, 0, small, apart, basis[0]};
-    return least_of(&lanczos, vector);
-}
-
-/* det(x - H) of an upper Hessenberg matrix and its first two derivatives, each over the product of what stands below the
-   diagonal, by Hyman's method; `y` is left with what solves all rows but the first, its last entry 1. */
-static void hyman(const double *h, int m, int stride, double x, double *y, double *out) {
-    double once[LANCZOS], twice[LANCZOS];
-    for (int k = 0; k < m; k++) y[k] = once[k] = twice[k] = 0;
-    y[m - 1] = 1;
-    for (int i = m - 1; i >= 0; i--) {
-        const double *row = h + (size_t)i * stride;
-        double value = x * y[i], first = y[i] + x * once[i], second = 2 * once[i] + x * twice[i];
-        for (int j = i; j < m; j++) {
-            value -= row[j] * y[j];
-            first -= row[j] * once[j];
-            second -= row[j] * twice[j];
-        }
-        if (i) {
-            y[i - 1] = value / row[i - 1];
-            once[i - 1] = first / row[i - 1];
-            twice[i - 1] = second / row[i - 1];
-        } else {
-            out[0] = value;
-            out[1] = first;
-            out[2] = second;
-        }
-    }
-}
-
-/* Largest eigenvalue of an upper Hessenberg matrix all of whose eigenvalues are real, with its eigenvector y of unit
-   length: Laguerre's method from above, which comes down without passing it. -1 where it does not settle. */
-static double largest_of_hessenberg(const double *h, int m, int stride, double *y) {
-    double x = 0, last = INFINITY, p[3];
-    for (int i = 0; i < m; i++) {
-        double row = 0;
-        for (int j = i ? i - 1 : 0; j < m; j++) row += fabs(h[(size_t)i * stride + j]);
-        x = fmax(x, row);
-    }
-    for (int step = 0; step < 80; step++) {
-        hyman(h, m, stride, x, y, p);
-        double first = p[1] / p[0], second = first * first - p[2] / p[0];
-        double spread = (m - 1) * (m * second - first * first), down = m / (first + sqrt(fmax(spread, 0)));
-        if (!isfinite(down)) down = p[0] == 0 ? 0 : NAN;
-        if (isnan(down)) return -1;
-        x -= down;
-        /* Where eigenvalues gather, rounding ends the descent. */
-        if (fabs(down) < 1e-14 * fabs(x) || (fabs(down) < 1e-6 * fabs(x) && fabs(down) > last / 4)) {
-            double norm = sqrt(dot(y, y, m));
-            for (int k = 0; k < m; k++) y[k] /= norm;
-            return x;
-        }
-        last = fabs(down);
-    }
-    return -1;
+    Krylov inverse = {by_factor, &of, 1, n, LANCZOS, MOST_UNKNOWNS, 0, small, apart, 1, basis[0]};
+    return 1 / largest_of(&inverse, vector);
 }

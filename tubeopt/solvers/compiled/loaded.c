@@ -77,9 +77,6 @@ static double margin_beside(const Stage *stage, const Stage *check, Workspace *w
     carry_direction(stage, w->room.vector, check, TO_CHECK, to);
     memcpy(image, to, n * sizeof(double));
     Softness of = {check, &w->other_step};
-    memset(w->other_step.by.end, 0, sizeof w->other_step.by.end);
-    w->other_step.by.has_orientation = 0;
-    w->other_step.by.has_twist = 1;
     soften(&of, image);
     return fmin(1, dot(to, to, n) / dot(to, image, n));
 }

@@ -160,6 +160,9 @@ static void soften(const void *of, double *x) {
     const Stage *s = given->stage;
     Functional *by = &given->step->by;
     double *at = x;
+    memset(by->end, 0, sizeof by->end);
+    by->has_orientation = 0;
+    by->has_twist = 1;
     memcpy(by->held, at, sizeof by->held);
     at += N;
     for (int e = 0; e < s->pieces; e++)
@@ -242,13 +245,10 @@ static void carry_direction(const Stage *stage, const double *from, const Stage 
 /* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`, see Lanczos. */
 static double least_factorised(const Stage *s, double small, double apart, int most, Step *step, Room *room, int *settled) {
     Softness of = {s, step};
-    Lanczos lanczos = {soften, &of, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, apart, room->basis[0]};
-    memset(step->by.end, 0, sizeof step->by.end);
-    step->by.has_orientation = 0;
-    step->by.has_twist = 1;
-    double least = least_of(&lanczos, room->vector);
-    *settled = lanczos.settled;
-    return least;
+    Krylov inverse = {soften, &of, 1, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, apart, 1, room->basis[0]};
+    double largest = largest_of(&inverse, room->vector);
+    *settled = inverse.settled;
+    return 1 / largest;
 }
 
 #define FIRST_LANCZOS 12     /* steps after which Lanczos' method looks for a better place to start from: */

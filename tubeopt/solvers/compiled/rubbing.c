@@ -226,8 +226,8 @@ static int settle(Held *h, int wanted, Room *w) {
     if (!wanted) return 1;
     anywhere(w->mode, q->size);
     Factored of = {w->matrix, q->size, STRIDE};
-    Lanczos lanczos = {by_factor, &of, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, w->basis[0]};
-    h->margin = fmin(1, least_of(&lanczos, w->mode));
+    Krylov inverse = {by_factor, &of, 1, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, 1, w->basis[0]};
+    h->margin = fmin(1, 1 / largest_of(&inverse, w->mode));
     return h->margin > 0;
 }
 

@@ -101,11 +101,11 @@ static void by_factor_beside(const void *of, double *x) {
 static int shared(const double *h, int n, const double *mode, double least) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], other[MOST_UNKNOWNS], along;
     Beside of = {{h, n, STRIDE}, mode};
-    Lanczos lanczos = {by_factor_beside, &of, n, LANCZOS, MOST_UNKNOWNS, 0, MODE_ERROR, 0, basis[0]};
+    Krylov inverse = {by_factor_beside, &of, 1, n, LANCZOS, MOST_UNKNOWNS, 0, MODE_ERROR, 0, 1, basis[0]};
     anywhere(other, n);
     along = dot(other, mode, n);
     for (int r = 0; r < n; r++) other[r] -= along * mode[r];
-    return least_of(&lanczos, other) - least < ONE_VALUE;
+    return 1 / largest_of(&inverse, other) - least < ONE_VALUE;
 }
 
 /* All slopes at a solved state, its arm and the mode of its margin. 0 where the second variation, for which `h` is room, is

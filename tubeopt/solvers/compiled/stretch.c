@@ -141,9 +141,18 @@ static double most_softening(const Unknowns *all, const Unknowns *coarse, const 
     return fmin(most + FAR_BELOW, 1);
 }
 
+typedef struct {
+    const Unknowns *q;
+    const Stretch *stretch;
+    const double *jacobian;
+} Softness;
+
 /* z <- (1 - soft K)^-1 z = J^-1 (1 - P w g') z, with the factors of J, the Jacobian of the residual of moments `soft`
    times as steep: K is what block/transcription/second_variation.py tells the margin by. */
-static void stiffness_left(const Unknowns *q, const Stretch *e, const double *jacobian, double *z) {
+static void stiffness_left(const void *of, double *z) {
+    const Softness *given = of;
+    const Unknowns *q = given->q;
+    const Stretch *e = given->stretch;
     double gain[MOST_POINTS][N] = {{0}};
     for (int y = 0; y < q->points; y++)
         for (int i = 0; i < N; i++)
@@ -154,7 +163,7 @@ static void stiffness_left(const Unknowns *q, const Stretch *e, const double *ja
     for (int i = 0; i < N; i++)
         for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++)
             for (int y = 0; y < q->points; y++) z[a] -= e->up_to[q->point[a]][y] * gain[y][i];
-    lu_solve(jacobian, q->size, STRIDE, e->pivots, z);
+    lu_solve(given->jacobian, q->size, STRIDE, e->pivots, z);
 }
 
 /* Factors of J of moments `soft` times as steep; 0 where it is singular or has a negative determinant. */
@@ -213,45 +222,16 @@ static int never_stretched(const Unknowns *q, const State *state, const Stretch 
    Arnoldi's method. It cannot see an eigenvalue that passed infinity, a mu below 1 - most: that the tubes on the
    centreline have none by far, and the sign of the determinant, exclude it. */
 static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double most, double *h) {
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], small[LANCZOS * LANCZOS], y[LANCZOS], value = 1;
-    int n = q->size, steps = n < LANCZOS ? n : LANCZOS, check = 4;
+    double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS];
     if (!factorised(q, state, e, 1 / most, h)) {
         if (most == 1 || !factorised(q, state, e, 1, h)) return -1;
         most = 1;
     }
-    anywhere(basis[0], n);
-    double norm = sqrt(dot(basis[0], basis[0], n));
-    for (int k = 0; k < n; k++) basis[0][k] /= norm;
-    memset(small, 0, sizeof small);
-    for (int m = 0; m < steps; m++) {
-        double *restrict next = basis[m + 1];
-        memcpy(next, basis[m], n * sizeof(double));
-        stiffness_left(q, e, h, next);
-        /* Most of what it gives is what it got: put back below. */
-        for (int k = 0; k < n; k++) next[k] -= basis[m][k];
-        double beside, whole;
-        do { /* Twice is enough: again only where most of the vector went away. */
-            whole = dot(next, next, n);
-            for (int j = 0; j <= m; j++) {
-                double along = dot(next, basis[j], n);
-                small[j * LANCZOS + m] += along;
-                for (int k = 0; k < n; k++) next[k] -= along * basis[j][k];
-            }
-            beside = sqrt(dot(next, next, n));
-        } while (beside * beside < 1e-2 * whole && beside > 1e-13);
-        small[m * LANCZOS + m] += 1;
-        int last = m + 1 == steps || beside < 1e-13;
-        if (last || m == check) {
-            check += 2;
-            value = largest_of_hessenberg(small, m + 1, LANCZOS, y);
-            if (!(value > 0)) return -1;
-            double residual = beside * fabs(y[m]), margin = 1 - most * (1 - 1 / value);
-            if (last || most * residual < STRETCHED_ERROR * margin * value * value) break;
-        }
-        small[(m + 1) * LANCZOS + m] = beside;
-        for (int k = 0; k < n; k++) next[k] /= beside;
-    }
-    return fmin(1, 1 - most * (1 - 1 / value));
+    Softness of = {q, e, h};
+    Krylov inverse = {stiffness_left, &of, 0, q->size, LANCZOS, MOST_UNKNOWNS, 0, STRETCHED_ERROR, 0, most, basis[0]};
+    anywhere(vector, q->size);
+    double value = largest_of(&inverse, vector);
+    return value > 0 ? fmin(1, 1 - most * (1 - 1 / value)) : -1;
 }
 
 /* Torsional energy in front of the plate and of the transmissions, J. */
