@@ -109,10 +109,10 @@ static void lay_rules(Bearing *b, const Bed *bed, const tubeopt_load *load) {
     lay_rule(b, bed, load, 2, &b->rules.check);
 }
 
-/* Elastic rotations at the points of a bed, from those (N) of an arm on another one, `apart` samples from tube to tube and
-   `next` along it: the polynomial through the samples of each of its pieces, since rates jump between. */
-static void sample_arm(const Bed *bed, const Layout *from, int pieces, const double *s, const double *rotation, int apart,
-                       int next, double theta[][N]) {
+/* Elastic rotations at the points of a bed, from those of an arm on another one: the polynomial through the samples of each
+   of its pieces, since rates jump between. */
+static void sample_arm(const Bed *bed, const Layout *from, int pieces, const double *s, const double (*rotation)[N],
+                       double theta[][N]) {
     const Layout *l = &bed->layout;
     int e = 0;
     for (int x = 0; x < l->pieces * DEGREE; x++) {
@@ -125,7 +125,7 @@ static void sample_arm(const Bed *bed, const Layout *from, int pieces, const dou
             double basis = 1;
             for (int j = 0; j <= STEPS; j++) basis *= j == k ? 1 : (t - j) / (k - j);
             for (int i = 0; i < N; i++)
-                theta[x][i] += basis * (rotation[i * apart + (e * STEPS + k) * next] - wound_at(&PIECES, i, s[e * STEPS + k] + from->transmission[i]));
+                theta[x][i] += basis * (rotation[e * STEPS + k][i] - wound_at(&PIECES, i, s[e * STEPS + k] + from->transmission[i]));
         }
     }
 }
@@ -176,15 +176,15 @@ static void tell_loaded(const Bed *bed, const Answer *a, const tubeopt_joints *j
 }
 
 /* The equilibrium under the whole load, grown from the unloaded one of this margin, whose rotations along its pieces are
-   given by tubes. 0, or 1 where there is none, or it is not sure. */
+   given. 0, or 1 where there is none, or it is not sure. */
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
-                         const double *rotation, double margin, tubeopt_pose *pose) {
+                         const double (*rotation)[N], double margin, tubeopt_pose *pose) {
     Bearing *b = room;
     Bed *bed = b->beds + !b->here;
     double none[N] = {0};
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
-    sample_arm(bed, &bed->layout, pieces, s, rotation, pieces * STEPS + 1, 1, b->theta);
+    sample_arm(bed, &bed->layout, pieces, s, rotation, b->theta);
     Answer *next = b->answers + !b->here;
     if (solve_loaded(&b->rules, joints->rotations, none, b->theta[0], NULL, margin, &b->work, next)) return 1;
     tell_loaded(bed, next, joints, pose);
@@ -204,7 +204,7 @@ int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joi
         memcpy(b->theta, last->theta, sizeof b->theta);
         memcpy(b->curvature, last->curvature, sizeof b->curvature);
     } else {
-        sample_arm(bed, &old->layout, old->layout.pieces, last->arc_length, last->rotation[0], 1, N, b->theta);
+        sample_arm(bed, &old->layout, old->layout.pieces, last->arc_length, last->rotation, b->theta);
         sample_bend(b, &old->layout, last, &bed->layout);
     }
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - b->joints.rotations[i];

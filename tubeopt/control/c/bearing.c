@@ -24,7 +24,7 @@ static void accept_loaded(tubeopt_memory *m, const tubeopt_joints *joints) {
 /* The loaded equilibrium at other joint values, from the unloaded one there. */
 static int grow_anew(tubeopt_memory *m, const tubeopt_load *load) {
     const Answer *a = m->answers + m->here;
-    return tubeopt_bearing_grow(room_of(m), load, &m->joints, (int)a->pieces, a->arc_length, m->rotation, a->margin,
+    return tubeopt_bearing_grow(room_of(m), load, &m->joints, (int)a->pieces, a->arc_length, a->rotation, a->margin,
                                 &m->next_loaded);
 }
 

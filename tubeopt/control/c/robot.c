@@ -8,7 +8,7 @@
 #if TUBEOPT_LOADS
 size_t tubeopt_bearing_size(void);
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
-                         const double *rotation, double margin, tubeopt_pose *pose);
+                         const double (*rotation)[N], double margin, tubeopt_pose *pose);
 int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose);
 void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints);
 void tubeopt_bearing_compliance(const void *room, int next, double *out);
@@ -27,7 +27,6 @@ struct tubeopt_memory {
     int here, started, fresh;                           /* fresh: the workspace has the last equilibrium */
     const Answer *before;                               /* to which tubeopt_undo leads, NULL where nothing does */
     tubeopt_joints joints, origin;                      /* of the last one, and of that before */
-    double rotation[N * MOST_SHAPE], torsion[N * MOST_SHAPE]; /* of the last one, by tubes */
     Slopes slopes;
 #if TUBEOPT_BODIES
     Along along[MOST_SHAPE];
@@ -123,24 +122,11 @@ static void tell(const tubeopt_memory *m, tubeopt_pose *pose) {
     pose->residual = a->residual;
 }
 
-/* The last equilibrium, at `joints`: as a guess of the next one, its samples by tubes. */
-static void take(tubeopt_memory *m, const tubeopt_joints *joints) {
-    const Answer *a = m->answers + m->here;
-    long long count = a->pieces * STEPS + 1;
-    for (int i = 0; i < N; i++)
-        for (long long k = 0; k < count; k++) {
-            m->rotation[i * count + k] = a->rotation[k][i];
-            m->torsion[i * count + k] = a->torsion[k][i];
-        }
-    m->joints = *joints;
-    m->started = 1;
-}
-
 /* The other answer, which was solved just now, becomes the last one. */
 static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
     m->here = !m->here;
-    m->fresh = 1;
-    take(m, joints);
+    m->fresh = m->started = 1;
+    m->joints = *joints;
 }
 
 /* One step along the branch, without accepting it: 0, or 1 where it is not small or Newton's method is not at ease. */
@@ -150,8 +136,8 @@ static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w
     double turn[N];
     m->before = NULL; /* the next answer takes its room */
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
-    Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, m->rotation, m->torsion, last->point,
-                   last->point_rotation[0], turn, m->joints.translations};
+    Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
+                   last->point, last->point_rotation[0], turn, m->joints.translations};
     if (solve_one(&ROBOT, joints->rotations, joints->translations, &guess, w, next)) return 1;
     /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
     if (next->margin < last->margin / 2) return 1;
@@ -242,7 +228,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
         } else { /* the branch has ended, or nearly so */
             if (done > 0) {
                 m->answers[m->here] = m->first;
-                take(m, &from);
+                m->joints = from;
                 m->fresh = 0;
                 return_loaded(m);
             }
@@ -260,7 +246,7 @@ tubeopt_status tubeopt_undo(tubeopt_memory *m, tubeopt_pose *pose) {
         m->answers[m->here] = m->first;
     else
         m->here = (int)(m->before - m->answers);
-    take(m, &m->origin);
+    m->joints = m->origin;
     m->fresh = 0;
     m->before = NULL;
     return_loaded(m);
@@ -299,13 +285,8 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     if (m->bears) return loaded_slopes(m, slopes) ? TUBEOPT_DECLINED : TUBEOPT_DONE;
 #endif
     if (look_ahead(m, 1)) return TUBEOPT_DECLINED;
-    memcpy(slopes->position, m->slopes.position, sizeof slopes->position);
-    memcpy(slopes->turn, m->slopes.turn, sizeof slopes->turn);
-    memcpy(slopes->tip_rotations, m->slopes.tip_rotations, sizeof slopes->tip_rotations);
-    memcpy(slopes->margin, m->slopes.margin, sizeof slopes->margin);
-#if SLOPES
-    memcpy(slopes->compliance, m->slopes.compliance, sizeof slopes->compliance);
-#elif TUBEOPT_COMPLIANCE
+    memcpy(slopes, &m->slopes, sizeof *slopes); /* the kernel's begin with the same numbers */
+#if !SLOPES && TUBEOPT_COMPLIANCE
     const tubeopt_load none = {{0, 0, 0}, {0, 0, 0}};
     if (grow_anew(m, &none)) return TUBEOPT_DECLINED;
     tubeopt_bearing_compliance(room_of(m), 1, slopes->compliance[0]);

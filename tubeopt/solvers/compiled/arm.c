@@ -196,8 +196,8 @@ static double margin_of(const Unknowns *fine, const Unknowns *coarse, const doub
 /* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what
    it has there; `turn` (n) is added. */
 typedef struct {
-    long long count, points;
-    const double *s, *rotation, *torsion; /* (count), (n, count), (n, count) */
+    long long count, points, apart, next; /* numbers from the samples of a tube to those of the next, and from one to the next */
+    const double *s, *rotation, *torsion; /* (count), and by tubes */
     const double *point, *point_rotation; /* (points), (points, n) */
     const double *turn;
     const double *shift; /* (n) translations there */
@@ -212,13 +212,15 @@ static void sample(const Unknowns *q, const Guess *g, double theta[][N]) {
         while (k + 2 < count && g->s[k + 1] <= q->s[x]) k++;
         double h = count > 1 ? g->s[k + 1] - g->s[k] : 1, t = fmin(fmax((q->s[x] - g->s[k]) / h, 0), 1), u = 1 - t;
         for (int i = 0; i < N; i++) {
-            const double *r = g->rotation + i * count + k, *w = g->torsion + i * count + k;
+            long long at = i * g->apart + k * g->next;
+            const double *r = g->rotation + at, *w = g->torsion + at;
             if (same)
                 theta[x][i] = g->point_rotation[x * N + i];
             else if (count < 2)
                 theta[x][i] = r[0];
             else
-                theta[x][i] = r[0] * (1 + 2 * t) * u * u + r[1] * t * t * (3 - 2 * t) + h * t * u * (w[0] * u - w[1] * t);
+                theta[x][i] = r[0] * (1 + 2 * t) * u * u + r[g->next] * t * t * (3 - 2 * t) +
+                              h * t * u * (w[0] * u - w[g->next] * t);
             theta[x][i] += g->turn[i];
             if (winding[i])
                 theta[x][i] -= wound_at(q->tubes->pieces, i, q->s[x] + fmax(q->tubes->straight[i] - g->shift[i], 0));

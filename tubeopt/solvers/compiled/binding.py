@@ -39,6 +39,8 @@ class _Guess(ctypes.Structure):
     _fields_ = (
         ("count", ctypes.c_longlong),
         ("points", ctypes.c_longlong),
+        ("apart", ctypes.c_longlong),
+        ("next", ctypes.c_longlong),
         *((name, ctypes.c_void_p) for name in ("s", "rotation", "torsion", "point", "point_rotation", "turn", "shift")),
     )
 
@@ -206,7 +208,8 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
         places.append(places[-1] + 8 * part.size)
     if start is None:
         return flat, places[0], places[1], None
-    guess = _Guess(len(start.arc_length), len(start.point), *places[2:-1])
+    count = len(start.arc_length)
+    guess = _Guess(count, len(start.point), count, 1, *places[2:-1])
     return flat, places[0], places[1], ctypes.byref(guess)
 
 
@@ -330,14 +333,15 @@ def slopes_compiled(
     at = _place(out)
     if not kernel.functions.differentiate(_asked(moved, compliance, either)[1], *room.at, at, at + 8 * whole):
         return None
-    table = out[: whole - 36].reshape(8 + n, 2 * n)
+    end = whole - 36 - 2 * n
+    table = out[:end].reshape(7 + n, 2 * n)
     return Slopes(
         position=table[:3],
         turn=table[3:6],
-        tip_rotations=table[6:-2],
-        margin=table[-2],
-        energy=table[-1],
-        compliance=out[whole - 36 : whole].reshape(6, 6) if compliance else None,
+        tip_rotations=table[6:-1],
+        margin=table[-1],
+        compliance=out[end : end + 36].reshape(6, 6) if compliance else None,
+        energy=out[end + 36 : whole],
         along=out[whole:].reshape(points, 3, 2 * n) if same else None,
         off=off,
     )

@@ -213,13 +213,14 @@ static void lean_of_margin(const Unknowns *q, const State *state, const double *
     }
 }
 
-/* Shift and turn of the tip (6: position, turn) by a->change and, where it `sways`, by bends a->sway beside it; into `shift` (or NULL) that of the shape points, at fixed arc lengths. Up to s the arm turns by int R du, and a point
-   there moves by that turn x p(s) less int R du x p. */
-static void tip_change(const Unknowns *q, const Answer *out, const Around *a, int sways, double *tip, double (*shift)[3]) {
+/* How far the tip turns by a->change and, where it `sways`, by bends a->sway beside it; into a->shift what that shifts it by,
+   and where `whole` the other shape points, at fixed arc lengths. Up to s the arm turns by int R du, and a point there moves
+   by that turn x p(s) less int R du x p. */
+static void move_arm(const Unknowns *q, const Answer *out, int sways, int whole, Around *a, double *turn) {
     const Layout *l = q->layout;
     int k = q->tableau->degree;
     double turned[6] = {0}; /* int R du x p, int R du */
-    for (int r = 0; r < 3 && shift; r++) shift[0][r] = 0;
+    memset(a->shift[0], 0, sizeof a->shift[0]);
     for (int p = 0; p < l->pieces; p++) {
         double rate[MOST_DEGREE][6] = {{0}}, begun[6];
         memcpy(begun, turned, sizeof begun);
@@ -235,21 +236,17 @@ static void tip_change(const Unknowns *q, const Answer *out, const Around *a, in
             add_cross(rate[b] + 3, a->position[x], rate[b]);
             for (int r = 0; r < 6; r++) turned[r] += q->tableau->weights[b] * rate[b][r];
         }
-        for (int e = 1; e <= STEPS && shift; e++) {
+        for (int e = whole ? 1 : STEPS; e <= STEPS; e++) {
             int at = p * STEPS + e;
             double up_to[6];
             memcpy(up_to, begun, sizeof begun);
             for (int b = 0; b < k; b++)
                 for (int r = 0; r < 6; r++) up_to[r] += ONCE_UP_TO[e * k + b] * rate[b][r];
-            for (int r = 0; r < 3; r++) shift[at][r] = -up_to[r];
-            add_cross(up_to + 3, out->position[at], shift[at]);
+            for (int r = 0; r < 3; r++) a->shift[at][r] = -up_to[r];
+            add_cross(up_to + 3, out->position[at], a->shift[at]);
         }
     }
-    for (int r = 0; r < 3; r++) {
-        tip[r] = -turned[r];
-        tip[3 + r] = turned[3 + r];
-    }
-    add_cross(turned + 3, out->position[l->pieces * STEPS], tip);
+    memcpy(turn, turned + 3, 3 * sizeof(double));
 }
 
 /* Whether `ends` that move towards `side` take the end of the arm along. */
@@ -283,7 +280,7 @@ static void swing(const Answer *out, const double *turn, int from, int at, doubl
    go to a->shift where `whole`. */
 static void change_by(const Unknowns *q, const State *state, const Answer *out, const double *h, const Change *c, int whole,
                       Around *a, Column *column) {
-    double tip[6], turn[MOST_PIECES + 1][3], energy = c->energy, formed = c->formed;
+    double turn[MOST_PIECES + 1][3], energy = c->energy, formed = c->formed;
     int k = q->tableau->degree, last = q->layout->pieces * STEPS;
     for (int j = 0; j < c->count; j++) {
         double u[2];
@@ -292,17 +289,13 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
         for (int r = 0; r < 3; r++) turn[j][r] = out->frame[at][3 * r] * u[0] + out->frame[at][3 * r + 1] * u[1];
     }
     respond(q, state, h, c->base, a);
-    tip_change(q, out, a, c->sways, tip, whole ? a->shift : NULL);
+    move_arm(q, out, c->sways, whole, a, column->turn);
     for (int j = 0; j < c->count; j++) {
         int from = a->jumps[j].piece * STEPS;
-        for (int r = 0; r < 3; r++) tip[3 + r] += turn[j][r];
-        swing(out, turn[j], from, last, tip);
-        for (int at = from; at < last && whole; at++) swing(out, turn[j], from, at, a->shift[at]);
+        for (int r = 0; r < 3; r++) column->turn[r] += turn[j][r];
+        for (int at = whole ? from : last; at <= last; at++) swing(out, turn[j], from, at, a->shift[at]);
     }
-    for (int r = 0; r < 3; r++) {
-        column->position[r] = tip[r] + (c->pushed ? out->frame[last][3 * r + 2] : 0);
-        column->turn[r] = tip[3 + r];
-    }
+    for (int r = 0; r < 3; r++) column->position[r] = a->shift[last][r] + (c->pushed ? out->frame[last][3 * r + 2] : 0);
     for (int i = 0; i < N; i++) column->tip_rotations[i] = a->change.rotation[ending(q->layout, i)][i];
     column->energy = energy;
     column->margin = 0;

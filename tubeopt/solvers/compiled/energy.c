@@ -24,9 +24,6 @@ typedef struct {
     /* L of each tube within its elements, by rows and by columns, 0 above the diagonal; and one row for all points further
        out. */
     double block[MOST_UNKNOWNS][WIDE], column[MOST_UNKNOWNS][WIDE], beyond[MOST_UNKNOWNS];
-#if ECCENTRIC
-    double compliance[FACTOR_SIZE], *whole[N]; /* L L' of each tube, (count, count) */
-#endif
     Sections at[MOST_POINTS];
     double rate[MOST_PIECES][MOST_DEGREE][N];                /* 1 / kt, at the points that all pieces would have */
     double reach[MOST_PIECES + 1][N], ahead[MOST_POINTS][N]; /* int ds / kt up to the pieces, and to the points */
@@ -69,22 +66,6 @@ static int factorise(Unknowns *q, int tube) {
     }
     return 1;
 }
-
-#if ECCENTRIC
-/* L L' of each tube. */
-static void multiply_factor(Unknowns *q, int tube) {
-    int k = q->tableau->degree, n = q->count[tube];
-    const double(*block)[WIDE] = (const double(*)[WIDE])q->block + q->first[tube];
-    const double *beyond = q->beyond + q->first[tube];
-    for (int a = 0; a < n; a++)
-        for (int c = 0; c <= a; c++) {
-            int own = c / k * k;
-            const double *left = a / k == c / k ? block[a] : beyond + own;
-            double sum = dot(beyond, beyond, own) + dot(left, block[c], c - own + 1);
-            q->whole[tube][a * n + c] = q->whole[tube][c * n + a] = sum;
-        }
-}
-#endif
 
 /* Cross-sections at the points, and the compliances up to them. */
 static void look_along(Unknowns *q) {
@@ -130,9 +111,6 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
             q->weight[q->points++] = l->length[p] * t->weights[k];
         }
     look_along(q);
-#if ECCENTRIC
-    size_t used = 0;
-#endif
     for (int i = 0; i < N; i++) {
         q->first[i] = q->size;
         for (int x = 0; x < q->points; x++) {
@@ -144,11 +122,6 @@ static int pose_unknowns(Unknowns *q, const Layout *l, const Tubes *tubes, const
         }
         q->count[i] = q->size - q->first[i];
         if (!factorise(q, i)) return 0;
-#if ECCENTRIC
-        q->whole[i] = q->compliance + used;
-        used += (size_t)q->count[i] * q->count[i];
-        multiply_factor(q, i);
-#endif
     }
     return 1;
 }

@@ -11,7 +11,6 @@
 #define MOST_POINTS (MOST_PIECES * MOST_DEGREE)
 #define MOST_SHAPE (MOST_PIECES * STEPS + 1)
 #define STRIDE MOST_UNKNOWNS
-#define FACTOR_SIZE (MOST_UNKNOWNS * (MOST_UNKNOWNS + 4))
 
 #include "four.c"
 #include "sections.c"
@@ -107,7 +106,7 @@ static void judge(const double *alpha, Workspace *w, Answer *out) {
 static int solve_one(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess, Workspace *w,
                      Answer *out) {
     int iterations = 0, failed;
-    if (!lay_out(tubes, shift, &w->layout)) return DECLINED;
+    if (!lay_out(tubes, shift, NULL, &w->layout)) return DECLINED;
     if (!pose_unknowns(&w->fine, &w->layout, tubes, &FINE, ECCENTRIC)) return DECLINED;
     if (!pose_unknowns(&w->coarse, &w->layout, tubes, &COARSE, 0)) return DECLINED;
     out->contraction = out->largest_change = 0;

@@ -144,7 +144,15 @@ static int add_pieces(const Tubes *t, Layout *l, int section, double from, doubl
     return 1;
 }
 
-static int lay_out(const Tubes *t, const double *shift, Layout *l) {
+/* Friction between neighbours: torque per length (N - 1), N, and along how many pieces two tubes rub at least. */
+typedef struct {
+    const double *torque;
+    double pieces;
+} Friction;
+
+/* The mesh at translations; where tubes rub, if there is friction, their rotations are unknown, too. 0 where there is no
+   room for it. */
+static int lay_out(const Tubes *t, const double *shift, const Friction *friction, Layout *l) {
     double cuts[MOST_CUTS];
     int count = cuts_of(t, shift, l, cuts);
     if (!count || count - 1 > MOST_SECTIONS) return 0;
@@ -158,8 +166,15 @@ static int lay_out(const Tubes *t, const double *shift, Layout *l) {
         if (here.bent < 2 && needs.finest > 0) shape *= KNOWN;
         double need = length * fmax(needs.fastest / WAVES_PER_ELEMENT, shape);
         double wanted = need > 0 ? fmax(1.0, ceil(need - 1e-9)) * (1 << t->pieces->refinement) : 1;
+        int collocated = here.bent >= (t->eccentric ? 1 : 2);
+        for (int i = 0; i < N && friction; i++) here.curved[i] &= collocated; /* `curved` tells the unknowns */
+        for (int i = 0; i + 1 < N && friction; i++) {
+            if (!(here.present[i + 1] && friction->torque[i] > 0)) continue;
+            here.curved[i] = here.curved[i + 1] = collocated = 1;
+            wanted = fmax(wanted, ceil(length * friction->pieces / l->end[i + 1] - 1e-9));
+        }
         l->section_start[k] = cuts[k];
-        if (!add_pieces(t, l, k, cuts[k], length, wanted, &here, here.bent >= (t->eccentric ? 1 : 2))) return 0;
+        if (!add_pieces(t, l, k, cuts[k], length, wanted, &here, collocated)) return 0;
     }
     return 1; /* no piece: an arm of length zero */
 }

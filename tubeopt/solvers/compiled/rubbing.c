@@ -6,11 +6,6 @@
 #define LONG 0.3 /* part of the longest step of a state with margin 0 from which the next may be longer still */
 #define HARDLY_SOFTER 1e-6 /* 1 / margin - 1 from which margins are told from 1 less exactly: eigenvalues gather there */
 
-typedef struct {
-    const double *torque; /* (N - 1) N m per m between neighbours */
-    double pieces;        /* least number of pieces along which two tubes rub */
-} Friction;
-
 /* A state: rows of friction by pair, then by point; `outer` and `inner` are their unknowns. */
 typedef struct {
     Layout layout;
@@ -47,39 +42,11 @@ typedef struct {
 
 /* --- where tubes rub ------------------------------------------------------------------------------------------------- */
 
-/* Cut the pieces of a layout finer where pairs rub, and let `curved` tell which rotations are unknown there. */
-static int lay_out_rubbing(const Tubes *t, const Friction *f, Layout *l) {
-    double overlap[N] = {0};
-    for (int p = 0; p < l->pieces; p++)
-        for (int i = 0; i + 1 < N; i++)
-            if (l->across[p].present[i + 1] && f->torque[i] > 0) overlap[i] += l->length[p];
-    Layout fine = *l;
-    fine.pieces = 0;
-    for (int p = 0, next; p < l->pieces; p = next) {
-        int any = 0;
-        double longest = INFINITY;
-        for (next = p; next < l->pieces && l->section[next] == l->section[p];) next++;
-        double whole = l->length[p] * (next - p);
-        Across here = across(t, l, l->start[p], l->start[p] + whole);
-        for (int i = 0; i < N; i++) here.curved[i] &= here.bent >= 2; /* `curved` tells the unknowns */
-        for (int i = 0; i + 1 < N; i++) {
-            if (!(l->across[p].present[i + 1] && f->torque[i] > 0)) continue;
-            here.curved[i] = here.curved[i + 1] = 1;
-            longest = fmin(longest, overlap[i] / f->pieces);
-        }
-        for (int i = 0; i < N; i++) any |= here.curved[i];
-        double wanted = fmax(next - p, ceil(whole / longest - 1e-9));
-        if (!add_pieces(t, &fine, l->section[p], l->start[p], whole, wanted, &here, any)) return 0;
-    }
-    *l = fine;
-    return 1;
-}
-
 /* Layout, unknowns and rows at translations; 0 where there is no room for them. */
 static int begin_held(const Motion *m, const double *shift, Held *h) {
     const Friction *f = &m->friction;
     Unknowns *q = &h->q;
-    if (!lay_out(m->tubes, shift, &h->layout) || !lay_out_rubbing(m->tubes, f, &h->layout)) return 0;
+    if (!lay_out(m->tubes, shift, f, &h->layout)) return 0;
     if (!pose_unknowns(q, &h->layout, m->tubes, &FINE, 0)) return 0;
     h->rows = 0;
     for (int i = 0; i + 1 < N; i++)
@@ -120,18 +87,14 @@ static void look(Held *h) {
 
 /* --- one increment --------------------------------------------------------------------------------------------------- */
 
-/* The second-order model of the energy: (H P' -g; . 0 0) with H eliminated, which leaves its factor, and from it what the
-   rows comply with, and would slip by without friction. 0 where H is not positive definite. */
+/* The second-order model of the energy: (H P'; . 0) with H eliminated, which leaves its factor, and from it what the rows
+   comply with. 0 where H is not positive definite. */
 static int model_energy(const Held *h, Room *w) {
     const Unknowns *q = &h->q;
-    int n = q->size, from = filled_up(n), whole = from + filled_up(h->rows + 1);
+    int n = q->size, from = filled_up(n), whole = from + filled_up(h->rows);
     double *a = w->matrix;
     second_variation(q, &h->state, a);
-    for (int r = 0; r < n; r++) {
-        double *row = a + (size_t)r * STRIDE;
-        for (int j = n; j < whole; j++) row[j] = 0;
-        row[from + h->rows] = -h->state.gradient[r];
-    }
+    for (int r = 0; r < n; r++) memset(a + (size_t)r * STRIDE + n, 0, (whole - n) * sizeof(double));
     for (int r = n; r < whole; r++)
         for (int j = r; j < whole; j++) a[(size_t)r * STRIDE + j] = r == j && r < from;
     for (int r = 0; r < h->rows; r++)
@@ -141,24 +104,21 @@ static int model_energy(const Held *h, Room *w) {
                 a[(size_t)k * STRIDE + from + r] += (side ? 1 : -1) * (k < own ? q->beyond[k] : q->block[at][k - own]);
         }
     if (!eliminate(a, from, whole, STRIDE)) return 0;
-    for (int r = 0; r < h->rows; r++) {
-        const double *row = a + (size_t)(from + r) * STRIDE + from;
+    for (int r = 0; r < h->rows; r++)
         for (int c = r; c < h->rows; c++)
-            w->compliance[(size_t)r * h->rows + c] = w->compliance[(size_t)c * h->rows + r] = -row[c];
-        w->free[r] = h->turned[r] - w->before[r] - row[h->rows];
-    }
+            w->compliance[(size_t)r * h->rows + c] = w->compliance[(size_t)c * h->rows + r] =
+                -a[(size_t)(from + r) * STRIDE + from + c];
     return 1;
 }
 
-/* The model with the gradient of now and the Hessian of the last step, which was short. */
-static int again(const Held *h, Room *w) {
+/* What the rows would slip by without friction, by the gradient of now and the model, which may be of a step before. */
+static void slip_freely(const Held *h, Room *w) {
     double turned[MOST_UNKNOWNS];
     const Unknowns *q = &h->q;
     for (int r = 0; r < q->size; r++) w->step[r] = -h->state.gradient[r];
     cholesky_solve(w->matrix, q->size, STRIDE, w->step);
     times_factor(q, w->step, turned);
     for (int r = 0; r < h->rows; r++) w->free[r] = h->turned[r] - w->before[r] + turned[h->outer[r]] - turned[h->inner[r]];
-    return 1;
 }
 
 /* Whether the state keeps to the laws of friction, to HONEST: it is told to what. */
@@ -181,7 +141,8 @@ static int increment(Held *h, int guess, Room *w) {
     look(h);
     for (int k = 0; k < RUB_ITERATIONS; k++) {
         double size, load[MOST_UNKNOWNS];
-        if (last > CHORD_STEP ? !model_energy(h, w) : !again(h, w)) return DECLINED;
+        if (last > CHORD_STEP && !model_energy(h, w)) return DECLINED;
+        slip_freely(h, w);
         for (int r = 0; r < h->rows && !guess; r++) h->sign[r] = (w->free[r] > 0) - (w->free[r] < 0);
         memcpy(kept, h->sign, h->rows);
         Sticking s = {h->rows, w->compliance, w->free, h->most, h->torque, h->sign};

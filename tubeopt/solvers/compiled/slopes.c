@@ -5,8 +5,9 @@
 
 typedef struct {
     double position[3][2 * N], turn[3][2 * N]; /* of the tip by rotations, then translations: per rad and per m */
-    double tip_rotations[N][2 * N], margin[2 * N], energy[2 * N];
+    double tip_rotations[N][2 * N], margin[2 * N];
     double compliance[6][6]; /* force and moment -> translation and turn of the tip, world axes, at no load */
+    double energy[2 * N];
 } Slopes;
 
 /* What is asked of them. Tubes of one carriage move together, and share its slope; where breakpoints coincide, it is that
@@ -56,7 +57,7 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     static const double none[N];
     const Layout *l = q->layout;
     int k = q->tableau->degree, last = l->pieces * STEPS, held = 0;
-    double unit[3] = {v % 3 == 0, v % 3 == 1, v % 3 == 2}, tip[6];
+    double unit[3] = {v % 3 == 0, v % 3 == 1, v % 3 == 2}, turn[3];
     while (held + 1 < N && l->end[held] < out->arc_length[last] - SAME_END) held++; /* as robots/order.py */
     clear_gains(q, a);
     for (int x = 0; x < l->pieces * k; x++) {
@@ -77,10 +78,10 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     }
     if (v >= 3) a->gains.kicks[l->pieces][held] = -out->frame[last][3 * (v - 3) + 2];
     respond(q, state, h, none, a);
-    tip_change(q, out, a, 1, tip, NULL);
-    for (int r = 0; r < 6; r++) {
-        double twisted = r < 3 ? 0 : out->frame[last][3 * (r - 3) + 2] * a->change.rotation[l->pieces][held];
-        slopes->compliance[r][v] = tip[r] + twisted;
+    move_arm(q, out, 1, 0, a, turn);
+    for (int r = 0; r < 3; r++) {
+        slopes->compliance[r][v] = a->shift[last][r];
+        slopes->compliance[3 + r][v] = turn[r] + out->frame[last][3 * r + 2] * a->change.rotation[l->pieces][held];
     }
 }
 

@@ -5,6 +5,7 @@
 typedef struct {
     double stretch[MOST_POINTS][N], stretch_slope[MOST_POINTS][N * N], twist[MOST_POINTS][N];
     double up_to[MOST_POINTS][MOST_POINTS], beyond[MOST_POINTS][MOST_POINTS], residual[MOST_UNKNOWNS];
+    double compliance[N][MOST_POINTS][MOST_POINTS]; /* L L': int ds / kt up to the nearer of two points, collocated */
     int pivots[MOST_UNKNOWNS];
 } Stretch;
 
@@ -16,6 +17,10 @@ static void pose_integrals(const Unknowns *q, Stretch *e) {
             double within = q->layout->length[q->piece[x]] * q->tableau->matrix[(x % k) * k + y % k];
             e->up_to[x][y] = before ? q->weight[y] : same ? within : 0;
             e->beyond[x][y] = q->weight[y] - e->up_to[x][y];
+            for (int i = 0; i < N; i++) {
+                double own = q->layout->length[q->piece[x]] * q->tableau->within[(x % k) * k + y % k] / q->tubes->kt[i];
+                e->compliance[i][x][y] = same ? q->reach[q->piece[x]][i] + own : q->ahead[before ? y : x][i];
+            }
         }
 }
 
@@ -39,13 +44,12 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
             state->extra[x][i] = (e->stretch[x][i] - 1) * e->twist[x][i];
         }
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->whole[i];
         for (int a = 0; a < q->count[i]; a++) {
             int x = q->point[q->first[i] + a];
             double sum = state->theta[x][i] - alpha[i];
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                sum += compliance[a * q->count[i] + c] * q->weight[y] * state->moment[y][i];
+                sum += e->compliance[i][x][y] * q->weight[y] * state->moment[y][i];
             }
             for (int y = 0; y < q->points; y++) sum -= e->up_to[x][y] * state->extra[y][i];
             e->residual[q->first[i] + a] = sum;
@@ -57,7 +61,6 @@ static void evaluate_stretched(const Unknowns *q, const double *alpha, State *st
 static void stretched_jacobian(const Unknowns *q, const State *state, const Stretch *e, double soft,
                                double *restrict h) {
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->whole[i];
         for (int a = 0; a < q->count[i]; a++) {
             int x = q->point[q->first[i] + a];
             double *restrict row = h + (size_t)(q->first[i] + a) * STRIDE, through[MOST_POINTS] = {0};
@@ -69,7 +72,7 @@ static void stretched_jacobian(const Unknowns *q, const State *state, const Stre
             }
             for (int c = 0; c < q->count[i]; c++) {
                 int y = q->point[q->first[i] + c];
-                through[y] += compliance[a * q->count[i] + c] * q->weight[y];
+                through[y] += e->compliance[i][x][y] * q->weight[y];
             }
             for (int j = 0; j < N; j++)
                 for (int c = 0; c < q->count[j]; c++) {
@@ -185,10 +188,9 @@ static int factorised(const Unknowns *q, const State *state, Stretch *e, double 
 static int never_stretched(const Unknowns *q, const State *state, const Stretch *e) {
     double most = 0, thick = 1, thin = 1, turned = 0;
     for (int i = 0; i < N; i++) {
-        const double *compliance = q->whole[i];
         double sum = 0;
-        for (int a = 0; a < q->count[i]; a++)
-            sum += compliance[a * q->count[i] + a] * q->weight[q->point[q->first[i] + a]];
+        for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++)
+            sum += e->compliance[i][q->point[a]][q->point[a]] * q->weight[q->point[a]];
         most = fmax(most, sum);
     }
     for (int x = 0; x < q->points; x++) {
