@@ -32,13 +32,10 @@ static void by_joints(const double *slope, double *out) {
 }
 
 static void dependent(const double *q, tubeopt_joints *joints) {
-    for (int k = 0; k < 2 * N; k++) {
-        double value = OFFSET[k];
-        for (int c = 0; c < JOINTS; c++) value += SPREAD[k * JOINTS + c] * q[c];
-        if (k < N)
-            joints->rotations[k] = value;
-        else
-            joints->translations[k - N] = fmin(value, ROBOT.straight[k - N]);
+    for (int i = 0; i < N; i++) {
+        double moved = OFFSET[N + i] + dot(SPREAD + (N + i) * JOINTS, q, JOINTS);
+        joints->rotations[i] = OFFSET[i] + dot(SPREAD + i * JOINTS, q, JOINTS);
+        joints->translations[i] = fmin(moved, ROBOT.straight[i]);
     }
 }
 

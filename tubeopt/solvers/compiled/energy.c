@@ -232,7 +232,7 @@ ALWAYS_INLINE void vary(const Unknowns *q, const State *state, int k, double *h)
                 if (c >= 0) from = c;
                 for (int r = 0; r < k && a >= 0; r++) {
                     double *row = h + (size_t)(q->first[i] + a + r) * STRIDE + q->first[j], all = beyond[r] * further;
-                    Four here[WIDE / 4];
+                    Four here[WIDE / 4] = {{0}}; /* all that is read is written; compilers cannot know */
                     for (int w = 0; w < k && c >= 0; w += 4) EACH(OF(here[w / 4]) = all * FOUR(nearer + c + w));
                     for (int b = r; b < k && both; b++) {
                         double part = left[b][r] * value[b];
