@@ -37,6 +37,7 @@ from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
+from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import solve_compiled
 from tubeopt.solvers.compiled.heating import heating_source
 from tubeopt.solvers.compiled.library import FLAGS, compile_to, compiler, source
