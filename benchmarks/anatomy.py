@@ -22,8 +22,7 @@ import numpy as np
 
 import tubeopt
 from tubeopt import PlanOptions, SolveError
-from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, PHANTOMS, TARGET
 from tubeopt.inverse.task import Task
 from tubeopt.planning import Trajectory, build_roadmap, plan_trajectory

@@ -27,10 +27,9 @@ from tubeopt.equilibrium.friction import sweep
 from tubeopt.stability.friction_path import rubbing_start
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, compare_effects, fit
-from tubeopt.validation.effects import EFFECTS
+from tubeopt.validation.effects import EFFECTS, Setup
+from tubeopt.validation.model import solve_poses
 from tubeopt.validation.parameters import groups
-from tubeopt.validation.poses import solve_poses
-from tubeopt.validation.setup import Setup
 
 from .timing import clock, milliseconds, show, table
 

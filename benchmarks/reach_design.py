@@ -22,7 +22,7 @@ import scipy
 import tubeopt
 from tubeopt import ConcentricRobot, InputError, PlanOptions, SolveError
 from tubeopt.bodies.distance_field import DistanceField
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
 from tubeopt.planning import ReachShare, RegionReach
 from tubeopt.typing import Array

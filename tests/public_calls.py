@@ -322,11 +322,11 @@ CONSTRUCTORS: dict[Any, str] = {
     tubeopt: """Tube Material Piece ConcentricRobot EccentricRobot JointLimits Load Friction Slots Discretisation Newton
         Ipopt Problem EntryRegion PlacedRobot PlanOptions RateLimits TipGoal
         RegionReach PairReach DesignTask DesignSolver InverseOptions EquilibriaSearch
-        SnapSearch ForceSolver MoldSpec HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance""",
+        SnapSearch MoldSpec HeatingSpec Rig Uncertainty Camera Thermocouple TubeResistance""",
     design: """Avoid Coverage Deployment Free Length Nesting Objective Poses Reach SnapFree SnapFreeInUse StockTube
         Strain Stroke StrokeForce Target Tolerances Wall""",
     bodies: "Box Capsule HalfSpace MeshObstacle Sphere",
-    validation: "BasePose FitOptions FitSolver PlacementSearch Measurements",
+    validation: "BasePose FitOptions Measurements",
 }
 
 for owner, names in CONSTRUCTORS.items():

@@ -78,10 +78,9 @@ from .planning import (
     verify_trajectory,
 )
 from .robots.calibration import Calibration
-from .robots.concentric import ConcentricRobot
+from .robots.concentric import ConcentricRobot, Friction
 from .robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from .robots.file import load_robot, save_robot
-from .robots.friction import Friction
 from .robots.limits import JointLimits
 from .robots.load import Load
 from .robots.materials import NITINOL, Material
@@ -142,7 +141,7 @@ from .stability import (
     worst_margin,
 )
 from .validation import Measurements, validate
-from .validation.force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces
+from .validation.force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .workspaces import SnappingLoss, Workspace, load_workspace, snapping_loss, workspace
 
 __version__: str
@@ -177,7 +176,6 @@ __all__ = [
     "Finding",
     "ForceEstimate",
     "ForceRecord",
-    "ForceSolver",
     "Free",
     "Friction",
     "FrictionBand",

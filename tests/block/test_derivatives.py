@@ -31,7 +31,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.answer import to_equilibrium
 from tubeopt.equilibrium.result import Jacobian
-from tubeopt.robots.breakpoints import DIMENSIONS
+from tubeopt.robots.assembly import DIMENSIONS
 from tubeopt.robots.eccentric import EccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array

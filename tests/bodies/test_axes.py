@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from tubeopt import InputError
-from tubeopt.bodies.axes import stated_axes
 from tubeopt.bodies.corridors import load_mesh, load_points
+from tubeopt.bodies.frames import stated_axes
 from tubeopt.bodies.images import read_image
 from tubeopt.runs.anatomy_file import load_anatomy, load_landmarks, load_pose
 from tubeopt.runs.obstacle_file import load_obstacles

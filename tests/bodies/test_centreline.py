@@ -7,8 +7,7 @@ import pytest
 
 from tubeopt import InputError, SolveError
 from tubeopt.bodies.centreline import centreline
-from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
 
 

@@ -13,7 +13,7 @@ from tests.command_line import ROOT
 from tubeopt import InputError, PlanOptions
 from tubeopt.bodies.centreline import centreline
 from tubeopt.bodies.corridors import Corridor
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import field_of_image
 from tubeopt.bodies.obstacles import RoundCone
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree
 from tubeopt.planning import plan_trajectory

@@ -7,8 +7,15 @@ import pytest
 
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
-from tubeopt.bodies.gaps import largest_gap
-from tubeopt.bodies.solids import COVERED, _bounds, _samples, field_of_mesh, field_of_points, field_of_surface
+from tubeopt.bodies.solids import (
+    COVERED,
+    _bounds,
+    _samples,
+    field_of_mesh,
+    field_of_points,
+    field_of_surface,
+    largest_gap,
+)
 from tubeopt.typing import Array
 
 CELL = np.array([2e-3, 3e-3, 1e-3])

@@ -11,8 +11,7 @@ from tubeopt import InputError
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField, surface_net
 from tubeopt.bodies.frames import Frame, base_frame, register
-from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.solids import field_of_mesh, field_of_points
 from tubeopt.typing import Array, Mask
 

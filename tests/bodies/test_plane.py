@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError
-from tubeopt.bodies.frames import base_frame
-from tubeopt.bodies.plane import Plane
+from tubeopt.bodies.frames import Plane, base_frame
 
 
 def test_a_plane_holds_what_it_goes_through_whoever_sees_it() -> None:

@@ -18,9 +18,8 @@ import tubeopt
 from tests.command_line import CRL, Run
 from tubeopt import InputError
 from tubeopt.bodies.corridors import MeshObstacle, load_mesh, load_points
-from tubeopt.bodies.gaps import largest_gap
 from tubeopt.bodies.scene import scene_of
-from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface
+from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface, largest_gap
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.show.arms_report import ARMS
 from tubeopt.show.viewer.given import load_bodies

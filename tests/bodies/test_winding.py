@@ -10,8 +10,7 @@ from tests.examples import TWO_TUBE
 from tubeopt import verify_trajectory
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.solids import field_of_mesh
-from tubeopt.bodies.triangles import Triangles
-from tubeopt.bodies.winding import seen_along, winding_number
+from tubeopt.bodies.triangles import Triangles, seen_along, winding_number
 from tubeopt.typing import Array
 
 

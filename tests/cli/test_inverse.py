@@ -13,7 +13,7 @@ import pytest
 from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, follow, forward_kinematics, load_equilibrium, load_robot
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
-from tubeopt.robots.path_file import load_waypoints
+from tubeopt.robots.file import load_waypoints
 from tubeopt.runs.inverse_study import load_joints, load_targets
 from tubeopt.runs.obstacle_file import load_obstacles
 from tubeopt.runs.study_file import load_study

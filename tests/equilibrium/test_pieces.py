@@ -29,7 +29,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.linearised import linearise
 from tubeopt.inverse.settings import InverseOptions
-from tubeopt.robots.series import Series, times
+from tubeopt.robots.pieces import Series, times
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array
 

@@ -13,7 +13,7 @@ import tubeopt
 from tubeopt import InputError
 from tubeopt.bodies.corridors import load_points
 from tubeopt.files.csv_file import read_csv
-from tubeopt.robots.path_file import load_waypoints
+from tubeopt.robots.file import load_waypoints
 from tubeopt.runs.anatomy_file import load_landmarks
 from tubeopt.runs.inverse_study import load_targets
 from tubeopt.runs.measurement_file import load_measurements

@@ -18,8 +18,7 @@ from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame, base_frame
-from tubeopt.bodies.images import LabelImage
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory

@@ -14,11 +14,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 import tubeopt
 from tubeopt import InputError, PlacedRobot, PlanOptions, SolveError, plan_arms, verify_arms
+from tubeopt.bodies.anatomy import seen_from
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame, base_frame, roll_of
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from tubeopt.bodies.placed import seen_from
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning import arms_plan
 from tubeopt.planning.arms import ACCURACY, at_rest

@@ -13,7 +13,7 @@ import pytest
 from tubeopt.planning import branch
 from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet, linear
 from tubeopt.planning.sections import SHAPE_ERROR
-from tubeopt.robots.variation import Variation
+from tubeopt.robots.lengthwise import Variation
 from tubeopt.typing import Array
 
 NONE = np.zeros(())

@@ -26,8 +26,7 @@ from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import Arms, Intervals
-from tubeopt.robots.lengthwise import lengthwise
-from tubeopt.robots.variation import variation
+from tubeopt.robots.lengthwise import lengthwise, variation
 from tubeopt.workspaces import snapping_loss
 
 START, GOAL = (np.zeros(3), np.array([-0.03, -0.02, 0.0])), (np.array([0.4, -0.5, 0.7]), np.array([-0.02, -0.01, 0.0]))

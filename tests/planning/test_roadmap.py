@@ -10,7 +10,7 @@ import pytest
 import tubeopt
 from tests.command_line import ROOT
 from tubeopt import InputError, PlanOptions
-from tubeopt.bodies.labels import field_of_image
+from tubeopt.bodies.images import field_of_image
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.phantoms import LUMEN, TARGET, kidney
 from tubeopt.inverse.clock import Clock

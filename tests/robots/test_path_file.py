@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubeopt import ConcentricRobot, InputError, Tube
-from tubeopt.robots.path_file import load_waypoints
+from tubeopt.robots.file import load_waypoints
 
 ROBOT = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.05, 0.1, 10.0), Tube(1.3e-3, 1.1e-3, 0.05, 0.1, 10.0)))
 

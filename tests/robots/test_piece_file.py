@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tubeopt import ConcentricRobot, InputError, Piece, Tube, load_robot, save_robot
-from tubeopt.robots.fit import fit_warnings
-from tubeopt.robots.series import Series
+from tubeopt.robots.pieces import Series
+from tubeopt.robots.robot import fit_warnings
 
 HEAD = """kind: concentric
 tubes:

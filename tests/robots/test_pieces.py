@@ -13,7 +13,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 from tubeopt import ConcentricRobot, EccentricRobot, InputError, Piece, Tube, forward_kinematics, load_equilibrium
-from tubeopt.robots.series import Series, expand, extremes, spline
+from tubeopt.robots.pieces import Series, expand, extremes, spline
 
 
 def varying(x: float) -> tuple[float, float, float]:

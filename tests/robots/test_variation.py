@@ -7,7 +7,7 @@ import pytest
 from numpy.polynomial import chebyshev
 
 from tubeopt import Piece, Tube
-from tubeopt.robots.variation import BEYOND, _bound, variation
+from tubeopt.robots.lengthwise import BEYOND, _bound, variation
 from tubeopt.typing import Array
 
 

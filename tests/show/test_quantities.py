@@ -15,7 +15,7 @@ import pytest
 from tests.command_line import CRL, ROOT, THESIS, Run, answer
 from tubeopt.files.field_metadata import form, key, unit
 from tubeopt.files.units import UNITS, in_unit, per_si, to_si, unit_of
-from tubeopt.robots.path_file import joint_columns
+from tubeopt.robots.file import joint_columns
 from tubeopt.show.quantities import Quantity, described, in_units, line, of_field, record, rows, within
 from tubeopt.show.reports import PAGE, page, report, reports, to_dict
 from tubeopt.typing import Delegate

@@ -17,8 +17,8 @@ from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from tubeopt.stability.friction_path import rubbing_start
 from tubeopt.typing import Array
-from tubeopt.validation import poses as posing
-from tubeopt.validation.poses import Poses
+from tubeopt.validation import model as posing
+from tubeopt.validation.model import Poses
 
 pytestmark = pytest.mark.skipif(kernel_of(THESIS) is None, reason="no C compiler")
 

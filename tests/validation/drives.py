@@ -11,7 +11,7 @@ from tubeopt import ConcentricRobot, Tube
 from tubeopt.robots.calibration import Calibration
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements
-from tubeopt.validation.poses import Poses, solve_poses
+from tubeopt.validation.model import Poses, solve_poses
 
 from .laboratory import MM, in_device
 

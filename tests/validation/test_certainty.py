@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
 from tubeopt.validation import BasePose, Measurements, validate
-from tubeopt.validation.certainty import registration_error, remark
+from tubeopt.validation.comparison import registration_error, remark
 from tubeopt.validation.model import ArmModel
 
 from .laboratory import BASE, DEVICE_BASE, MM, TURN, ctr, in_device, tips, turned

@@ -11,10 +11,10 @@ from tubeopt import ConcentricRobot, InputError, Piece, Tube
 from tubeopt.equilibrium.readings import to_model
 from tubeopt.robots.calibration import Calibration
 from tubeopt.validation import FitOptions, Measurements, fit
+from tubeopt.validation.effects import Setup
+from tubeopt.validation.measurements import Timeline
+from tubeopt.validation.model import solve_poses
 from tubeopt.validation.parameters import KINDS, choose_parameters
-from tubeopt.validation.poses import solve_poses
-from tubeopt.validation.setup import Setup
-from tubeopt.validation.timeline import Timeline
 
 from .drives import driven, joints, robot, trivial
 from .laboratory import MM, in_device

@@ -11,11 +11,11 @@ import pytest
 
 from tubeopt import InputError, Tube, load_robot
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.robust_least_squares import LeastSquaresSolver
 from tubeopt.validation import BasePose, FitOptions, Measurements, choose_parameters, fit, validate
-from tubeopt.validation.descent import FitSolver
+from tubeopt.validation.effects import Setup
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import apply
-from tubeopt.validation.setup import Setup
 
 from .laboratory import CONFIGS, DEVICE_BASE, MM, NOISE, ctr, etr, mirrored, noisy, turned
 
@@ -274,8 +274,9 @@ def test_too_few_measurements() -> None:
         fit(ctr(), turned(ctr(), 3), ["curvature", "nu", "rotation_2"], FitOptions(folds=0))
 
 
-def test_a_fit_that_does_not_converge_says_so() -> None:
-    options = FitOptions(folds=0, solver=FitSolver(iterations=1))
+def test_a_fit_that_does_not_converge_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.validation.fitting.FITTING", LeastSquaresSolver(iterations=1))
+    options = FitOptions(folds=0)
     given, perfect, _ = concentric_case()
     found = fit(given, perfect, ["curvature_1", "curvature_2"], options)
     assert any("had not settled after 1 steps" in remark for remark in found.remarks)

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from tubeopt import ConcentricRobot, InputError, load_robot
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.robot import Robot
-from tubeopt.validation import BasePose, FitOptions, FitSolver, Measurements, compare_effects, fit, validate
+from tubeopt.solvers.robust_least_squares import LeastSquaresSolver
+from tubeopt.validation import BasePose, FitOptions, Measurements, compare_effects, fit, validate
 from tubeopt.validation.comparison import distances
 from tubeopt.validation.fitting import FitProblem
-from tubeopt.validation.model import ArmModel
+from tubeopt.validation.model import ArmModel, solve_poses
 from tubeopt.validation.parameters import choose_parameters, groups
-from tubeopt.validation.poses import solve_poses
 
 from .laboratory import BASE, CONFIGS, MM, TURN
 
@@ -26,7 +26,13 @@ ROBOTS = sorted(path.stem for path in (CONFIGS / "robots").glob("*.yaml"))
 pytestmark = pytest.mark.filterwarnings("ignore:.*usual is")  # soft tubes of Braunschweig
 ALIKE = 1e-3 * MM
 ASKED = ("clearance", "translation_compliance")
-QUICK = FitOptions(folds=0, solver=FitSolver(iterations=2, draws=5))
+QUICK = FitOptions(folds=0)
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.validation.fitting.FITTING", LeastSquaresSolver(iterations=2))
+    monkeypatch.setattr("tubeopt.validation.descent.DRAWS", 5)
 
 
 def recording(robot: Robot, *, poses: bool = True, count: int = 14) -> Measurements:

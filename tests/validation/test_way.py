@@ -13,7 +13,6 @@ from tubeopt.robots.calibration import Calibration
 from tubeopt.validation import (
     FitOptions,
     Measurements,
-    PlacementSearch,
     compare_effects,
     fit,
     validate,
@@ -21,11 +20,10 @@ from tubeopt.validation import (
 )
 from tubeopt.validation.descent import hold_out, predicted_held_out
 from tubeopt.validation.fitting import FitProblem
-from tubeopt.validation.folds import deal, passes
+from tubeopt.validation.measurements import Timeline, deal, passes, runs_of
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
-from tubeopt.validation.subsets import HeldOutSets, slopes_around
-from tubeopt.validation.timeline import Timeline, runs_of
+from tubeopt.validation.selection import HeldOutSets, slopes_around
 
 from .drives import driven, joints, poses, robot, trivial
 from .laboratory import BASE, MM, TURN, in_device
@@ -344,7 +342,7 @@ def test_directions_tell_the_sensor_s_axis_and_weigh_by_their_noise() -> None:
 def test_sensors_along_the_arm_and_such_as_do_not_see() -> None:
     m = driven(trivial(), count=60, noise=0.0)
     assert m.time is not None
-    from tubeopt.validation.poses import solve_poses
+    from tubeopt.validation.model import solve_poses
 
     behind = np.array([0.0, 35 * MM])
     read = joints(m.time, m.time[-1])
@@ -365,9 +363,10 @@ def test_what_no_configuration_determines_is_said() -> None:
         where_to_measure(robot(), ["rotation_all"], 10)
 
 
-def test_tubes_of_equal_length_are_measured_where_they_move_together() -> None:
+def test_tubes_of_equal_length_are_measured_where_they_move_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tubeopt.validation.placing.CANDIDATES", 24)
     two = load_robot("configs/robots/two_tube.yaml")
-    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2, search=PlacementSearch(candidates=24))
+    found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
     assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)
     assert np.ptp(found.translations[:, 0]) > 1 * MM
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..errors import InputError
 from ..physics.shape import rotation_matrix
 from ..physics.strain import surface_strain
-from ..robots.breakpoints import order_of, where_of
+from ..robots.assembly import order_of, where_of
 from ..robots.load import Load
 from ..typing import Array
 from .given import LENGTHS, assembly_at, given_of, push_of

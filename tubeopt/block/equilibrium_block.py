@@ -17,7 +17,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, choice, undoubted
-from ..robots.breakpoints import DIMENSIONS, dimensions_of, order_of
+from ..robots.assembly import DIMENSIONS, dimensions_of, order_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.robot import Robot, is_general

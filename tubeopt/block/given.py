@@ -11,8 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, nearest
-from ..robots.assembly import Assembly, assemble
-from ..robots.breakpoints import DIMENSIONS, dimensions_of, places
+from ..robots.assembly import DIMENSIONS, Assembly, assemble, dimensions_of, places
 from ..robots.load import Load, masses
 from ..robots.order import last_tube
 from ..robots.robot import Robot, is_general

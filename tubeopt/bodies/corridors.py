@@ -20,14 +20,12 @@ from ..files.field_metadata import POSITIVE, check_size, check_usual, unit
 from ..files.files import read_bytes
 from ..files.units import MM
 from ..typing import Array, Index
-from .axes import agreed
 from .distance_field import DistanceField
-from .frames import Frame, ras
+from .frames import Frame, agreed, ras
 from .obstacles import AWAY, THICK, Point3, RoundCone, as_points, distance_of_numbers, greater
-from .polygon_files import read_polygons
+from .polygons import read_polygons, read_vtk
 from .scene import Scene
 from .triangles import Triangles, oriented
-from .vtk_file import read_vtk
 
 LOGGER = logging.getLogger(__name__)
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks, which Python prints without one

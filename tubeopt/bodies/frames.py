@@ -1,21 +1,37 @@
-"""Where a robot stands in a patient: rigid frames, given by an entry and a direction or by landmarks measured twice.
+"""Rigid frames of a robot in a patient: by an entry and a direction, or by landmarks measured twice; their errors.
 
 A patient's axes are RAS, to the right, to the front and up, as NIfTI has them; LPS, as DICOM has them, points to the
 left and to the back. Lengths are in m.
+
+Some files state their axes: SPACE=LPS in headers and comments, as 3D Slicer writes them. STL has it in its header, PLY,
+OBJ, OFF and CSV in comments, VTK in its second line, Slicer's .fcsv as `# CoordinateSystem = LPS` (0 for RAS and 1
+for LPS in old ones), and .mrk.json under `coordinateSystem`.
+
+The errors of a registration: the turn minimises  sum_v w_v |R m_v + t - p_v|^2, whose second derivative by the turn,
+the translation following, is  H = tr(S) I - S  with  S = sum_v w_v (R m_v - mean)(p_v - mean)'  (symmetric at the
+minimum), curvature by residuals included. Data on a line, or residuals as large as the spread across it, leave H
+singular or indefinite.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
+from ..display import Displayed
 from ..errors import InputError, choice, finite, vector
+from ..files.field_metadata import unit
+from ..files.files import read_bytes
 from ..typing import Array
-from .certainty import MOST, NARROW, RegistrationError, landmark_error
 
 AXES = ("RAS", "LPS")
 """Ways of writing positions in a patient."""
@@ -181,3 +197,233 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
             "a landmark farther from the line"
         )
     return found
+
+
+MOST = math.radians(5.0)
+"""Standard error of the turn beyond which a registration is refused."""
+
+NARROW = 0.1
+"""Spread across over spread along, below which points are taken as near to a line."""
+
+MIRRORED = 0.7
+"""A mirror image whose residual is below this part of the registration's is worth a remark."""
+
+EXACT = 1e-6
+"""Residual over the spread of the points, below which it is round-off, and tells nothing about a mirror image."""
+
+OPEN = 1e-9
+"""Least eigenvalue of H over its trace, below which the turn is open."""
+
+
+@dataclass(frozen=True)
+class RegistrationError:
+    """Standard errors of a registration."""
+
+    turn: Annotated[float, unit("deg"), "standard error of the rotation about the worst axis"]
+    """Infinite where the data leave it open."""
+    reach: Annotated[float, unit("mm"), "standard error of a point at the arm's length from the plate"]
+    """Worst of all directions; from landmarks, at the distance of the farthest one."""
+    narrow: float
+    """Spread of the points across the line that is nearest to them, over the spread along it."""
+    mirrored: float | None = None
+    """Root mean square distance to the best mirror image, m, where that is clearly smaller; else None."""
+    doubtful: float = 1.0
+    """Factor by which the standard errors may be larger (95 %), where few residuals tell them."""
+
+    @property
+    def too_large(self) -> bool:
+        """Whether points near to a line leave the turn so open that a registration is refused."""
+        return self.turn * self.doubtful > MOST and self.narrow <= NARROW
+
+
+def turn_curvature(here: Array, there: Array, weight: Array, turns: Array) -> Array | None:
+    """(k, k) second derivative H by turns about axes (k, 3), from places (V, 3) about their mean; None where a turn is
+    open."""
+    s = np.einsum("v,vi,vj->ij", weight, here, there)
+    hessian = turns @ (np.trace(s) * np.eye(3) - (s + s.T) / 2) @ turns.T
+    least, scale = np.linalg.eigvalsh(hessian)[0], max(float(np.trace(hessian)), 1e-300)
+    return None if least <= OPEN * scale else hessian
+
+
+def narrowness(points: Array) -> float:
+    """Spread of points (V, 3) across the line that is nearest to them, over the spread along it."""
+    along = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return float(along[1] / max(along[0], 1e-300)) if len(along) > 1 else 0.0
+
+
+def standard_errors(covariance: Array, turns: Array, centre: Array, length: float) -> tuple[float, float]:
+    """Standard errors of the turn about its worst axis, and of the worst point at a distance from the plate."""
+    n = len(turns)
+    about = turns.T @ covariance[:n, :n] @ turns
+    reach = 0.0
+    for point in length * np.vstack([np.eye(3), -np.eye(3)]):
+        x, y, z = point - centre
+        cross = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # of a small turn
+        change = np.hstack([cross @ turns.T, np.eye(3)])
+        reach = max(reach, float(np.linalg.eigvalsh(change @ covariance @ change.T)[-1]))
+    return math.sqrt(max(np.linalg.eigvalsh(about)[-1], 0.0)), math.sqrt(reach)
+
+
+def mirrored(here: Array, there: Array, left: float) -> float | None:
+    """Root mean square distance to the best mirror image, where it is clearly below what is left, else None."""
+    u, v = here - here.mean(0), there - there.mean(0)
+    size = np.linalg.svd(u.T @ v)[1]
+    sign = np.sign(np.linalg.det(u.T @ v))
+    best = (u**2).sum() + (v**2).sum() - 2 * (size[0] + size[1] - sign * size[2])
+    apart, spread = math.sqrt(max(float(best), 0.0) / len(u)), math.sqrt(float((u**2).sum()) / len(u))
+    return apart if apart < MIRRORED * left and left > EXACT * spread else None
+
+
+def landmark_error(here: Array, there: Array, noise: float | None = None) -> RegistrationError:
+    """The standard errors of a registration from landmarks `here` (N, 3), m, in the plate's frame, by which `there`
+    (N, 3), in the same frame after the registration, are explained.
+
+    `noise` is the standard deviation of each coordinate, m; by default what the registration leaves over 3 N - 6. So
+    the errors of landmarks are taken as independent and of one size, in all directions alike. An error that all of them
+    share moves the plate and leaves no trace.
+    """
+    count, centre, doubtful = len(here), there.mean(0), 1.0
+    narrow, rms = narrowness(here), math.sqrt(((here - there) ** 2).sum() / count)
+    if noise is None:
+        spare = max(3 * count - 6, 1)
+        noise = rms * math.sqrt(count / spare)
+        doubtful = math.sqrt(spare / scipy.stats.chi2.ppf(0.05, spare))
+    hessian = turn_curvature(here - here.mean(0), there - centre, np.ones(count), np.eye(3))
+    if hessian is None:
+        return RegistrationError(math.inf, math.inf, narrow, mirrored(here, there, rms))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = np.linalg.inv(hessian), np.eye(3) / count
+    length = float(np.linalg.norm(here, axis=1).max())
+    turn, reach = standard_errors(noise**2 * covariance, np.eye(3), centre, length)
+    return RegistrationError(turn, reach, narrow, mirrored(here, there, rms), doubtful)
+
+
+STATED = re.compile(
+    rb"""\bSPACE=([A-Za-z0-9-]+)|(?i:\bCoordinateSystem)["']?\s*[=:]\s*["']?([A-Za-z0-9-]+)|"""
+    rb"""(?i:\bspace\s*[=:]\s*(ras|lps|right-anterior-superior|left-posterior-superior)\b)"""
+)
+"""A statement, and its word; of other spellings of SPACE only the words that are known, since "space" is common."""
+
+WORDS = {
+    "ras": "RAS", "right-anterior-superior": "RAS", "0": "RAS",
+    "lps": "LPS", "left-posterior-superior": "LPS", "1": "LPS",
+}  # fmt: skip
+"""What files call the axes that are known."""
+
+HEAD = 4096
+"""Bytes at the beginning of a file in which it is stated."""
+
+STL_HEADER = 80
+"""Bytes of the header of a binary STL file."""
+
+COMMENTS = {".ply": b"comment obj_info", ".obj": b"#", ".off": b"#", ".csv": b"#", ".fcsv": b"#", ".txt": b"#"}
+"""How lines that are comments begin, by the kind of file."""
+
+
+def stated_axes(path: str | PathLike[str]) -> str | None:
+    """RAS or LPS: the axes that a file states itself; None where it states none.
+
+    Raises:
+        InputError: no such file, axes that are not known, or two of them.
+    """
+    found = {"".join(word.decode() for word in one).lower() for one in STATED.findall(_statements(path))}
+    unknown = sorted(found - WORDS.keys())
+    if unknown:
+        raise InputError(f"{path}: it states the axes {unknown[0]!r}; they must be {' or '.join(AXES)}")
+    known = sorted({WORDS[word] for word in found})
+    if len(known) > 1:
+        raise InputError(f"{path}: it states two kinds of axes, {' and '.join(known)}; it must state one")
+    return known[0] if known else None
+
+
+def _statements(path: str | PathLike[str]) -> bytes:
+    """The parts of a file in which axes may be stated."""
+    suffix, content = Path(path).suffix.lower(), read_bytes(path)
+    if suffix == ".json":
+        return content
+    if suffix == ".stl" and not content[:STL_HEADER].lstrip().lower().startswith(b"solid"):
+        return content[:STL_HEADER]
+    head = content[:HEAD]
+    if suffix == ".stl":  # text, or a binary one whose header begins as text does
+        return head.split(b"\n", 1)[0][:HEAD]
+    if suffix == ".vtk":
+        return b"\n".join(head.split(b"\n")[:2])
+    begins = tuple(COMMENTS.get(suffix, b"").split())
+    if not begins:
+        return b""
+    return b"\n".join(line for line in head.splitlines() if line.lstrip().startswith(begins))
+
+
+def agreed(path: str | PathLike[str], axes: str | None) -> str | None:
+    """RAS or LPS: the axes that a file states, or else those that are given with it; None where neither says anything.
+
+    Raises:
+        InputError: as `stated_axes`; axes that are given and contradict those that the file states.
+    """
+    stated = stated_axes(path)
+    if stated is not None and axes is not None and stated != axes:
+        raise InputError(f"{path}: axes is {axes}, but the file states {stated}; leave axes out, or correct the file")
+    return stated or axes
+
+
+def needed(path: str | PathLike[str], axes: str | None) -> str:
+    """The same where one must be known: raises InputError where neither says anything."""
+    known = agreed(path, axes)
+    if known is None:
+        raise InputError(
+            f"{path}: the file does not state its axes, and none are given; give axes: RAS (x to the right, y to the "
+            "front) or axes: LPS (x to the left, y to the back)"
+        )
+    return known
+
+
+COLLINEAR = 1e-6
+"""Sine of the angle between two ways from which on they span a plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane(Displayed):
+    """A plane.
+
+    Raises:
+        InputError: no three finite numbers, a normal of length 0.
+    """
+
+    point: Array
+    """(3,) any of it, m."""
+    normal: Array
+    """(3,) of any length but 0; kept with length 1."""
+
+    def __post_init__(self) -> None:
+        normal = vector("normal of the plane", self.normal, 3, "x, y, z")
+        length = float(np.linalg.norm(normal))
+        if length == 0:
+            raise InputError("normal of the plane is 0, 0, 0; it must have a direction")
+        object.__setattr__(self, "point", vector("point of the plane", self.point, 3, "x, y, z in m"))
+        object.__setattr__(self, "normal", normal / length)
+
+    @classmethod
+    def through(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Plane:
+        """The plane that holds three points (3,), m; raises InputError where they lie on one line."""
+        one, second, third = (vector("point of the plane", each, 3, "x, y, z in m") for each in (a, b, c))
+        normal = np.cross(second - one, third - one)
+        if not np.linalg.norm(normal) > COLLINEAR * np.linalg.norm(second - one) * np.linalg.norm(third - one):
+            raise InputError("the three points of the plane lie on one line; give other points, or a normal")
+        return cls(one, normal)
+
+    def height(self, points: ArrayLike) -> Array:
+        """(...) how far points (..., 3) lie beyond the plane along its normal, m."""
+        return np.asarray((np.asarray(points, dtype=float) - self.point) @ self.normal)
+
+    @property
+    def frame(self) -> Frame:
+        """In the plane, its z the normal; its y as near to the z of the plate as can be, for a plane square to that to
+        the plate's y."""
+        up = np.array([0.0, 0.0, 1.0]) if abs(self.normal[2]) < 0.99 else np.array([0.0, 1.0, 0.0])
+        right = np.cross(up, self.normal)
+        right /= np.linalg.norm(right)
+        return Frame(np.column_stack([right, np.cross(self.normal, right), self.normal]), self.point)
+
+    def seen_from(self, frame: Frame) -> Plane:
+        """The same plane as a frame has it."""
+        return Plane(frame.seen(self.point), self.normal @ frame.axes)

@@ -31,7 +31,7 @@ from ..files.checked import Entry, check, check_kind, marks_in
 from ..files.shipped import ENDINGS, FOLDER, found, resolved, shipped
 from ..files.units import parse_number, plainest, unit_of
 from ..files.yaml_file import load_yaml, read_flow
-from ..robots.fit import fit_warnings
+from ..robots.robot import fit_warnings
 from ..runs.study_file import STUDY_KINDS, Study
 from ..show.progress import working
 from ..show.reports import report

@@ -15,8 +15,7 @@ from ..block.transcription.chain import bend_of
 from ..display import Displayed
 from ..equilibrium.directions import Change, Directions
 from ..errors import InputError, choice, finite, items, whole
-from ..robots.pieces import Piece, Slots
-from ..robots.series import Quantity, Series, times, turned, values
+from ..robots.pieces import Piece, Quantity, Series, Slots, times, turned, values
 from ..robots.tubes import STIFFNESSES, OfCrossSection, Tube, second_moment
 from ..typing import Array
 

@@ -22,7 +22,7 @@ from ..equilibrium.linearised import curvature_at, linearise, position_at
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..physics.strain import bend_from_own, surface_strain
-from ..robots.breakpoints import DIMENSIONS
+from ..robots.assembly import DIMENSIONS
 from ..robots.concentric import ConcentricRobot
 from ..robots.load import Load
 from ..robots.tubes import Tube

@@ -21,8 +21,8 @@ from ..errors import SolveError, whole
 from ..files.field_metadata import form
 from ..physics.strain import surface_strain
 from ..robots.concentric import ConcentricRobot
+from ..robots.pieces import Series
 from ..robots.robot import shifts
-from ..robots.series import Series
 from ..robots.tubes import Tube, piece_strain
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited

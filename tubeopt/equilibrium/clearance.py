@@ -34,9 +34,8 @@ from ..block.transcription.buffered import section_function
 from ..display import Displayed
 from ..errors import InputError
 from ..robots.assembly import Assembly
-from ..robots.concentric import ConcentricRobot
-from ..robots.fit import drawn_clearance
-from ..robots.friction import clearances
+from ..robots.concentric import ConcentricRobot, clearances
+from ..robots.robot import drawn_clearance
 from ..typing import Array
 from .result import Equilibrium
 

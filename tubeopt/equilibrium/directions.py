@@ -17,8 +17,7 @@ from ..block.transcription.green import INWARDS
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.responsive import Forcing, Responsive
 from ..errors import InputError
-from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.breakpoints import DIMENSIONS
+from ..robots.assembly import DIMENSIONS, ROUND_OFF, Assembly
 from ..robots.lengthwise import CrossSections, Lengthwise
 from ..robots.load import masses
 from ..robots.order import outermost

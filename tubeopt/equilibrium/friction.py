@@ -31,8 +31,8 @@ from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
+from ..robots.concentric import Friction, check_friction
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
-from ..robots.friction import Friction, check_friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled

@@ -14,7 +14,7 @@ from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..display import Displayed
 from ..errors import InputError
 from ..files.field_metadata import form, key, unit
-from ..robots.friction import Friction
+from ..robots.concentric import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small

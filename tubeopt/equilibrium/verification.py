@@ -22,8 +22,8 @@ import scipy
 from ..robots.assembly import Assembly, cut
 from ..robots.load import FORCE, MOMENT, Load, masses
 from ..robots.order import last_tube, outermost, twisted_tube
+from ..robots.pieces import Quantity, at, vary
 from ..robots.robot import Robot
-from ..robots.series import Quantity, at, vary
 from ..robots.tubes import stretches
 from ..typing import Array, Index, Mask
 from .result import Equilibrium, Verification, refuse_friction, small_turn

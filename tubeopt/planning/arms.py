@@ -13,9 +13,9 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
+from ..bodies.anatomy import seen_from
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
-from ..bodies.placed import seen_from
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics

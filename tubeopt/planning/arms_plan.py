@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..bodies.anatomy import seen_from
 from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance

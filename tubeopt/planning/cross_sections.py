@@ -12,9 +12,8 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from ..robots.lengthwise import Lengthwise, lengthwise
+from ..robots.lengthwise import Lengthwise, Variation, lengthwise, variation
 from ..robots.robot import Robot
-from ..robots.variation import Variation, variation
 from ..typing import Array, Index
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
+from ..bodies.anatomy import seen_from
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, nearest_distance
-from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole

@@ -18,9 +18,8 @@ from ..files.csv_file import decoded, read_csv, to_csv
 from ..files.files import read_bytes, write_text
 from ..files.shipped import resolved
 from ..files.units import DEG, MM, RAD, in_unit
-from ..robots.file import load_robot
+from ..robots.file import check_joints, joint_cells, joint_columns, load_robot
 from ..robots.load import Load
-from ..robots.path_file import check_joints, joint_cells, joint_columns
 from ..robots.robot import Robot
 from ..stability.equilibria import find_equilibria
 from ..typing import Array

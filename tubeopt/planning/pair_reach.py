@@ -12,9 +12,9 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
+from ..bodies.anatomy import seen_from
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..errors import InputError, SolveError, positive
 from ..inverse.arm_surface import ArmSurface

@@ -16,9 +16,9 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..bodies.anatomy import seen_from
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.placed import seen_from
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium

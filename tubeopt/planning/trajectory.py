@@ -9,9 +9,8 @@ from typing import Annotated
 
 import numpy as np
 
-from ..bodies.frames import Frame
+from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle
-from ..bodies.plane import Plane
 from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium

@@ -1,19 +1,29 @@
-"""Precurvature and stiffness along the tubes of a bundle, as one table of polynomials that is read at any points."""
+"""Precurvature and stiffness along the tubes of a bundle: as polynomials, by their bounds, or in steps.
+
+One table of polynomials (`Lengthwise`) is read at any points. On a part of one of its panels every quantity is a
+polynomial, so that its Chebyshev coefficients c_k there bound it (`Variation`): it is no farther from c_0 than the sum
+of |c_k|, k > 0. Parts are halved until that is close.
+
+For expressions (`Steps`) a piece that varies along its length is cut into equal steps, each with the mean precurvature,
+bending stiffness and torsional compliance of where it is. Its curve is off by no more than about |du*/ds| L h^2 / 12 in
+steps of h.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..typing import Array, Mask
-from .series import Quantity, Series, breaks_of, on_panels, zeros
+from .pieces import Piece, Quantity, Series, breaks_of, on_panels, part_of, values, vary, zeros
 from .tubes import Tube, stretches
 
 QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
@@ -184,8 +194,8 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     for i, own in enumerate(panels):
         breaks[i, : len(own) + 1] = [0.0, *(panel.high for panel in own)]
         compliance[i, 1 : len(own) + 1] = list(accumulate(panel.compliance for panel in own))
-        for name, values in (("direction", direction), ("detail", detail), ("twist", twist)):
-            values[i, : len(own)] = [getattr(panel, name) for panel in own]
+        for name, column in (("direction", direction), ("detail", detail), ("twist", twist)):
+            column[i, : len(own)] = [getattr(panel, name) for panel in own]
         for k, panel in enumerate(own):
             for q, coefficients in enumerate(panel.channels):
                 table[i, k, q, : len(coefficients)] = coefficients
@@ -283,3 +293,234 @@ def _cuts(tube: Tube, panels: list[_Panel]) -> tuple[float, ...]:
     """Where pieces of a tube begin and end, and where its bend changes sides, from its held end, m."""
     ends = accumulate((length for length, *_ in stretches(tube)), initial=0.0)
     return tuple(sorted([*ends, *(side for panel in panels for side in panel.sides)]))
+
+
+MOST_CELLS = 8
+"""Of a piece along which something varies."""
+
+CHANGE = 0.2
+"""Of stiffness or |kb u*_xy| along a cell, as a share of the largest on the piece, above which there are more."""
+
+BEYOND = 1e-8
+"""So far (m) bounds hold beyond the ends of a cell, where the piece goes on."""
+
+CLOSE = 0.9
+"""What a bound of a stiffness from below must be, as a share of the least that is found."""
+
+HALVINGS, LEAST_HALVINGS = 12, 2
+"""Of a part along which something varies, at most and at least."""
+
+BOUNDS = 17
+"""Numbers that are found of a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """Bounds on the cells of n tubes; a piece along which nothing varies is one. (n, C + 1), the last behind the end.
+
+    a is kb u*_xy in the tube's own frame, and ' the derivative by arc length along the tube. Behind the end kt is what
+    it was, and all else is 0.
+
+    Attributes:
+        cuts: (n, C) where cells end, from the held end, m; the first is the straight part. Tubes of fewer cells are
+            filled up with cells without length.
+        bending: (4, ...) kb from below, |kb'|, |kb''|, |kb'''|.
+        torsional: kt from below.   ease: (3, ...) |(1 / kt)'|, |(1 / kt)''|, |(1 / kt)'''|.
+        pull: (4, ...) |a|, |a'|, |a''|, |a'''|.
+        twist: (3, ...) |u*_z|, |u*_z'|, |u*_z''|.
+        stiffest: (2, ...) kb and kt from above.
+    """
+
+    cuts: Array
+    bending: Array
+    torsional: Array
+    ease: Array
+    pull: Array
+    twist: Array
+    stiffest: Array
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing changes along any cell."""
+        return not any(rates.any() for rates in (self.bending[1:], self.ease, self.pull[1:], self.twist[1:]))
+
+
+@lru_cache(maxsize=128)
+def variation(tubes: tuple[Tube, ...]) -> Variation:
+    """The bounds of some tubes."""
+    table = lengthwise(tubes)
+    cells = [_cells(tube) for tube in tubes]
+    most = max(2, *(len(own) for own in cells))
+    cuts = np.array([[cut for *_, cut in [*own, *[own[-1]] * (most - len(own))]] for own in cells])
+    bounds = np.zeros((BOUNDS, len(tubes), most + 1))
+    for i, own in enumerate(cells):
+        for c, (low, high, _) in enumerate(own):
+            bounds[:, i, c] = _bounds(table, i, low, high)
+        bounds[:, i, len(own) : most] = bounds[:, i, len(own) - 1, None]
+        bounds[4, i, most] = bounds[4, i, most - 1]
+    return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
+
+
+def _cells(tube: Tube) -> list[tuple[float, float, float]]:
+    """Between which arc lengths bounds must hold for every cell of a tube, and where it ends, m."""
+    cells, start = [], 0.0
+    for length, precurvature, bending, torsional in stretches(tube):
+        count = _count((*precurvature, bending, torsional), length)
+        cuts = [*(start + length * k / count for k in range(count)), start + length]
+        cells += [(max(low - BEYOND, start), min(high + BEYOND, start + length), high) for low, high in pairwise(cuts)]
+        start += length
+    return cells if tube.straight_length > 0 else [(*cells[0][:2], 0.0), *cells]
+
+
+def _count(quantities: tuple[Quantity, ...], length: float) -> int:
+    """Cells of a piece with these x, y, z, kb and kt."""
+    if not vary(quantities):
+        return 1
+    s = np.linspace(0.0, length, 16 * MOST_CELLS + 1)
+    x, y, _, kb, kt = (values(q, s) for q in quantities)
+    ranges = [(np.ptp(each), np.abs(each).max()) for each in (kb, kt, kb * np.hypot(x, y))]
+    share = max(float(change / size) if size > 0 else 0.0 for change, size in ranges)
+    return int(np.clip(np.ceil(share / CHANGE), 1, MOST_CELLS))
+
+
+def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
+    """(BOUNDS,) of a tube from one arc length to another."""
+    breaks = table.breaks[tube][np.isfinite(table.breaks[tube])]
+    found = []
+    for panel, (first, last) in enumerate(pairwise(breaks)):
+        a, b = max(low, first), min(high, last)
+        # What a cell and a panel have in common by round-off is bounded from the other side.
+        if b - a > BEYOND / 2:
+            ends = (2 * np.array([a, b]) - first - last) / (last - first)
+            found += _parts(table.coefficients[tube, panel, :5], ends, last - first, HALVINGS)
+    parts = np.array(found)
+    out: Array = parts.max(0)
+    out[[0, 4]] = parts[:, [0, 4]].min(0)
+    return out
+
+
+def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> list[Array]:
+    """Bounds of quantities (5, D) on parts of what lies between two places (2,) of -1 to 1 on a panel of a length."""
+    middle, half = ends.mean(), (ends[1] - ends[0]) / 2
+    own = part_of(coefficients.T, ends).T
+    values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), own.T)
+    still = (coefficients[:, 1:] == 0).all(1)
+    own[still] = coefficients[still]
+    bound = _bound(own, length * half / 2)
+    loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - LEAST_HALVINGS
+    if halvings and loose and not still.all():
+        halves = np.array([ends[0], middle]), np.array([middle, ends[1]])
+        return [part for each in halves for part in _parts(coefficients, each, length, halvings - 1)]
+    return [bound]
+
+
+def _bound(coefficients: Array, half: float) -> Array:
+    """(BOUNDS,) of kb, kt, x, y and z (5, D) on -1 to 1, which is a stretch of twice `half`, m."""
+    kb, kt, x, y, z = coefficients
+    pull = [chebyshev.chebmul(kb, each) for each in (x, y)]
+    square = chebyshev.chebadd(*(chebyshev.chebmul(each, each) for each in pull))
+    (_, *bending), (_, kt1, kt2, kt3), twist = (_sizes(each, half) for each in (kb, kt, z))
+    sides = [_sizes(each, half) for each in pull]
+    low = [2 * each[0] - np.abs(each).sum() for each in (kb, kt)]
+    one, two, three = kt1 / low[1], kt2 / low[1], kt3 / low[1]
+    ease = np.array([one, two + 2 * one**2, three + 6 * one * two + 6 * one**3]) / low[1]
+    return np.array(
+        [
+            *(low[0], *bending),
+            *(low[1], *ease),
+            *(np.abs(square).sum() ** 0.5, *np.hypot(*sides)[1:]),
+            *twist[:3],
+            *(np.abs(each).sum() for each in (kb, kt)),
+        ]
+    )
+
+
+def _sizes(coefficients: Array, half: float) -> Array:
+    """(4,) bounds of the size of a polynomial and of its first three derivatives by arc length."""
+    orders = [coefficients]
+    for _ in range(3):
+        orders.append(np.asarray(chebyshev.chebder(orders[-1]) / half, dtype=float))
+    return np.array([np.abs(each).sum() for each in orders])
+
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+"""By which means along a step are taken."""
+
+LEAST_STEPS, MOST_STEPS, OFF = 4, 12, 5e-5
+"""Steps of a piece that varies; share of its length by which its curve may be off where fewer than the most do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """n tubes of up to C stretches; shorter chains are filled up with stretches without length.
+
+    cuts: (n, C) where stretches end, from the held end, m; the first is the straight part.  bending, torsional,
+    curvature, phase, twist: (n, C) EI, GJ, |u*_xy|, the direction of that in the tube's own frame, and u*_z.
+    wound: (n, C) natural turn where stretches begin.
+    """
+
+    cuts: Array
+    bending: Array
+    torsional: Array
+    curvature: Array
+    phase: Array
+    twist: Array
+    wound: Array
+
+
+def steps_of(tubes: Sequence[Tube]) -> Steps:
+    """The stretches of tubes; of those that vary along a piece, to some 0.01 % of their length."""
+    rows = []
+    for tube in map(_in_steps, tubes):
+        chain = stretches(tube)
+        if tube.straight_length == 0:
+            chain = [(0.0, (0.0, 0.0, 0.0), *chain[0][2:]), *chain]
+        rows.append([(length, *u, bending, torsional) for length, u, bending, torsional in chain])
+    most = max(2, *(len(row) for row in rows))
+    table = np.array([[*row, *[(0.0, *row[-1][1:])] * (most - len(row))] for row in rows], dtype=float)
+    length, x, y, z, bending, torsional = table.transpose(2, 0, 1)
+    wound = np.cumsum(length * z, axis=1) - length * z
+    return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, wound)
+
+
+def varies(tubes: Sequence[Tube]) -> bool:
+    """Whether anything varies along a piece of a tube."""
+    return any(vary((*u, *stiff)) for tube in tubes for _, u, *stiff in stretches(tube))
+
+
+def _in_steps(tube: Tube) -> Tube:
+    pieces = [part for piece in tube.pieces for part in _steps(piece)]
+    if len(pieces) == len(tube.pieces):
+        return tube
+    return replace(tube, curvature=max(piece.largest_curvature for piece in pieces), pieces=tuple(pieces))
+
+
+def _steps(piece: Piece) -> list[Piece]:
+    parts = *piece.precurvature, piece.bending_stiffness, piece.torsional_stiffness
+    if not vary(parts):
+        return [piece]
+    count = _step_count(piece)
+    places = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
+    x, y, z, kb = (_means(part, places) for part in parts[:4])
+    kt = _means(piece.torsional_stiffness, places, -1)
+    return [
+        replace(piece, length=piece.length / count, precurvature=u, bending_stiffness=b, torsional_stiffness=t)
+        for u, b, t in zip(zip(x, y, z, strict=True), kb, kt, strict=True)
+    ]
+
+
+def _step_count(piece: Piece) -> int:
+    """Steps of a piece that varies."""
+    s = np.linspace(0.0, piece.length, 8 * MOST_STEPS + 1)
+    x, y, z = (values(q, s) for q in piece.precurvature)
+    turned = np.hypot(x, y).max() * np.ptp(z) / 2
+    fast = float(np.hypot(np.gradient(x, s), np.gradient(y, s)).max() + turned)
+    return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), LEAST_STEPS, MOST_STEPS))
+
+
+def _means(quantity: Quantity | None, places: Array, power: int = 1) -> list[Any]:
+    """Mean of a quantity, or of its reciprocal, in every step."""
+    if not isinstance(quantity, Series):
+        return [quantity] * len(places)
+    means: list[Any] = ((quantity(places) ** power @ WEIGHTS / 2) ** power).tolist()
+    return means

@@ -1,22 +1,308 @@
-"""A piece of a tube: any precurvature and any stiffness along a stretch of it (SI)."""
+"""Pieces of tubes: any precurvature and any stiffness along a stretch, as numbers or polynomials in arc length (SI).
+
+A function given by the user is expanded once, in Chebyshev polynomials on panels that are halved until the coefficients
+fall to 1e-13 of the largest value (Trefethen, Approximation Theory and Approximation Practice, SIAM 2013). What remains
+is plain data: it is compared, hashed, pickled and saved, and evaluated alike by NumPy and by the compiled kernel.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache, reduce
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
+import scipy
+from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, finite, instance, positive
+from ..errors import InputError, called, finite, instance, positive
 from ..files.field_metadata import POSITIVE, REQUIRED, Typical
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
-from .series import POINTS, Quantity, Series, expand, extremes, plus, spline, stretched, times, values
+
+POINTS = 25
+"""Chebyshev points on a panel, and most coefficients of it."""
+
+TOLERANCE = 1e-13
+"""Of the largest value, what may be left out."""
+
+HALVINGS = 10
+"""How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused."""
+
+_NODES = np.cos(np.pi * (np.arange(POINTS)[::-1] + 0.5) / POINTS)
+_FIT = np.linalg.inv(chebyshev.chebvander(_NODES, POINTS - 1))
+
+
+@dataclass(frozen=True)
+class Series:
+    """A polynomial on each of several panels."""
+
+    breaks: tuple[float, ...]
+    """(k + 1) arc lengths at which the panels meet, from 0, m."""
+    coefficients: tuple[tuple[float, ...], ...]
+    """Per panel, of the Chebyshev polynomials in x = -1 .. 1 along it."""
+
+    def __post_init__(self) -> None:
+        breaks = tuple(float(s) for s in self.breaks)
+        table = tuple(tuple(float(c) for c in panel) for panel in self.coefficients)
+        values = np.array([*breaks, *(c for panel in table for c in panel)])
+        shaped = len(breaks) == len(table) + 1 and len(table) > 0 and all(table)
+        if not shaped or not np.isfinite(values).all() or breaks[0] != 0 or (np.diff(breaks) <= 0).any():
+            raise InputError("a series must have one list of finite coefficients for every panel between rising breaks")
+        object.__setattr__(self, "breaks", breaks)
+        object.__setattr__(self, "coefficients", table)
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.breaks, self.coefficients))
+
+    @cached_property
+    def _arrays(self) -> tuple[Array, Array]:
+        width = max(map(len, self.coefficients))
+        return np.array(self.breaks), np.array([[*panel, *[0.0] * (width - len(panel))] for panel in self.coefficients])
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @property
+    def length(self) -> float:
+        """Arc length of the whole, m."""
+        return self.breaks[-1]
+
+    def __call__(self, arc_length: ArrayLike) -> Array:
+        """Values at arc lengths (any shape), m; those outside are of the nearest end."""
+        shape = np.shape(arc_length)
+        s = np.clip(np.asarray(arc_length, dtype=float).ravel(), 0.0, self.length)
+        breaks, table = self._arrays
+        panel = np.clip(np.searchsorted(breaks, s, side="right") - 1, 0, len(table) - 1)
+        low, high = breaks[panel], breaks[panel + 1]
+        x = (2 * s - low - high) / (high - low)
+        return np.asarray((table[panel] * chebyshev.chebvander(x, table.shape[1] - 1)).sum(-1).reshape(shape))
+
+    def value(self, s: float) -> float:
+        """Its value at one arc length, m, by Clenshaw's recurrence: a tenth of the time of a call."""
+        s = min(max(s, 0.0), self.length)
+        panel = min(bisect_right(self.breaks, s), len(self.coefficients)) - 1
+        low, high = self.breaks[panel], self.breaks[panel + 1]
+        x = 2 * (2 * s - low - high) / (high - low)
+        first, *rest = self.coefficients[panel]
+        one = other = 0.0
+        for c in reversed(rest):
+            one, other = c + x * one - other, one
+        return first + x / 2 * one - other
+
+    def stretched(self, factor: float) -> Series:
+        """The same quantity along a stretch that is `factor` times as long."""
+        return Series(tuple(s * factor for s in self.breaks), self.coefficients)
+
+    def times(self, factor: float) -> Series:
+        """The quantity multiplied by a number."""
+        return Series(self.breaks, tuple(tuple(factor * c for c in panel) for panel in self.coefficients))
+
+
+Quantity = float | Series
+"""A quantity that is constant along its stretch, or a series of it."""
+
+
+def vary(quantities: Iterable[Any]) -> bool:
+    """Whether any of these is a series."""
+    return any(isinstance(quantity, Series) for quantity in quantities)
+
+
+def values(quantity: Quantity, s: Array) -> Array:
+    """(N,) values of a quantity at arc lengths (N,), m."""
+    return quantity(s) if isinstance(quantity, Series) else np.full(len(s), quantity)
+
+
+def at(quantity: Quantity, s: float) -> float:
+    """Its value at one arc length, m."""
+    return quantity.value(s) if isinstance(quantity, Series) else quantity
+
+
+def stretched(quantity: Any, factor: float) -> Any:
+    """A quantity, or none, along a stretch that is `factor` times as long."""
+    return quantity.stretched(factor) if isinstance(quantity, Series) else quantity
+
+
+def times(quantity: Quantity, factor: float) -> Quantity:
+    """A quantity multiplied by a number."""
+    return quantity.times(factor) if isinstance(quantity, Series) else quantity * factor
+
+
+def turned(x: Quantity, y: Quantity, angle: float) -> tuple[Quantity, Quantity]:
+    """A bend direction turned about z."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    if not isinstance(x, Series) and not isinstance(y, Series):
+        return cos * x - sin * y, sin * x + cos * y
+    return plus(times(x, cos), times(y, -sin)), plus(times(x, sin), times(y, cos))
+
+
+def plus(a: Quantity, b: Quantity) -> Quantity:
+    """The sum of two quantities; of two series on the same panels."""
+    if not isinstance(a, Series):
+        a, b = b, a
+    if not isinstance(a, Series):
+        return a + b  # type: ignore[operator]
+    other = b.coefficients if isinstance(b, Series) else ((b,),) * len(a.coefficients)
+    table = []
+    for one, more in zip(a.coefficients, other, strict=True):
+        row = np.zeros(max(len(one), len(more)))
+        row[: len(one)] += one
+        row[: len(more)] += more
+        table.append(tuple(row.tolist()))
+    return Series(a.breaks, tuple(table))
+
+
+def breaks_of(quantities: Sequence[Quantity], length: float) -> Array:
+    """Arc lengths at which any of the quantities along a stretch begins another panel, with both ends, m."""
+    inner = {s for q in quantities if isinstance(q, Series) for s in q.breaks if 0 < s < length}
+    return np.array([0.0, *sorted(inner), length])
+
+
+def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
+    """Coefficients of a quantity on panels that its own are made of, or cut into."""
+    if not isinstance(quantity, Series):
+        return [np.array([quantity])] * (len(breaks) - 1)
+    out = []
+    for low, high in pairwise(breaks):
+        panel = min(int(np.searchsorted(quantity.breaks, (low + high) / 2)) - 1, len(quantity.coefficients) - 1)
+        own = np.array(quantity.coefficients[panel])
+        first, last = quantity.breaks[panel : panel + 2]
+        if first == low and last == high:
+            out.append(own)
+            continue
+        ends = (2 * np.array([low, high]) - first - last) / (last - first)
+        out.append(part_of(own, ends))
+    return out
+
+
+def part_of(coefficients: Array, ends: Array) -> Array:
+    """Coefficients (D, ...) of the polynomials that a series has between two places (2,) of -1 .. 1."""
+    middle, half = ends.mean(), (ends[1] - ends[0]) / 2
+    return np.asarray(
+        chebyshev.chebinterpolate(lambda x: chebyshev.chebval(middle + half * x, coefficients).T, len(coefficients) - 1)
+    )
+
+
+def zeros(coefficients: Array, imaginary: float, least: float | None = None) -> Array:
+    """Where in -1 .. 1, ends left out, a series of Chebyshev polynomials is 0, of roots with less than an `imaginary`
+    part; coefficients up to `least`, by default 1e-14 of the largest, are round-off."""
+    size = 1e-14 * float(np.abs(coefficients).max()) if least is None else least
+    trimmed = chebyshev.chebtrim(coefficients, size)
+    roots = chebyshev.chebroots(trimmed) if len(trimmed) > 1 else np.zeros(0)
+    return np.asarray(roots.real[(np.abs(roots.imag) < imaginary) & (np.abs(roots.real) < 1 - 1e-9)])
+
+
+def extremes(quantities: Sequence[Quantity], length: float) -> tuple[float, float]:
+    """Least and greatest root of the sum of squares of quantities along a stretch; of one quantity, of its values."""
+    found: list[float] = []
+    breaks = breaks_of(quantities, length)
+    for panels in zip(*(on_panels(q, breaks) for q in quantities), strict=True):
+        total = panels[0] if len(panels) == 1 else reduce(chebyshev.chebadd, (chebyshev.chebmul(p, p) for p in panels))
+        inside = zeros(chebyshev.chebder(total), 1e-4, 1e-14 * float(np.abs(total).max()))
+        found += np.atleast_1d(chebyshev.chebval(np.array([-1.0, 1.0, *inside]), total)).tolist()
+    if len(quantities) == 1:
+        return min(found), max(found)
+    return max(min(found), 0.0) ** 0.5, max(max(found), 0.0) ** 0.5
+
+
+def spline(arc_length: Array, values: Array) -> Series:
+    """The spline of degree 5 through values (k,) at rising arc lengths (k,) from 0, four times continuously
+    differentiable, without knots at the two points next to either end; the polynomial through six points or fewer."""
+    degree = min(5, len(arc_length) - 1)
+    through = scipy.interpolate.PPoly.from_spline(scipy.interpolate.make_interp_spline(arc_length, values, k=degree))
+    # The knots outside, and those that are there several times, make pieces without length.
+    inside = np.flatnonzero((np.diff(through.x) > 0) & (through.x[:-1] >= arc_length[0]))
+    return _of_polynomials(scipy.interpolate.PPoly(through.c[:, inside], through.x[[*inside, inside[-1] + 1]]))
+
+
+def _of_polynomials(polynomials: Any) -> Series:
+    """Exactly the same polynomials in Chebyshev's."""
+
+    def values(x: Array) -> Any:
+        return np.polyval(polynomials.c, (x[:, None] + 1) / 2 * np.diff(polynomials.x))
+
+    table = chebyshev.chebinterpolate(values, len(polynomials.c) - 1).T
+    return Series(tuple(polynomials.x.tolist()), tuple(map(tuple, table.tolist())))
+
+
+def expand(function: Callable[[float], ArrayLike], length: float, name: str, size: int) -> tuple[Quantity, ...]:
+    """`size` components of a function of arc length 0 .. `length` (m) as quantities, constants where they are constant.
+
+    Raises:
+        InputError: it does not return `size` finite numbers, or is not smooth: the sentence says where.
+    """
+
+    def sample(low: float, high: float, x: Array) -> Array:
+        return np.array([_values(function, (low + high) / 2 + t * (high - low) / 2, name, size) for t in x])
+
+    ends = np.array([-1.0, -0.6, 0.1, 1.0])
+    scale = np.maximum(np.abs(sample(0.0, length, np.concatenate([ends, _NODES]))).max(0), 1e-300)
+    scale = np.maximum(scale, 1e-3 * scale.max())
+    panels: list[tuple[float, float, Array]] = []
+    stack = [(0.0, length, 0)]
+    while stack:
+        low, high, depth = stack.pop()
+        values = sample(low, high, _NODES)
+        coefficients = _FIT @ values
+        # What is constant is so to the last bit.
+        still = np.ptp(values, axis=0) == 0
+        coefficients[:, still] = np.eye(POINTS)[:, :1] * values[0, still]
+        # Between the points the function must be what its expansion says, or a spike would pass unseen.
+        between = np.abs(sample(low, high, ends) - chebyshev.chebval(ends, coefficients).T)
+        if (np.abs(coefficients[-3:]) <= TOLERANCE * scale).all() and (between <= 1e-11 * scale).all():
+            panels.append((low, high, coefficients))
+            continue
+        if depth == HALVINGS:
+            raise InputError(
+                f"{name} is not smooth near {(low + high) / 2 * 1e3:.4g} mm of its piece; a jump or a corner must lie "
+                "where two pieces meet"
+            )
+        middle = (low + high) / 2
+        stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
+    _must_join(panels, scale, name)
+    return tuple(_trimmed(panels, k, scale[k]) for k in range(size))
+
+
+def _values(function: Callable[[float], ArrayLike], s: float, name: str, size: int) -> Array:
+    values: Array = called(f"{name} of a piece", lambda s: np.asarray(function(s), dtype=float).reshape(-1), float(s))
+    if values.shape != (size,) or not np.isfinite(values).all():
+        wanted = "a finite number" if size == 1 else f"{size} finite numbers"
+        raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {wanted}")
+    return values
+
+
+def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str) -> None:
+    """Refuse jumps and corners that happen to lie where panels meet."""
+    for (low, middle, left), (_, high, right) in pairwise(panels):
+        jump = np.abs(chebyshev.chebval(1.0, left) - chebyshev.chebval(-1.0, right))
+        slopes = [
+            chebyshev.chebval(x, chebyshev.chebder(c)) * 2 / (b - a)
+            for x, c, a, b in ((1.0, left, low, middle), (-1.0, right, middle, high))
+        ]
+        corner = np.abs(slopes[0] - slopes[1]) * (high - low)
+        if (jump > 1e-10 * scale).any() or (corner > 1e-7 * scale).any():
+            raise InputError(
+                f"{name} is not smooth at {middle * 1e3:.4g} mm of its piece; a jump or a corner must lie where two "
+                "pieces meet"
+            )
+
+
+def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float) -> Quantity:
+    """One component without the coefficients that are round-off; a number where nothing else is left."""
+    table = [chebyshev.chebtrim(c[:, column], TOLERANCE * scale / 10) for *_, c in panels]
+    first = float(table[0][0])
+    if all(len(c) == 1 and abs(c[0] - first) <= TOLERANCE * scale for c in table):
+        return first
+    breaks = (0.0, *(high for _, high, _ in panels))
+    return Series(breaks, tuple(tuple(c.tolist()) for c in table))
+
 
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""

@@ -1,11 +1,13 @@
-"""What every tube robot offers to the rest of the library."""
+"""What every tube robot offers to the rest of the library, and warnings of tubes that do not fit one another."""
 
 from __future__ import annotations
 
 import reprlib
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from os import PathLike
 from typing import Any, TypeVar
 
@@ -14,12 +16,13 @@ from numpy.typing import ArrayLike
 
 from ..display import Displayed
 from ..errors import InputError, undoubted, vector
+from ..files.units import TO_MM
 from ..typing import Array, lazy_import
 from .assembly import Assembly
 from .calibration import Calibration, check_calibration, limits_of
 from .limits import FAR, MOST_TURN, JointLimits, check_reach, check_turn
 from .order import home_translations
-from .tubes import Tube, warn_of_units
+from .tubes import Tube, slots_unknown, warn_of_units
 
 Kept = TypeVar("Kept")
 
@@ -226,3 +229,51 @@ def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
 def is_general(robot: Robot) -> bool:
     """Whether a tube of the robot is written as pieces: how its numbers lie. What answers depend on is `even`."""
     return any(tube.general for tube in robot.tubes)
+
+
+TIGHT_MM = 0.01
+"""Radial clearance below which tubes bind: what drawn tubing and its ovality already use up."""
+
+LOOSE_MM = 0.1
+"""Radial clearance above which the inner tube lies visibly off the centreline that the model gives both."""
+
+
+def clearances(robot: Robot) -> dict[int, tuple[int, float]]:
+    """Tube -> the tube around it, if any, and the radial clearance (mm) between them; tubes counted from 0."""
+    return {i: (o, round(_room(robot.tubes[i], robot.tubes[o]) * TO_MM, 9)) for i, o in robot.nested_pairs}
+
+
+def drawn_clearance(tubes: Sequence[Tube]) -> tuple[float, ...]:
+    """(n - 1,) radial clearance of every tube in the next one by their diameters, m."""
+    return tuple(_room(inner, outer) for inner, outer in pairwise(tubes))
+
+
+def _room(inner: Tube, outer: Tube) -> float:
+    return (outer.inner_diameter - inner.outer_diameter) / 2
+
+
+def fit_warnings(robot: Robot) -> list[str]:
+    """What may go wrong when this robot is built and used: tubes strained too far, tubes too tight or too loose."""
+    found = []
+    for i, tube in enumerate(robot.tubes, start=1):
+        strain, name = tube.straightened_strain, tube.material.name
+        reached = f"tube {i} is strained {strain * 100:.2f} % when held straight, beyond the"
+        if strain > tube.material.superelastic_strain:
+            found.append(
+                f"{reached} {tube.material.superelastic_strain * 100:.3g} % limit of superelasticity of {name}"
+            )
+        elif strain > tube.material.working_strain:
+            found.append(f"{reached} {tube.material.working_strain * 100:.3g} % limit of {name} for repeated bending")
+        unknown = [str(j) for j, piece in enumerate(tube.pieces, start=1) if slots_unknown(tube, piece)]
+        if unknown:
+            found.append(
+                f"tube {i} is softer in piece{'s' * (len(unknown) > 1)} {', '.join(unknown)} than elsewhere. The "
+                "strain at slots is larger than shown here. Give the fraction with slots by slots: {share: ...}"
+            )
+    for i, (around, clearance) in clearances(robot).items():
+        fit = f"tube {i + 1} has {clearance:.3g} mm of radial clearance in tube {around + 1},"
+        if clearance < TIGHT_MM:
+            found.append(f"{fit} less than the {TIGHT_MM:g} mm that sliding needs: friction will wind the tubes up")
+        elif clearance > LOOSE_MM:
+            found.append(f"{fit} more than {LOOSE_MM:g} mm: its axis may lie beside the outer tube's")
+    return found

@@ -14,8 +14,7 @@ from ..errors import InputError, finite, implausible, instance, items, positive
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_size, check_usual, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
-from .pieces import TWIST, Piece
-from .series import Quantity, Series, extremes
+from .pieces import TWIST, Piece, Quantity, Series, extremes
 
 LARGEST = 1e6
 """m: no tube is so thick, and the fourth power of one that is may be no number."""

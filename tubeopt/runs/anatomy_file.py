@@ -15,12 +15,10 @@ import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from ..bodies.anatomy import Anatomy, anatomy_seen, centres
-from ..bodies.axes import needed
 from ..bodies.corridors import PLACE, MeshObstacle, load_points, read_mesh, warn_of_open
 from ..bodies.distance_field import DistanceField
-from ..bodies.frames import Frame, base_frame, ras, register
-from ..bodies.images import LabelImage, read_image
-from ..bodies.labels import field_of_image
+from ..bodies.frames import Frame, base_frame, needed, ras, register
+from ..bodies.images import LabelImage, field_of_image, read_image
 from ..bodies.solids import field_of_mesh, field_of_points, field_of_surface
 from ..errors import InputError, triple
 from ..files.checked import Entry, Number, Positive, Triple, Whole, check, in_file

@@ -29,12 +29,11 @@ from ..files.units import DEG, MM, RAD, in_unit, shown, to_si
 from ..files.yaml_file import load_yaml
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
 from ..robots.eccentric import EccentricRobot, SheathedRobot, sheath_inner_diameter
-from ..robots.path_file import check_joints, joint_columns
+from ..robots.file import check_joints, joint_columns
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from ..validation.comparison import ErrorTable
-from ..validation.measurements import SAME_PLACE, JointLog, Measurements
-from ..validation.timeline import Timeline, runs_of
+from ..validation.measurements import SAME_PLACE, JointLog, Measurements, Timeline, runs_of
 from .recorded_table import QUATERNION, Columns, Recorded, columns_of, read_recorded
 
 # --- tables that a YAML file maps -------------------------------------------------------------------------------------

@@ -11,9 +11,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
-from ..bodies.frames import Frame
+from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle
-from ..bodies.plane import Plane
 from ..display import Displayed
 from ..errors import undoubted
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file

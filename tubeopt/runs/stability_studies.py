@@ -15,8 +15,8 @@ from ..equilibrium.result import Equilibrium
 from ..files.checked import Positive, Whole, in_file
 from ..files.field_metadata import Typical, form, key, unit
 from ..robots.concentric import friction_of
+from ..robots.file import Waypoints, load_waypoints
 from ..robots.load import Load
-from ..robots.path_file import Waypoints, load_waypoints
 from ..robots.robot import Robot
 from ..stability import (
     ASSUMING,

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..equilibrium.result import Equilibrium
 from ..inverse.arm_surface import outer_radius
-from ..robots.series import Series, extremes
+from ..robots.pieces import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array
 from .colours import Colour, rgb, tube_colour

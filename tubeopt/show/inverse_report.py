@@ -19,7 +19,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import MM, TO_MILLI, TO_MM, in_unit
 from ..inverse import InverseSolution
-from ..robots.path_file import joint_cells, joint_columns, waypoints_csv
+from ..robots.file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
 from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
 from .quantities import Quantity, described, line, of_field, rows, within

@@ -9,7 +9,7 @@ from rich.console import RenderableType
 
 from ..files.files import write_text
 from ..files.units import SIGNS
-from ..robots.path_file import waypoints_csv
+from ..robots.file import waypoints_csv
 from ..validation import Placement
 from .quantities import Quantity, described, in_units, with_unit
 from .report import Report, grid

@@ -8,9 +8,8 @@ from rich.text import Text
 
 from ..files.units import TO_MM
 from ..robots.file import AnyRobot
-from ..robots.fit import clearances, fit_warnings
 from ..robots.order import ends_inside
-from ..robots.robot import Robot
+from ..robots.robot import Robot, clearances, fit_warnings
 from ..robots.tubes import OfCrossSection, Tube
 from .formatting import ends_in_words
 from .quantities import Quantity, within

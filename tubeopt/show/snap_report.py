@@ -16,8 +16,8 @@ from ..equilibrium.result import Equilibrium, FrictionState
 from ..files.csv_file import to_csv
 from ..files.files import save_arrays, write_text
 from ..files.units import TO_MILLI, TO_MM
+from ..robots.file import joint_cells, joint_columns
 from ..robots.order import ends_inside, out_of_order
-from ..robots.path_file import joint_cells, joint_columns
 from ..runs.stability_studies import Equilibria, RobotMap, Way
 from ..stability import Snap
 from ..typing import Array

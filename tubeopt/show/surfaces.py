@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bodies.anatomy import Turned
 from ..bodies.corridors import Corridor, MeshObstacle
 from ..bodies.distance_field import DistanceField, surface_net
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from ..bodies.placed import Turned
 from ..errors import InputError
 from ..typing import Array
 

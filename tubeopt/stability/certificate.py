@@ -22,9 +22,9 @@ from ..errors import InputError, positive
 from ..files.field_metadata import form, unit
 from ..physics.certificate import APART, OPPOSED, PARAMETERS, Pattern, largest_eigenvalue, worst_function
 from ..robots.assembly import ROUND_OFF, Assembly, merge
+from ..robots.lengthwise import variation
 from ..robots.limits import check_force
 from ..robots.robot import Robot, shifts
-from ..robots.variation import variation
 from ..solvers.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, StatusEnum

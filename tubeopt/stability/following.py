@@ -21,7 +21,7 @@ from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
 from ..errors import InputError, SolveError, vector
-from ..robots.friction import Friction
+from ..robots.concentric import Friction
 from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot

@@ -35,7 +35,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import check_load, loading_of
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError, SolveError
-from ..robots.friction import Friction
+from ..robots.concentric import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small

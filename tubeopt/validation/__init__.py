@@ -1,15 +1,13 @@
 """The model against measured tips: frames registered, errors told, the effects found that part robot and drawing."""
 
-from ..bodies.certainty import RegistrationError
+from ..bodies.frames import RegistrationError
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
-from .descent import FitSolver
 from .effects import EFFECTS, KINDS
 from .fitting import Estimate, Fit, FitOptions, fit
-from .folds import Parity
-from .force import ForceEstimate, ForceRecord, ForceSolver, estimate_force, estimate_forces
-from .measurements import JointLog, Measurements
+from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
+from .measurements import JointLog, Measurements, Parity
 from .parameters import Parameter, choose_parameters
-from .placing import Placement, PlacementSearch, where_to_measure
+from .placing import Placement, where_to_measure
 from .registration import SENSOR_FRAME, BasePose, Registration, register
 from .selection import Comparison, Step, compare_effects
 
@@ -25,16 +23,13 @@ __all__ = [
     "Estimate",
     "Fit",
     "FitOptions",
-    "FitSolver",
     "ForceEstimate",
     "ForceRecord",
-    "ForceSolver",
     "JointLog",
     "Measurements",
     "Parameter",
     "Parity",
     "Placement",
-    "PlacementSearch",
     "Registration",
     "RegistrationError",
     "Step",

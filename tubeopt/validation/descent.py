@@ -5,7 +5,7 @@ The least squares are those of `solvers.robust_least_squares`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,48 +27,20 @@ LOSSES = ("linear", "huber", "soft_l1")
 """How a large error counts: by its square, or in the end by its size."""
 
 
-@dataclass(frozen=True)
-class FitSolver(LeastSquaresSolver):
-    """How a fit descends; a field of `FitOptions`.
+# How a fit descends, and one of many similar fits whose slopes are known from near by, as in fits to all folds but one:
+# each step there gains two digits or more.
+FITTING = LeastSquaresSolver()
+BY_CHORDS = LeastSquaresSolver(iterations=8, settled=NEARLY_SETTLED)
 
-    Raises:
-        InputError: a count that is no whole number of at least 1, another number that is not positive.
-    """
+# Length of an error of three coordinates, in standard deviations of one, from which a robust loss grows like it and no
+# longer like its square. Of normal errors 3 % are longer.
+ROBUST_FROM = 3.0
 
-    chord_iterations: int = 8
-    """With slopes that are known from near by, as in fits to all folds but one: each gains two digits or more."""
-    same_noise: float = 0.02
-    """Relative change of the estimated noise at which it has settled."""
-    blocks: int = 20
-    """Of rows that intervals are drawn from again, where there are as many places."""
-    draws: int = 400
-    """Of them."""
-    rounds: int = 8
-    """Of choosing effects at most."""
-    tried: int = 4
-    """Sets of effects, of those that promise most, that are fitted at each round."""
-    strong: float = 10.0
-    """Twice the logarithm of a Bayes factor from which on the evidence against an effect counts: very strong (Kass and
-    Raftery, J. Am. Stat. Assoc. 90 (1995))."""
-    crooked: float = 30.0
-    """A set is fitted if it is no more than so much worse to first order, which curvature of the model may make up
-    for."""
-    robust_from: float = 3.0
-    """Length of an error of three coordinates, in standard deviations of one, from which a robust loss grows like it
-    and no longer like its square."""
-
-    @property
-    def by_chords(self) -> FitSolver:
-        """For one of many fits alike, whose slopes are known from near by."""
-        return replace(self, iterations=self.chord_iterations, settled=NEARLY_SETTLED)
+# Draws of blocks of rows that intervals are computed from: their standard deviation is known to 4 %.
+DRAWS = 400
 
 
-DEFAULT_SOLVER = FitSolver()
-
-
-def hold_out(
-    model: ArmModel, weights: Weights, fit: Descent[State], fold: Index, solver: FitSolver = DEFAULT_SOLVER
-) -> Array:
+def hold_out(model: ArmModel, weights: Weights, fit: Descent[State], fold: Index) -> Array:
     """(V, 3) residuals of every observation by fits to the other folds, with the slopes of the fit to all; `fold` (N,)
     is that of each row.
 
@@ -79,7 +51,7 @@ def hold_out(
     for k in np.unique(own):
         rest = replace(weights, share=weights.share * (own != k))
         try:
-            without = descend(model, rest, fit.state, jacobian=fit.jacobian, solver=solver.by_chords)
+            without = descend(model, rest, fit.state, jacobian=fit.jacobian, solver=BY_CHORDS)
             out[own == k] = without.residuals[own == k]
         except SolveError:
             out[own == k] = fit.residuals[own == k]
@@ -101,7 +73,7 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: Descent[State], 
     return out
 
 
-def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], block: Index, draws: int) -> Array:
+def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], block: Index) -> Array:
     """(P,) standard errors from blocks of rows, (N,) the block of each, drawn again with replacement.
 
     Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
@@ -112,7 +84,7 @@ def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], blo
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
     whole = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
     prior = whole[0] - squares.sum(0), whole[1] - slopes.sum(0)
-    draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), draws)
+    draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), DRAWS)
     steps = [solved(np.tensordot(n, squares, 1) + prior[0], np.tensordot(n, slopes, 1) + prior[1]) for n in draw]
     spread = np.std(steps, axis=0, ddof=1) * np.sqrt(len(labels) / (len(labels) - 1))
     return np.asarray(spread[: len(fit.state.x)])

@@ -17,22 +17,34 @@ import scipy
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, finite, instance, positive
+from ..errors import InputError, finite, positive
 from ..files.field_metadata import OneOf, check_fields, form, key, unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent, Weights, descend, normal_equations
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, StatusEnum
-from .certainty import check_registration, registration_error
-from .comparison import ErrorSummary, Validation, check_tubes, compare_at, distances, validate
-from .descent import DEFAULT_SOLVER, LOSSES, FitSolver, bootstrap_errors, hold_out
-from .folds import deal, passes
+from .comparison import (
+    BLOCKS,
+    ErrorSummary,
+    Validation,
+    check_registration,
+    check_tubes,
+    compare_at,
+    distances,
+    registration_error,
+    validate,
+)
+from .descent import FITTING, LOSSES, ROBUST_FROM, bootstrap_errors, hold_out
 from .identifiability import doubts, entangled_history, left_out, louder, undetermined
-from .measurements import Measurements
+from .measurements import Measurements, deal, passes
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters
 from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
+
+# Relative change of the estimated noise at which it has settled: from n numbers it is known to 1 / sqrt(2 n), 2 % of
+# 1250. Noise changes the weights of positions against directions, and those the fit a little: a few rounds suffice.
+SAME_NOISE, NOISE_ROUNDS = 0.02, 6
 
 
 @typed
@@ -64,12 +76,9 @@ class FitOptions:
     """Each with the standard deviation by which the drawing may be off, the `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
-    solver: FitSolver = DEFAULT_SOLVER
-    """How the fit descends."""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        instance("solver", self.solver, FitSolver)
         if not 0 < finite("confidence", self.confidence) < 1:
             raise InputError(f"confidence is {self.confidence:g}; it must lie between 0 and 1")
         for name, value in zip(("position", "direction"), self.noise, strict=True):
@@ -214,7 +223,7 @@ def weigh(model: ArmModel, options: FitOptions, sigma: tuple[float, float]) -> W
     """How observations count, given the noise of positions and directions."""
     prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
-    return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, options.solver.robust_from)
+    return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, ROBUST_FROM)
 
 
 class FitProblem:
@@ -261,14 +270,13 @@ class FitProblem:
     def _settle(self, start: State, slopes: Array) -> Descent[State]:
         """Descend from a start with its slopes, and estimate the noise, until it settles; with nothing but least
         squares of positions it does not matter what it is."""
-        solver = self.options.solver
-        found = descend(self.model, self.weights(), start, first=slopes, solver=solver)
-        for _ in range(6):
+        found = descend(self.model, self.weights(), start, first=slopes, solver=FITTING)
+        for _ in range(NOISE_ROUNDS):
             last, self.sigma = self.sigma, self._noise(found)
             alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
-            if alike or np.allclose(self.sigma, last, rtol=solver.same_noise, atol=0):
+            if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
                 break
-            found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=solver)
+            found = descend(self.model, self.weights(), found.state, first=found.jacobian, solver=FITTING)
         return self._registered(found)
 
     def _registered(self, found: Descent[State]) -> Descent[State]:
@@ -327,14 +335,14 @@ class FitProblem:
         check_registration(known, model.method)
         place = passes(measurements).place
         errors, correlation = self._spread()
-        block = deal(measurements, min(options.solver.blocks, len(np.unique(place))), place)
+        block = deal(measurements, min(BLOCKS, len(np.unique(place))), place)
         blocked = np.full(len(self.chosen), np.inf)
         if self.free:
-            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block, options.solver.draws)
+            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
         fold = deal(measurements, options.folds, place) if options.folds else None
         along, axis = None, None
         if fold is not None:
-            along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold, options.solver))
+            along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))
         told(3, 4)
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
@@ -384,7 +392,7 @@ class FitProblem:
         words += louder(self._left(self.fit), self.options.noise)
         if not self.fit.converged:
             words.append(
-                f"the fit had not settled after {self.options.solver.iterations} steps: estimate fewer parameters, or "
+                f"the fit had not settled after {FITTING.iterations} steps: estimate fewer parameters, or "
                 "start from a closer robot"
             )
         if self.fit.obstacle:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -20,12 +20,10 @@ from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import (
     InputError,
-    Settings,
     SolveError,
     TimeLimitError,
     choice,
     finite,
-    instance,
     undoubted,
     vector,
     whole,
@@ -41,11 +39,10 @@ from ..solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress, StatusEnum
 from .comparison import check_tubes
-from .measurements import Measurements
-from .poses import about_z
+from .effects import Setup
+from .measurements import Measurements, Timeline
+from .model import about_z
 from .registration import Registration
-from .setup import Setup
-from .timeline import Timeline
 
 ARRIVED = 1e-12
 """Distance from the tip, m, within which a measured point is the tip."""
@@ -54,31 +51,35 @@ UNSEEN = 1e-8
 """Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
 
 
-@dataclass(frozen=True)
-class ForceSolver(Settings):
-    """Settings of the fit of a force, for `estimate_force` and `estimate_forces`.
+class Effort(NamedTuple):
+    """How far a force is fitted."""
 
-    Raises:
-        InputError: steps that are no whole number of at least 1, another number that is not positive.
-    """
-
-    steps: int = 60
-    """Maximum number of steps."""
-    longest_move: float = 0.1
-    """Largest displacement of a measured point in one step, as a fraction of the arm; the linear fit is useless beyond.
-    """
-    first_damping: float = 1e-8
-    """Relative to the diagonal of the normal equations: other directions may be seen a thousand times less."""
-    settled: float = 1e-4
+    steps: int
+    """Maximum number of equilibria tried."""
+    settled: float
     """Step, in standard errors of the force, below which it has settled."""
 
 
-SETTLED, STEPS = 1e-2, 12
-"""Of fits to measurements that are moved: a hundredth of a standard error, and the steps in which most are found."""
+# A fit takes 4 to 12 steps; where one direction is hardly seen, steps along it are cut short again and again.
+FULL = Effort(60, 1e-4)
 
-SURE, WITHIN = 1e-3, 4.0
-"""Steps, in standard errors, below which a force has settled where steps end for another reason, and below which a fit
-is as good as the noise, whatever the force is along that direction."""
+# For fits to moved measurements, from which errors are computed: a hundredth of a standard error moves these by a per
+# cent, and most fits settle in 12 steps from the fit to the measurement itself.
+QUICK = Effort(12, 1e-2)
+
+# Largest displacement of a measured point in one step, as a fraction of the arm: the linear fit is useless beyond.
+LONGEST_MOVE = 0.1
+
+# Relative to the diagonal of the normal equations. Directions may be seen a thousand times less than others, a
+# million times in squares: a damping of 1e-6 would hold the force along them.
+FIRST_DAMPING = 1e-8
+
+# Step, in standard errors, below which a force has settled where steps end for another reason.
+SURE = 1e-3
+
+# Residual along a direction, in standard errors, below which a fit is as good as the noise, whatever the force along
+# it.
+WITHIN = 4.0
 
 ROOT = np.sqrt(3.0)
 """Standard deviations by which measurements are moved."""
@@ -87,8 +88,6 @@ NORMAL = scipy.special.ndtri(scipy.stats.qmc.Halton(3, scramble=False).random(10
 """(1024, 3) normal numbers, evenly spread."""
 
 EVERYWHERE = np.eye(3)
-
-DEFAULT_FORCE = ForceSolver()
 
 
 class ForceStatus(StatusEnum):
@@ -156,8 +155,6 @@ class ForceEstimate(Displayed):
     """The measurement."""
     base: Load
     """Loads that were known."""
-    solver: ForceSolver
-    """Settings of the fit."""
 
     def contains(self, force: ArrayLike, confidence: float = 0.95) -> bool:
         """True if a force (N) is in the confidence region of the likelihood.
@@ -199,7 +196,7 @@ class ForceEstimate(Displayed):
             drawn = replace(self.measured, position=position + noise * random.normal(size=position.shape))
             with suppress(SolveError):
                 start = _trial(self.equilibrium, self.base, self.force, drawn)
-                again = _estimate(start, self.base, drawn, self.solver)
+                again = _estimate(start, self.base, drawn)
                 off = again.directions @ (self.force - again.force)
                 held += float(np.sum((off / again.errors) ** 2)) <= most
         return held / draws
@@ -285,7 +282,6 @@ def estimate_forces(
     known: Load | None = None,
     registration: Annotated[str | None, OneOf(("none", "saved"))] = None,
     progress: Progress | None = None,
-    solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ForceRecord:
     """The dead force at the tip in every row of a recording, as `estimate_force`, each started from the row before.
@@ -298,7 +294,7 @@ def estimate_forces(
         measurements: joint readings, and positions; sensors behind the tip are points of the arm. Sensors at the same
             place of a row count by their mean.
         noise: standard deviation of a measured coordinate, m.
-        known, solver: as in `estimate_force`.
+        known: as in `estimate_force`.
         registration: frame of the positions: none (base frame) or saved (device frame of the calibration). It is
             required if the calibration has a registration and was fitted to other positions.
         progress: called with rows done and rows in all.
@@ -322,7 +318,6 @@ def estimate_forces(
     """
     check_tubes(robot, measurements)
     usual_length("noise", noise, SEEN_WITHIN)
-    instance("solver", solver, ForceSolver)
     base, setup = _known(known), Setup.of(robot)
     if any(setup.drives.translation_compliance):
         raise InputError(
@@ -342,7 +337,7 @@ def estimate_forces(
             joints = joint_values(robot, alpha[row], shift[row])
             offset = setup.sensor_offset if seen[0] else np.zeros(3)
             measured = Measured(length - stations[seen], positions[row, seen], noise, offset)
-            estimate = _fitted(robot, joints, measured, base, last, solver)
+            estimate = _fitted(robot, joints, measured, base, last)
         except SolveError as error:
             failures.append((row, str(error)))
             found.append(None)
@@ -399,7 +394,6 @@ def estimate_force(  # noqa: PLR0913
     noise: float = 1e-3,
     known: Load | None = None,
     start: Equilibrium | None = None,
-    solver: ForceSolver = DEFAULT_FORCE,
     time_limit: float = TIME_LIMIT,
 ) -> ForceEstimate:
     """The dead force at the tip that fits measured positions best (Levenberg and Marquardt, with exact derivatives).
@@ -413,7 +407,6 @@ def estimate_force(  # noqa: PLR0913
         noise: standard deviation of every measured coordinate, m.
         known: other loads, such as the robot's weight; the estimate is added to its tip force.
         start: where the fit begins, such as the equilibrium of the last estimate; by default without force.
-        solver: settings of the fit.
         time_limit: maximum run time, s.
 
     Raises:
@@ -430,12 +423,11 @@ def estimate_force(  # noqa: PLR0913
         >>> round(float(found.force[0]), 4)
         0.02
     """
-    instance("solver", solver, ForceSolver)
     alpha, shift = joint_values(robot, rotations, translations)
     places = _measured(
         float(robot.assembly(shift).total_length), tip_position, points, usual_length("noise", noise, SEEN_WITHIN)
     )
-    return _fitted(robot, (alpha, shift), places, _known(known), start, solver)
+    return _fitted(robot, (alpha, shift), places, _known(known), start)
 
 
 def _known(load: Load | None) -> Load:
@@ -452,34 +444,33 @@ def _fitted(
     measured: Measured,
     base: Load,
     start: Equilibrium | None,
-    solver: ForceSolver,
 ) -> ForceEstimate:
     """The estimate at joint values of the model, rad and m."""
     check_target(robot.tubes, "what is measured", measured.position)
     first = base if start is None or start.load is None else replace(base, force=start.load.force)
     pushed = forward_kinematics(robot, *joints, load=first, start=start)
-    return _estimate(_trial(pushed, base, np.subtract(first.force, base.force), measured), base, measured, solver)
+    return _estimate(_trial(pushed, base, np.subtract(first.force, base.force), measured), base, measured)
 
 
 def _settled(
-    trial: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array = EVERYWHERE
+    trial: _Trial, base: Load, measured: Measured, effort: Effort, axes: Array = EVERYWHERE
 ) -> tuple[_Trial, int]:
     """The fit of a force that differs from that of a trial along orthonormal axes (3, m) only, and the forces it tried;
     raises SolveError where it does not settle."""
-    model = _Pushed(trial, base, measured, solver, axes)
+    model = _Pushed(trial, base, measured, effort.steps, axes)
     count = len(trial.residual)
     weights = Weights(np.ones(count), np.ones(count), np.full(axes.shape[1], np.inf))
     steps = LeastSquaresSolver(
-        iterations=solver.steps,
+        iterations=effort.steps,
         settled=1e-12,  # a direction that is hardly seen is a small part of the cost
-        first_damping=solver.first_damping,
-        round_off=solver.settled**2 / count,
+        first_damping=FIRST_DAMPING,
+        round_off=effort.settled**2 / count,
     )
     end = descend(model, weights, model.start, solver=steps).state.trial
-    if float(np.linalg.norm(_remaining(end, axes))) <= max(SURE, solver.settled):
+    if float(np.linalg.norm(_remaining(end, axes))) <= max(SURE, effort.settled):
         return end, model.tried
     raise SolveError(
-        f"the force did not converge in {solver.steps} steps: the residual is {_distance(end, measured) * 1e3:.3g} mm",
+        f"the force did not converge in {effort.steps} steps: the residual is {_distance(end, measured) * 1e3:.3g} mm",
         end.equilibrium,
     )
 
@@ -506,20 +497,20 @@ class _Pushed:
 
     freedoms = 0
 
-    def __init__(self, start: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array) -> None:
+    def __init__(self, start: _Trial, base: Load, measured: Measured, most_steps: int, axes: Array) -> None:
         self.bounds = np.outer([-np.inf, np.inf], np.ones(axes.shape[1]))
         self._axes, self._held = axes, start.force - axes @ (axes.T @ start.force)
-        self._base, self._measured, self._solver, self.tried = base, measured, solver, 0
+        self._base, self._measured, self._most_steps, self.tried = base, measured, most_steps, 0
         self.start = _Force(self, axes.T @ start.force, start)
 
     def tried_at(self, x: Array, near: _Trial) -> _Trial:
         """The trial of a force; raises SolveError where there is none."""
         force = self._held + self._axes @ x
         self.tried += 1
-        if self.tried > self._solver.steps:
+        if self.tried > self._most_steps:
             raise SolveError("the step limit was reached")
         moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
-        if moved > self._solver.longest_move * float(near.equilibrium.arc_length[-1]):
+        if moved > LONGEST_MOVE * float(near.equilibrium.arc_length[-1]):
             raise SolveError("the force moves the arm beyond the range of the linearisation")
         try:
             return _trial(near.equilibrium, self._base, force, self._measured)
@@ -599,12 +590,12 @@ def _distance(trial: _Trial, measured: Measured) -> float:
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
-def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver) -> ForceEstimate:
+def _estimate(start: _Trial, base: Load, measured: Measured) -> ForceEstimate:
     """The estimate from a trial. Where directions are hidden, the others are fitted first: hidden there too, the force
     along them stays that of the trial. So does it along the directions that are seen worst where the fit does not
     settle, if the rest settles within the noise and fits along them fail for moved measurements.
     A short arm hardly gives to a force along it."""
-    quick, weakest = replace(solver, settled=SETTLED, steps=STEPS), np.linalg.svd(start.jacobian)[2].T
+    weakest = np.linalg.svd(start.jacobian)[2].T
     failed: SolveError | None = None
     choices = [EVERYWHERE, weakest[:, :2], weakest[:, :1]]
     seen = weakest[:, ~_hidden(start)]
@@ -612,7 +603,7 @@ def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver
         choices.insert(0, seen)
     for axes in choices:
         try:
-            trial, iterations = _settled(start, base, measured, solver, axes)
+            trial, iterations = _settled(start, base, measured, FULL, axes)
         except TimeLimitError:
             raise
         except SolveError as error:
@@ -625,7 +616,7 @@ def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver
     else:
         assert failed is not None
         raise failed
-    covariance, directions, errors = _spread(trial, base, measured, quick, axes)
+    covariance, directions, errors = _spread(trial, base, measured, axes)
     if failed is not None and np.isfinite(errors).sum() > axes.shape[1]:
         raise failed
     return ForceEstimate(
@@ -639,7 +630,6 @@ def _estimate(start: _Trial, base: Load, measured: Measured, solver: ForceSolver
         iterations=iterations,
         measured=measured,
         base=base,
-        solver=solver,
     )
 
 
@@ -651,9 +641,7 @@ def _hidden(trial: _Trial) -> Mask:
     return np.asarray((size * 4 * buckling < 1) | (size <= UNSEEN * size[0]))
 
 
-def _spread(
-    trial: _Trial, base: Load, measured: Measured, solver: ForceSolver, axes: Array
-) -> tuple[Array, Array, Array]:
+def _spread(trial: _Trial, base: Load, measured: Measured, axes: Array) -> tuple[Array, Array, Array]:
     """Covariance, its axes by row from the best to the worst told, and standard errors along these, to second order.
 
     A measurement that is off by z standard deviations along the k-th left singular vector of the Jacobian gives a
@@ -674,7 +662,7 @@ def _spread(
     linear, bent, lost = np.zeros((3, 3)), np.zeros((3, 3)), _hidden(trial)
     for k in np.flatnonzero(~lost):
         along = axes if k < axes.shape[1] else np.column_stack([axes, right[k]])
-        sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], solver, along) for sign in (1.0, -1.0)]
+        sides = [_moved(trial, base, measured, sign * ROOT * left[:, k], along) for sign in (1.0, -1.0)]
         known = [side for side in sides if side is not None]
         lost[k] = len(known) < 2
         if sides[0] is not None and sides[1] is not None:
@@ -702,13 +690,13 @@ def _second_moment(linear: Array, bent: Array) -> Array:
     return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)
 
 
-def _moved(trial: _Trial, base: Load, measured: Measured, by: Array, solver: ForceSolver, axes: Array) -> Array | None:
+def _moved(trial: _Trial, base: Load, measured: Measured, by: Array, axes: Array) -> Array | None:
     """(3,) how the force changes along axes (3, m), N, where residuals change `by` (3 P,) standard deviations; None if
     none is found."""
     other = replace(measured, position=measured.position + measured.noise * by.reshape(-1, 3))
     near = replace(trial, residual=trial.residual + by)
     try:
-        return np.asarray(_settled(near, base, other, solver, axes)[0].force - trial.force)
+        return np.asarray(_settled(near, base, other, QUICK, axes)[0].force - trial.force)
     except (InputError, SolveError):
         return None
 

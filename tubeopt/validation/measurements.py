@@ -1,18 +1,27 @@
-"""What a laboratory measures: joint readings, and where sensors saw the arm, when, and which way they pointed."""
+"""Measurements of a recording: rows, runs over time, and which rows may not be separated in a cross-validation.
+
+Neighbouring rows of a path share their errors, and so do rows of another pass through the same joint values: whoever
+holds out one and keeps the other measures how well the data were memorised. So rows are sorted by the place at which
+the path first came by, and held out in blocks of places.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite_array, items
-from ..typing import Array
+from ..files.field_metadata import unit
+from ..robots.calibration import Calibration
+from ..typing import Array, Index
 
 SAME_PLACE = 1e-6
 """Sensors whose distances behind the tip differ by less (m) sit at one station."""
@@ -222,3 +231,217 @@ def _sensors(value: ArrayLike, count: int) -> Array:
 def _mean(sensors: Array) -> Array:
     """(N, 3) mean over the sensors (N, s, 3) that were seen; NaN where none was."""
     return np.asarray(np.ma.masked_invalid(sensors).mean(1).filled(np.nan))
+
+
+TURN = 2 * math.pi
+"""rad."""
+
+
+def runs_of(time: Array) -> list[Index]:
+    """Indices of every run: rows on end whose times ascend without a gap."""
+    step = np.diff(time)
+    forward = step[step > 0]
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    cuts = np.flatnonzero((step <= 0) | (step > 5.0 * usual)) + 1  # runs are parted by much longer steps
+    return list(np.split(np.arange(len(time)), cuts))
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The joint readings of measurements, as a function of a latency.
+
+    Readings between two rows are interpolated by monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980)),
+    which do not overshoot where a joint stops. Before the first and behind the last row of a run they are held.
+    """
+
+    measurements: Measurements
+    runs: tuple[Index, ...]
+    source: tuple[tuple[Array, Array], ...]
+    """Times and joints (M, 2 n) of every run of what was recorded of the joints."""
+
+    @classmethod
+    def of(cls, measurements: Measurements) -> Timeline:
+        """The runs of measurements, in the order of time; without times there are none."""
+        m = measurements
+        if m.time is None:
+            return cls(m, (), ())
+        runs = tuple(runs_of(m.time))
+        if m.log is None:
+            time, joints, parts = m.time, np.hstack([m.rotations, m.translations]), list(runs)
+        else:
+            time, joints = m.log.time, np.hstack([m.log.rotations, m.log.translations])
+            parts = runs_of(time)
+        return cls(m, runs, tuple((time[part], joints[part]) for part in parts))
+
+    def readings(self, latency: float) -> tuple[Array, Array]:
+        """(N, n) rotations, rad, and translations, m, by a latency (s) before each row."""
+        m = self.measurements
+        if m.time is None or (m.log is None and latency == 0):
+            return m.rotations, m.translations
+        joints = np.empty((len(m), 2 * m.n_tubes))
+        if m.log is None:
+            for rows, (time, values) in zip(self.runs, self.source, strict=True):
+                joints[rows] = _between(time, values, m.time[rows] - latency)
+        else:
+            wanted = m.time - latency
+            first = np.array([time[0] for time, _ in self.source])
+            run = np.clip(np.searchsorted(first, wanted, side="right") - 1, 0, len(first) - 1)
+            for k, (time, values) in enumerate(self.source):
+                joints[run == k] = _between(time, values, wanted[run == k])
+        return joints[:, : m.n_tubes], joints[:, m.n_tubes :]
+
+    def driven(self, drives: Calibration, turns: Array) -> tuple[Array, Array]:
+        """(N, n) joint values of the model, rad and m, at the readings less full `turns` (n,), through latency and play
+        of the drives; those of carriages that do not yield."""
+        read, moved = self.readings(drives.latency)
+        alpha, shift = drives.to_model(read - TURN * turns, moved)
+        return (
+            self.with_play(alpha, np.array(drives.rotation_play)),
+            self.with_play(shift, np.array(drives.translation_play)),
+        )
+
+    def with_play(self, joints: Array, play: Array) -> Array:
+        """(N, n) joint values of the tubes behind drives at `joints` with play of half width (n,), rad or m.
+
+        A tube stands still until its drive has taken up the play. At the start of a run the play is taken up in the
+        direction of the first motion.
+        """
+        if not play.any():
+            return joints
+        followed = joints.copy()
+        for rows in self.runs:
+            drive = joints[rows]
+            moved = np.diff(drive, axis=0)
+            begins = np.argmax(moved != 0, axis=0) if len(moved) else np.zeros(len(play), dtype=int)
+            first = np.sign(moved[begins, np.arange(len(play))]) if len(moved) else np.zeros(len(play))
+            low, high = drive - play, drive + play
+            here = drive[0] - play * first
+            for k, row in enumerate(rows):
+                here = np.minimum(np.maximum(here, low[k]), high[k])
+                followed[row] = here
+        return followed
+
+
+def _between(time: Array, values: Array, wanted: Array) -> Array:
+    """Values (M, c) at times (M,), at wanted times, held beyond the ends."""
+    if len(time) == 1 or not len(wanted):
+        return np.repeat(values[:1], len(wanted), axis=0)
+    inside = np.clip(wanted, time[0], time[-1])
+    return np.asarray(scipy.interpolate.PchipInterpolator(time, values)(inside))
+
+
+def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibration, Array]:
+    """Drives whose gains act about the turn in which the recording lies, and (n,) turns from there to its median.
+
+    A drive of gain 1 has no turn yet: its own begins next to the median of the recording.
+    """
+    middle = np.median(measurements.rotations, axis=0)
+    gained = np.array(drives.rotation_gains) != 1.0
+    known = np.where(gained, drives.rotation_middles, middle)
+    turns = np.where(gained, np.round((middle - known) / TURN), 0.0)
+    return replace(drives, rotation_middles=tuple(known.tolist())), turns
+
+
+STILL = 2e-4
+"""rad: joint values that are nearer than this are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """Rows of a way, and the places that they are at."""
+
+    place: Index
+    """(N,) the row that first came by, its own index where the way was new."""
+    pairs: Index
+    """(M, 2) rows at one place that were passed in opposite directions, a row in at most one pair."""
+
+
+def passes(measurements: Measurements) -> Passes:
+    """Where a way retraces itself; rows without times are places of their own unless their joint values are equal."""
+    m = measurements
+    joints = np.hstack([m.rotations, 20.0 * m.translations])  # rad per m: an arm bends by about as much on its length
+    count = len(joints)
+    if m.time is None:
+        return Passes(_equal(joints), np.zeros((0, 2), dtype=int))
+    ahead, behind, travelled = _motion(joints, m.time)
+    step = np.maximum(np.linalg.norm(ahead, axis=1), np.linalg.norm(behind, axis=1))
+    # Half a step is the most by which samples of two passes along one line can miss each other.
+    reach = np.maximum(0.75 * step, STILL)
+    tree = scipy.spatial.cKDTree(joints)
+    place, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
+    for k, near in enumerate(tree.query_ball_point(joints, reach)):
+        others = np.array([j for j in near if j < k], dtype=int)
+        # Rows just before are near because little time has passed, unless the way turned back in between.
+        others = others[travelled[k] - travelled[others] > 2 * reach[k]]
+        if not len(others):
+            continue
+        distance = np.linalg.norm(joints[others] - joints[k], axis=1)
+        place[k] = place[others[np.argmin(distance)]]
+        against = (ahead[others] + behind[others]) @ (ahead[k] + behind[k]) < 0
+        opposite = others[against & ~paired[others]]
+        if len(opposite):
+            j = int(opposite[np.argmin(distance[against & ~paired[others]])])
+            pairs.append((j, k))
+            paired[[j, k]] = True
+    return Passes(place, np.array(pairs, dtype=int).reshape(-1, 2))
+
+
+def _motion(joints: Array, time: Array) -> tuple[Array, Array, Array]:
+    """(N, c) steps to the next and from the last row of a run, and the distance travelled (N,), runs far apart."""
+    ahead, behind, travelled = np.zeros_like(joints), np.zeros_like(joints), np.zeros(len(joints))
+    far = 0.0
+    for rows in runs_of(time):
+        move = np.diff(joints[rows], axis=0)
+        ahead[rows[:-1]], behind[rows[1:]] = move, move
+        travelled[rows] = far + np.append(0.0, np.cumsum(np.linalg.norm(move, axis=1)))
+        far = travelled[rows[-1]] + 1e3
+    return ahead, behind, travelled
+
+
+def _equal(joints: Array) -> Index:
+    """The first row with equal joint values, for every row."""
+    _, first, inverse = np.unique(np.round(joints / STILL), axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[inverse.ravel()])
+
+
+def deal(measurements: Measurements, folds: int, place: Index | None = None) -> Index:
+    """(N,) the fold of each row: blocks of a way by places, or places in a fixed, shuffled order where there is no way.
+
+    All rows at one place are in one fold. There are fewer folds than asked for where there are fewer places.
+    """
+    where = passes(measurements).place if place is None else place
+    distinct, inverse, counts = np.unique(where, return_inverse=True, return_counts=True)
+    if measurements.time is None:
+        fold = np.empty(len(distinct), dtype=int)
+        fold[np.random.default_rng(0).permutation(len(distinct))] = np.arange(len(distinct)) % folds
+        return np.asarray(fold[inverse])
+    middle = np.cumsum(counts) - counts / 2  # of the rows, in the order of places
+    return np.asarray(np.minimum((middle * folds / counts.sum()).astype(int), folds - 1)[inverse])
+
+
+@dataclass(frozen=True)
+class Parity:
+    """Residuals of places that were passed both ways, root mean squares, m; noise is in all alike."""
+
+    pairs: Annotated[int, "places that were passed in both directions"]
+    history: Annotated[float, unit("mm"), "RMS of half the difference of the errors in both directions"]
+    """From effects of the direction: latency, friction, backlash."""
+    static: Annotated[float, unit("mm"), "RMS of half the sum of the errors in both directions"]
+    measured: Annotated[float, unit("mm"), "RMS of half the difference of the measured tips in both directions"]
+    """Without any model."""
+
+
+def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:
+    """The split of residuals (N, 3) and measured tips (N, 3), m, NaN where not seen; None with fewer than 10 pairs."""
+    there, back = residuals[pairs[:, 0]], residuals[pairs[:, 1]]
+    good = np.isfinite(there).all(1) & np.isfinite(back).all(1)
+    if good.sum() < 10:
+        return None
+    apart = measured[pairs[good, 0]] - measured[pairs[good, 1]]
+    history, static, seen = (_rms(x[good] if len(x) > len(apart) else x) for x in (there - back, there + back, apart))
+    return Parity(int(good.sum()), history, static, seen)
+
+
+def _rms(twice: Array) -> float:
+    """Root mean square of half the vectors (M, 3)."""
+    return float(np.sqrt((twice**2).sum(1).mean()) / 2)

@@ -11,10 +11,9 @@ from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, Context, Effect, Span
+from .effects import EFFECTS, KINDS, Context, Effect, Setup, Span, members
 from .measurements import Measurements
 from .registration import FITS_PLATE
-from .setup import Setup, members
 
 AXES = "xyz"
 

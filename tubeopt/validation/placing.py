@@ -17,7 +17,7 @@ import numpy as np
 from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
-from ..errors import InputError, Settings, SolveError, instance
+from ..errors import InputError, SolveError
 from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, form, unit, usual_length
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
@@ -28,33 +28,26 @@ from ..typing import Array, Mask
 from .effects import EFFECTS
 from .identifiability import undetermined
 from .measurements import Measurements
-from .model import ArmModel
+from .model import ArmModel, solve_poses
 from .parameters import Parameter, choose_parameters
-from .poses import solve_poses
 
 PLANNED_REGISTRATIONS = ("rigid", "base-axis", "none")
 """Registrations of measurements that are planned; "saved" is of a calibration, which comes after them."""
 
 
-@dataclass(frozen=True)
-class PlacementSearch(Settings):
-    """How hard it is searched where to measure; of `where_to_measure`.
+# Random configurations that are chosen from. The exchange picks the best of them: with twice as many the standard
+# errors fall by a few per cent, and the slopes of all take twice the time.
+CANDIDATES = 600
 
-    Raises:
-        InputError: one that is no whole number of at least 1.
-    """
+# Times as many are drawn at most, until enough are admissible: where fewer than one in 60 is, the limits leave a
+# corner.
+DRAWS = 60
 
-    candidates: int = 600
-    """Random configurations that are chosen from."""
-    draws: int = 60
-    """Times as many are drawn at most, until enough are admissible."""
-    rounds: int = 8
-    """Times that every chosen configuration is offered for exchange, at most."""
-    compared: int = 20
-    """Random choices whose median tells what is gained."""
+# Times that every chosen configuration is offered for exchange (Fedorov). It ends earlier where nothing is exchanged.
+EXCHANGES = 8
 
-
-DEFAULT_PLACEMENT = PlacementSearch()
+# Random choices whose median states the gain of the chosen one.
+COMPARED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +83,7 @@ class Placement(Displayed):
 @typed
 @small
 @limited
-def where_to_measure(  # noqa: PLR0913
+def where_to_measure(
     robot: Robot,
     parameters: Sequence[str],
     count: Annotated[int, Range(least=3)] = 30,
@@ -99,7 +92,6 @@ def where_to_measure(  # noqa: PLR0913
     noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 0.5e-3,
     registration: Annotated[str, OneOf(PLANNED_REGISTRATIONS)] = "rigid",
     seed: Annotated[int, Range(least=0)] = 0,
-    search: PlacementSearch = DEFAULT_PLACEMENT,
     time_limit: float = TIME_LIMIT,
 ) -> Placement:
     """Configurations within the joint limits whose tips determine parameters best.
@@ -114,7 +106,6 @@ def where_to_measure(  # noqa: PLR0913
         noise: standard deviation of a measured coordinate, for the expected errors, m.
         registration: planned transformation from device frame to base frame: rigid, base-axis or none.
         seed: random seed of the candidate configurations.
-        search: how hard it is searched.
         time_limit: s, on the clock.
 
     Raises:
@@ -123,21 +114,16 @@ def where_to_measure(  # noqa: PLR0913
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
     usual_length("noise", noise, SEEN_WITHIN)
-    instance("search", search, PlacementSearch)
     if not 0 <= min_margin < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
-    alpha, shift, tips = _candidates(robot, min_margin, seed, search)
+    alpha, shift, tips = _candidates(robot, min_margin, seed)
     data = Measurements(*to_readings(robot, alpha, shift), tips, source="where to measure")
-    chosen, model = _asked(robot, data, parameters, registration, count, search)
+    chosen, model = _asked(robot, data, parameters, registration, count)
     slopes = _scaled(model, chosen, noise)
-    best = _reachable(
-        lambda usable: _exchange(slopes, len(chosen), count, usable, search.rounds), robot, (alpha, shift), tips
-    )
+    best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), tips)
     scale = np.array([p.scale for p in chosen])
     random = np.random.default_rng(seed + 1)
-    others = [
-        _errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(search.compared)
-    ]
+    others = [_errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(COMPARED)]
     rows, joints = _way(robot, alpha[best], shift[best])
     margin = solve_poses(robot, *joints, model.stations).margin
     return Placement(
@@ -154,7 +140,7 @@ def where_to_measure(  # noqa: PLR0913
 
 
 def _asked(
-    robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int, search: PlacementSearch
+    robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int
 ) -> tuple[tuple[Parameter, ...], ArmModel]:
     """The parameters that are to be found, and the model of what is seen; raises as `where_to_measure`."""
     for name in names:
@@ -170,9 +156,7 @@ def _asked(
             f"count is {count}; {len(chosen) + model.freedoms} unknowns need more than {3 * count} numbers"
         )
     if count > len(data) // 2:
-        raise SolveError(
-            f"{len(data)} of {search.candidates} random configurations have the margin; {count} are needed"
-        )
+        raise SolveError(f"{len(data)} of {CANDIDATES} random configurations have the margin; {count} are needed")
     _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
     if lost:
         raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
@@ -195,15 +179,15 @@ def _reachable(
             raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
 
 
-def _candidates(robot: Robot, min_margin: float, seed: int, search: PlacementSearch) -> tuple[Array, Array, Array]:
+def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Array]:
     """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin; and where
     the tips (C, 3) are."""
     random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     low, high = np.array(limits.translations).T
     found: list[Array] = []
-    for _ in range(search.candidates * search.draws):
-        if len(found) == search.candidates:
+    for _ in range(CANDIDATES * DRAWS):
+        if len(found) == CANDIDATES:
             break
         drawn = random.uniform(low, np.minimum(high, straight)) - space.offset[robot.n_tubes :]
         q = np.append(space.lower[: robot.n_tubes], drawn[[tubes[0] for tubes in space.carriages]])
@@ -231,7 +215,7 @@ def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array
     return slopes
 
 
-def _exchange(slopes: Array, parameters: int, count: int, usable: Mask, rounds: int) -> list[int]:
+def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[int]:
     """The rows of a D_s-optimal choice."""
     size = slopes.shape[2]
     # Next to nothing stands for what is not known yet.
@@ -247,7 +231,7 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask, rounds: 
 
     while len(chosen) < count:
         chosen.append(best(chosen))
-    for _ in range(rounds):
+    for _ in range(EXCHANGES):
         before = list(chosen)
         for k in range(count):
             chosen[k] = best([j for i, j in enumerate(chosen) if i != k])

@@ -20,8 +20,8 @@ from tubeopt import (
     trace_branch,
 )
 from tubeopt.bodies.corridors import Corridor
+from tubeopt.bodies.frames import Plane
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
-from tubeopt.bodies.plane import Plane
 from tubeopt.planning.file import load_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.file import robot_to_yaml

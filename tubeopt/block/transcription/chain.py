@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...robots.lengthwise import CrossSections
-from ...robots.pieces import Piece
-from ...robots.series import Quantity, Series, breaks_of, extremes, on_panels
+from ...robots.pieces import Piece, Quantity, Series, breaks_of, extremes, on_panels
 from ...robots.tubes import Tube, stretches
 from ...typing import Array
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from ...robots.assembly import ROUND_OFF, Assembly
-from ...robots.friction import PAIRWISE, Friction
+from ...robots.concentric import PAIRWISE, Friction
 from ...robots.load import Load
 from ...typing import Array, Index, Mask
 from . import loaded

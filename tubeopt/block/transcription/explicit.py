@@ -26,8 +26,8 @@ import numpy as np
 
 from ...physics.shape import exponential
 from ...physics.torsion import section_functions
+from ...robots.lengthwise import steps_of, varies
 from ...robots.robot import Robot
-from ...robots.steps import steps_of, varies
 from ...typing import Array
 from .collocated import Piece, Torsion
 from .functions import determinant_function

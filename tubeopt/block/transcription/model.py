@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...robots.assembly import Assembly
-from ...robots.breakpoints import Breakpoint, Order, arrange, has_curve, joints_of, places, where_of
+from ...robots.assembly import Assembly, Breakpoint, Order, arrange, has_curve, joints_of, places, where_of
 from ...typing import Array
 from . import functions
 from .chain import columns, joints, panels, transmissions

@@ -25,8 +25,7 @@ from ...files.csv_file import to_csv
 from ...files.field_metadata import form, key, unit
 from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
-from ...robots.pieces import Piece
-from ...robots.series import breaks_of, values, vary
+from ...robots.pieces import Piece, breaks_of, values, vary
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
 from ..materials import mold_remarks

@@ -19,8 +19,7 @@ from numpy.polynomial import chebyshev
 from ...display import Displayed
 from ...errors import InputError, choice, positive, vector
 from ...files.field_metadata import OneOf, check_fields, unit
-from ...robots.pieces import Piece
-from ...robots.series import Quantity, Series, breaks_of, on_panels, times, values, vary, zeros
+from ...robots.pieces import Piece, Quantity, Series, breaks_of, on_panels, times, values, vary, zeros
 from ...robots.tubes import Tube
 from ...typing import Array
 

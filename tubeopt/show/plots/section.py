@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ...bodies.frames import Plane
 from ...bodies.obstacles import nearest_distance
-from ...bodies.plane import Plane
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MM

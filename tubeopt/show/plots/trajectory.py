@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
+from ...bodies.anatomy import Turned
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
 from ...bodies.frames import Frame
 from ...bodies.obstacles import HalfSpace, Obstacle
-from ...bodies.placed import Turned
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError

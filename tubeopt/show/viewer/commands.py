@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...bodies.plane import Plane
+from ...bodies.frames import Plane
 from .session import Session
 
 Verb = Callable[[Session], Session | tuple[Session, str]]

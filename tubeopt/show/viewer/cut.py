@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...bodies.frames import Plane
 from ...bodies.obstacles import Obstacle, nearest_distance
-from ...bodies.plane import Plane
 from ...errors import extra
 from ...files.units import TO_MM
 from ...typing import Array

@@ -6,8 +6,7 @@ import tempfile
 from pathlib import Path, PurePosixPath
 
 from ...bodies.corridors import load_mesh
-from ...bodies.images import read_image
-from ...bodies.labels import field_of_image
+from ...bodies.images import field_of_image, read_image
 from ...bodies.obstacles import Obstacle
 from ...bodies.scene import scene_of
 from ...errors import InputError

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...bodies.plane import Plane
+from ...bodies.frames import Plane
 from ...files.units import TO_MM, parse_number
 from ...inverse.mirror import mirror_rotations
 from ...robots.eccentric import EccentricRobot

@@ -13,8 +13,8 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.csv_file import read_csv
 from ...planning.file import TIME, load_trajectory
-from ...robots.path_file import Waypoints as Way
-from ...robots.path_file import load_waypoints as load_path
+from ...robots.file import Waypoints as Way
+from ...robots.file import load_waypoints as load_path
 from ...robots.robot import Robot
 from ...stability import Path, Snap, follow
 from ...stability.following import place_of

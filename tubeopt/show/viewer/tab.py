@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...bodies.plane import Plane
+from ...bodies.frames import Plane
 from ...errors import InputError, SolveError
 from ...robots.file import load_robot
 from ...workspaces import workspace

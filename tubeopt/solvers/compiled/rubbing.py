@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...block.transcription.contact import PIECES
-from ...robots.friction import Friction
+from ...robots.concentric import Friction
 from ...robots.robot import Robot, is_general
 from ...typing import Array
 from ..friction_increment import Signs
