@@ -50,6 +50,14 @@ PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
             ["measure", THESIS, "--fit", "curvture"],
             "--fit: parameter 'curvture' is not known; did you mean 'curvature'?",
         ),
+        (
+            ["certify", ETR[0], "--max-tip-force-mN", "3"],
+            "--max-tip-force-mN is 3 mN; it must be 0 for eccentric robots",
+        ),
+        (
+            ["force", THESIS, "synthetic_forces", "--load", "{tip_force_mN: [1, 0, 0], frame: tip}"],
+            "load.frame is 'tip'; it must be 'world'",
+        ),
         (["mold", "materials", "--set-degC", "850"], "if these are K, give 576.85 degC"),
         (["measure", THESIS, "--fit", "curvature_1", "--seed", "-1"], "--seed is -1; it must be at least 0"),
         (
@@ -259,3 +267,20 @@ def test_a_missing_server_package_is_reported_before_the_robot_is_compiled(
     monkeypatch.setattr("tubeopt.cli.control.servo_of", lambda *_, **__: compiled.append(0))
     assert refused(run("serve", THESIS)) == ["websockets is missing; pip install 'tubeopt[control]' brings it"]
     assert not compiled
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ([], "measurements: the tips determine the device frame to"),
+        (["--fit", "curvature,nu,rotation_all", "--folds", "0"], "measurements: 3 measured tips are 9 numbers; 1"),
+    ],
+)
+def test_tips_that_determine_too_little_are_named_by_the_key(
+    flags: list[str], words: str, run: Run, tmp_path: Path
+) -> None:
+    """Three tips on a line determine no frame, and nine numbers no ten unknowns."""
+    joints = "0,0,0,1,2,150\n10,0,0,2,2,150\n0,20,0,3,2,150\n"
+    (tmp_path / "m.csv").write_text(f"rotation_1_deg,rotation_2_deg,rotation_3_deg,x_mm,y_mm,z_mm\n{joints}")
+    (problem,) = refused(run("validate", THESIS, str(tmp_path / "m.csv"), *flags))
+    assert problem.startswith(words)

@@ -51,7 +51,7 @@ from .robot_keys import (
     Translations,
     joints_of,
 )
-from .study_file import Arguments, Options, Timed, question
+from .study_file import Arguments, Options, Timed, question, reworded
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +224,8 @@ class CertifyStudy(Timed):
             return found
         force = self.si("max_tip_force_mN")
         shift = found.verdict.certificate.translations
-        return replace(found, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
+        with reworded({r"^max_force\b": "max_tip_force_mN"}):
+            return replace(found, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
 
     def _shift(self, key: str) -> Array:
         return joints_of(self.robot, None, self.si(key))[1]

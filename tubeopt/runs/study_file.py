@@ -18,8 +18,10 @@ from __future__ import annotations
 import functools
 import importlib
 import inspect
+import re
 from collections import UserDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from operator import attrgetter
@@ -207,6 +209,23 @@ class Kinds(UserDict[str, Any]):
 @functools.lru_cache(maxsize=256)
 def _study(asked: Question, kind: str) -> type[Study]:
     return asked.study(kind)
+
+
+@contextmanager
+def reworded(words: Mapping[str, str]) -> Iterator[None]:
+    """Say an InputError of the library in the words of a study: pattern -> what replaces it.
+
+    A function names its arguments, and a user knows keys: `{r"^max_force\b": "max_tip_force_mN"}`.
+    """
+    try:
+        yield
+    except InputError as error:
+        text = str(error)
+        for pattern, replacement in words.items():
+            text = re.sub(pattern, replacement, text)
+        if text == str(error):
+            raise
+        raise InputError(text) from None
 
 
 STUDY_KINDS = Kinds(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from decimal import Decimal
 from typing import Annotated, Literal
 
@@ -33,7 +30,7 @@ from ..validation import (
 )
 from .measurement_file import load_measurements
 from .robot_keys import ExternalLoad, RobotPath
-from .study_file import Arguments, Options, Timed, question
+from .study_file import Arguments, Options, Timed, question, reworded
 
 MeasurementsPath = Annotated[
     Measurements,
@@ -51,19 +48,12 @@ MeasuredFor = Annotated[
 OF_FITS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
 """Keys that nothing but a fit uses."""
 
-OF_NAMES = re.compile(r"(no )?(parameter|effect)s? ")
-"""How a message begins on names of parameters or effects, which `fit` has."""
-
-
-@contextmanager
-def _by_key() -> Iterator[None]:
-    """Begin a message on the names of parameters with the key that has them."""
-    try:
-        yield
-    except InputError as error:
-        if OF_NAMES.match(str(error)):
-            raise InputError(f"fit: {error}") from None
-        raise
+KEYS = {
+    r"^(?=(no )?(parameter|effect)s? )": "fit: ",
+    # Tips that are too few or too close to a line for what is fitted to them: no key has these numbers but the file.
+    r"^(?=(the tips|the measurements|\d+ measured tips) )": "measurements: ",
+}
+"""Beginnings of messages that name no key."""
 
 
 def _not_one(folds: int) -> int:
@@ -124,7 +114,7 @@ class ValidationStudy(Timed):
         if self.axis_noise_deg is not None and self.measurements.orientation is None:
             raise ValueError("axis_noise_deg is given, and the measurements have no directions")
         if self.fit and not self.compare:
-            with _by_key():
+            with reworded(KEYS):
                 choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
         return self
 
@@ -147,12 +137,12 @@ class ValidationStudy(Timed):
         Raises:
             SolveError: a shape is not found; in a fit, none.
         """
-        if self.compare:
-            with _by_key():
+        with reworded(KEYS):
+            if self.compare:
                 return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
-        if self.fit:
-            return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
-        return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
+            if self.fit:
+                return fit(self.robot, self.measurements, self.fit, self._options(), progress=progress)
+            return validate(self.robot, self.measurements, registration=self.registration, base=self._base())
 
 
 @question("choosing configurations")
@@ -162,7 +152,7 @@ def choose_configurations(
     options: Annotated[Options, Arguments(where_to_measure, "count", "min_margin", "noise", "registration", "seed")],
 ) -> Placement:
     """Best configurations to measure for estimating parameters, in a sequence without a snap."""
-    with _by_key():
+    with reworded(KEYS):
         return where_to_measure(robot, fit, **options)
 
 
@@ -176,5 +166,6 @@ def estimate_tip_forces(
 ) -> ForceRecord:
     """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
     if load is not None and load.frame != "world":
-        raise InputError("the known load turns with the tip; its frame must be 'world'")
-    return estimate_forces(robot, measurements, known=load, progress=progress, **options)
+        raise InputError(f"load.frame is {load.frame!r}; it must be 'world': a known load must not turn with the tip")
+    with reworded(KEYS):
+        return estimate_forces(robot, measurements, known=load, progress=progress, **options)
