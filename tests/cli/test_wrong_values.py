@@ -279,8 +279,8 @@ def test_a_missing_server_package_is_reported_before_the_robot_is_compiled(
 def test_tips_that_determine_too_little_are_named_by_the_key(
     flags: list[str], words: str, run: Run, tmp_path: Path
 ) -> None:
-    """Three tips on a line determine no frame, and nine numbers no ten unknowns."""
-    joints = "0,0,0,1,2,150\n10,0,0,2,2,150\n0,20,0,3,2,150\n"
+    """Three tips near a line determine no frame, and nine numbers no ten unknowns."""
+    joints = "0,0,0,1,2,150\n10,0,0,2,2,150\n0,20,0,3,3,150\n"
     (tmp_path / "m.csv").write_text(f"rotation_1_deg,rotation_2_deg,rotation_3_deg,x_mm,y_mm,z_mm\n{joints}")
     (problem,) = refused(run("validate", THESIS, str(tmp_path / "m.csv"), *flags))
     assert problem.startswith(words)
