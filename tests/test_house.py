@@ -145,7 +145,7 @@ FORBIDDEN = {
     "physics/strain.py": ("from ..solvers import newton", "packages know only those below them"),
     "robots/tubes.py": ("from .assembly import Assembly", "no circles, of packages or of files"),
     "planning/motion.py": ("from ..design import task", "questions do not know each other"),
-    "inverse/custom_terms.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
+    "inverse/goal.py": ("from ..planning import plan", "inverse kinematics knows none of the questions"),
     "show/formatting.py": ("from ..cli import output", "what is shown does not know the commands"),
     "equilibrium/linearised.py": ("import casadi", "CasADi is used where programs are stated"),
     "control/command.py": ("import yaml", "YAML is used where files are read and written"),

@@ -14,7 +14,7 @@ from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.lookahead import Knots, PredictiveServo
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.tip_coordinates import TipCoordinates
+from tubeopt.inverse.task import TipCoordinates
 
 PAIR = ConcentricRobot(PIECES.tubes[:2])
 DT = 0.02

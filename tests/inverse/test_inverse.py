@@ -30,12 +30,12 @@ from tubeopt.equilibrium.batch import solved_batch
 from tubeopt.inverse import multistart
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
-from tubeopt.inverse.descent import reach
+from tubeopt.inverse.gauss_newton import reach
 from tubeopt.inverse.goal import pose_question, unit_vector
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
+from tubeopt.inverse.multistart import build_table, nearest_starts, start_table
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.table import build_table, nearest_starts, start_table
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.library import cache_directory
@@ -468,7 +468,7 @@ class TestStarts:
         solved: list[int] = []
         solve = solved_batch
         monkeypatch.setattr(
-            "tubeopt.inverse.table.solved_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
+            "tubeopt.inverse.multistart.solved_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
         )
         whole = start_table(space, 64)
         assert sum(solved) == 64 - part.tried

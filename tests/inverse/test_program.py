@@ -15,9 +15,9 @@ from tubeopt.block.transcription.program import torsion_guess
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.inverse import program
 from tubeopt.inverse.clock import Clock
+from tubeopt.inverse.gauss_newton import breakpoint_order
 from tubeopt.inverse.goal import Goal, pose_question
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.order import breakpoint_order
 from tubeopt.inverse.posture import Posture, posture_of
 from tubeopt.inverse.program import posed, solve_program
 from tubeopt.robots.robot import Robot

@@ -22,7 +22,7 @@ from tubeopt.bodies.images import LabelImage, field_of_image
 from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventricle
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
-from tubeopt.planning.path_program import table_function
+from tubeopt.planning.smoothing import table_function
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.runs.inverse_study import InverseStudy
 from tubeopt.runs.obstacle_file import load_obstacles

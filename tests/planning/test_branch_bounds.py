@@ -12,8 +12,7 @@ import pytest
 from tests.planning.test_cross_section_bounds import derivatives, parts
 from tests.planning.test_sharp_bounds import NONE, STEPPED, between
 from tubeopt.planning import branch
-from tubeopt.planning.cross_sections import Jet
-from tubeopt.planning.sections import PARTS
+from tubeopt.planning.sections import PARTS, Jet
 from tubeopt.typing import Array
 
 

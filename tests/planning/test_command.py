@@ -15,7 +15,7 @@ from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tubeopt import InputError, PlanOptions, SolveError, load_robot, plan_trajectory
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box
-from tubeopt.planning.file import load_trajectory
+from tubeopt.planning.trajectory import load_trajectory
 from tubeopt.show.plots.trajectory import animate_trajectory
 from tubeopt.stability import ASSUMING
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from tubeopt.planning import branch
-from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet, linear
-from tubeopt.planning.sections import SHAPE_ERROR
+from tubeopt.planning.sections import SHAPE_ERROR, Bending, Constants, Drift, Jet, linear
 from tubeopt.robots.lengthwise import Variation
 from tubeopt.typing import Array
 

@@ -11,7 +11,7 @@ from tests.command_line import ROOT
 from tests.examples import CRL, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import SolveError, find_equilibria, forward_kinematics, load_robot
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.tip_coordinates import TipCoordinates
+from tubeopt.inverse.task import TipCoordinates
 from tubeopt.robots.robot import Robot
 
 

@@ -15,9 +15,8 @@ from tests.examples import nested
 from tests.planning.test_cross_section_bounds import derivatives
 from tests.planning.test_sharp_bounds import STEPPED, between
 from tubeopt import EccentricRobot, Tube, forward_kinematics
-from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet
 from tubeopt.planning.loaded_sections import LoadedArms
-from tubeopt.planning.sections import SHAPE_ERROR, Arms, Intervals
+from tubeopt.planning.sections import SHAPE_ERROR, Arms, Bending, Constants, Drift, Intervals, Jet
 
 TIP = 1e-11
 """Error of the tip as it was solved for, m."""

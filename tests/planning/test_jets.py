@@ -11,8 +11,8 @@ import pytest
 from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
 from tubeopt.planning.clearance_bound import Sizes
-from tubeopt.planning.cross_sections import Bending, Constants, Drift, Jet
 from tubeopt.planning.loaded_branch import _Bounds
+from tubeopt.planning.sections import Bending, Constants, Drift, Jet
 from tubeopt.typing import Array
 
 

@@ -21,10 +21,9 @@ from tests.planning.test_cross_section_bounds import parts as parts_of
 from tests.planning.test_sharp_bounds import STEPPED
 from tubeopt import ConcentricRobot, Load, Piece, Tube, forward_kinematics
 from tubeopt.planning.branch import whirled
-from tubeopt.planning.cross_sections import Constants, Jet
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, Intervals
+from tubeopt.planning.sections import PARTS, Constants, Intervals, Jet
 from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.typing import Array
 

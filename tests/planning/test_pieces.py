@@ -22,10 +22,9 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.branch import Branch, branch
-from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import Arms, Intervals
+from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.robots.lengthwise import lengthwise, variation
 from tubeopt.workspaces import snapping_loss
 

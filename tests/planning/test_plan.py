@@ -37,13 +37,13 @@ from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere, nearest_distance
 from tubeopt.inverse import search
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.tip_coordinates import TipCoordinates
-from tubeopt.planning import plan, smooth
-from tubeopt.planning.file import save_joint_trajectory
+from tubeopt.inverse.task import TipCoordinates
+from tubeopt.planning import plan, smoothing
+from tubeopt.planning.goals import least_miss
 from tubeopt.planning.motion import DEFAULT_RATES
 from tubeopt.planning.question import PlanTask, asked
-from tubeopt.planning.reach import least_miss
 from tubeopt.planning.timing import Limits, joint_curves, rounded, stopping_at, violated
+from tubeopt.planning.trajectory import save_joint_trajectory
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -55,7 +55,7 @@ TURNED = ([270 * DEG, 0.0, 0.0], [0.0, 0.0, 0.0])
 @pytest.fixture
 def few_knots(monkeypatch: pytest.MonkeyPatch) -> int:
     """Intervals of a smoothing whose knots are not refined."""
-    monkeypatch.setattr(smooth, "REFINEMENTS", 0)
+    monkeypatch.setattr(smoothing, "REFINEMENTS", 0)
     return 6
 
 

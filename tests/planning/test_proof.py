@@ -17,8 +17,7 @@ from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import passage
 from tubeopt.planning.branch import branch
-from tubeopt.planning.cross_sections import Constants
-from tubeopt.planning.sections import Arms, Intervals
+from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.robots.tubes import Tube

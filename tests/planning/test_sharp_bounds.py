@@ -15,11 +15,11 @@ from tubeopt.bodies.frames import base_frame
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import arm_distance_bound, branch, loaded_branch, pair_reach, passage
+from tubeopt.planning import arms as several_arms
+from tubeopt.planning import branch, loaded_branch, passage, reach_share
 from tubeopt.planning.clearance_bound import Cells, Sizes, Wanted, cleared
-from tubeopt.planning.cross_sections import Constants, Jet, linear
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, Arms, Intervals
+from tubeopt.planning.sections import PARTS, Arms, Constants, Intervals, Jet, linear
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -143,7 +143,7 @@ def moved(begin: Array, end: Array, move: Array) -> Array:
 def clearance(one: Rod, other: Rod) -> float:
     """Bound of the distance of two, by a single cell."""
     tracks: Any = (one, other)
-    return arm_distance_bound.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0)).least_clearance
+    return several_arms.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0)).least_clearance
 
 
 @pytest.mark.parametrize(("a", "b", "c", "height"), [(2, 3, 0, 1), (2, 3, 0, 0), (2, 3, 4, 0), (3, 0, 2, 0.5)])
@@ -221,7 +221,7 @@ def test_a_track_is_off_its_line_by_both_ends_of_a_link_and_whole_where_all_is_s
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
     steps = [passage.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
     links = [passage.Link(a, b, off=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
-    track = arm_distance_bound.Track(follower, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
+    track = several_arms.Track(follower, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
     assert track.off == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
     assert track.times == pytest.approx(np.array([0.0, 1.0, 2.0]))
 
@@ -237,10 +237,10 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
         steps=steps, snap=0.7 if missing == "a snap" else None, lost=((0.1, 0.2),) if missing == "a branch" else ()
     )
     lost = [(0.1, 0.2)] if missing == "a link" else []
-    monkeypatch.setattr(arm_distance_bound, "follow", lambda *_: followed)
-    monkeypatch.setattr(arm_distance_bound, "joined", lambda follower, links: (links, lost))
+    monkeypatch.setattr(several_arms, "follow", lambda *_: followed)
+    monkeypatch.setattr(several_arms, "joined", lambda follower, links: (links, lost))
     none: Any = None
-    track = arm_distance_bound.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
+    track = several_arms.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
     assert track.whole == (missing == "nothing")
     # Arms of which a part is not shown have no clearance.
     rods = Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3))))
@@ -252,26 +252,26 @@ def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pyte
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
     steps = [passage.Step(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
     none: Any = None
-    track = arm_distance_bound.Track(none, (passage.Link(steps[0], steps[1]),), none, 0.0, 1.0)
+    track = several_arms.Track(none, (passage.Link(steps[0], steps[1]),), none, 0.0, 1.0)
 
     def ends(follower: Any, link: Any) -> list[Any]:
         raise passage.BranchEndsError(0.5)
 
-    monkeypatch.setattr(arm_distance_bound, "halves", lambda follower, link: [link])
+    monkeypatch.setattr(several_arms, "halves", lambda follower, link: [link])
     for lost in ([], [(0.0, 0.5)]):
-        monkeypatch.setattr(arm_distance_bound, "joined", lambda follower, links, lost=lost: (links, lost))
+        monkeypatch.setattr(several_arms, "joined", lambda follower, links, lost=lost: (links, lost))
         assert track.finer(np.array([0])).whole == (not lost)
-    monkeypatch.setattr(arm_distance_bound, "halves", ends)
+    monkeypatch.setattr(several_arms, "halves", ends)
     assert not track.finer(np.array([0])).whole
 
 
 def test_a_clearance_from_one_time_to_another_is_the_least_in_between() -> None:
     times, distances = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.3, 0.1, 0.2])
-    proof = arm_distance_bound.PairProof((0, 1), 0.1, 0.1, 0.0, times, distances)
+    proof = several_arms.PairProof((0, 1), 0.1, 0.1, 0.0, times, distances)
     begin, end = np.array([[0.2, 0.5], [0.5, 1.5], [2.1, 9.0], [-1.0, 0.5], [1.0, 1.0], [0.0, 3.0]]).T
     assert proof.at_least(begin, end).tolist() == [0.3, 0.1, 0.2, 0.3, 0.1, 0.1]
     rods: Any = (Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3)))))
-    assert arm_distance_bound.apart((0, 1), rods, Wanted(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
+    assert several_arms.apart((0, 1), rods, Wanted(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
 
 
 @pytest.mark.parametrize(("share", "more"), [(0.6e-9, 0), (2.2e-9, 3), (0.1, 63)])
@@ -470,7 +470,7 @@ def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_t
     x, y, z = np.eye(3)
     one, other = np.array([-0.2 * x, 0.2 * x]), np.array([z - 0.3 * y, z + 0.3 * y])
     thick = np.array([0.05, 0.05]), np.array([0.03, 0.03])
-    found = pair_reach._apart((one, thick[0], 0.4**2, 0.001), (other, thick[1], 0.6**2, 0.002))
+    found = reach_share._apart((one, thick[0], 0.4**2, 0.001), (other, thick[1], 0.6**2, 0.002))
     assert found == pytest.approx(1 - 0.08 - 0.003)
 
 
@@ -478,11 +478,11 @@ def test_an_arm_at_rest_is_as_thick_as_at_the_nearer_point_and_bends_off_its_pie
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An arc that a tube leaves half-way: 11 points, of pieces of a tenth."""
-    monkeypatch.setattr(pair_reach, "REST_POINTS", 11)
+    monkeypatch.setattr(reach_share, "REST_POINTS", 11)
     robot, curvature, length, count = nested((0.0, 0.08, 5.0), (0.0, 0.043, 5.0)), 5.0, 0.08, 11
     arm = forward_kinematics(robot, [0.0, 0.0])
     found: Any = SimpleNamespace(reached=np.array([True]), arm=lambda robot, k: arm)
-    line, thick, square, bow = pair_reach._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]))[0]
+    line, thick, square, bow = reach_share._at_rest(robot, found, base_frame([0, 0, 0], [0, 0, 1]))[0]
     assert len(line) == count
     assert square == pytest.approx((length / 10) ** 2)
     sagitta = (1 - np.cos(curvature * length / 20)) / curvature

@@ -26,9 +26,9 @@ from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions, passage
 from tubeopt.planning.clearance_bound import Wanted
-from tubeopt.planning.cross_sections import Jet, inverse, turned
 from tubeopt.planning.passage import Follower, Link, Step, _divided, _meetings
-from tubeopt.planning.speed import HERMITE, _Row, fastest_on_cubic
+from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
+from tubeopt.planning.sections import Jet, inverse, turned
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array

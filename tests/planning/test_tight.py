@@ -33,18 +33,17 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.bodies.scene import Scene
-from tubeopt.inverse import obstruction
+from tubeopt.inverse import search
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
-from tubeopt.inverse.obstruction import Wall, pocket, wall
 from tubeopt.inverse.posture import posture_of
-from tubeopt.inverse.task import Task
-from tubeopt.inverse.tip_coordinates import TipCoordinates
-from tubeopt.planning import trajectory_building
+from tubeopt.inverse.search import Wall, pocket, wall
+from tubeopt.inverse.task import Task, TipCoordinates
+from tubeopt.planning import plan
+from tubeopt.planning.goals import least_miss, step_constraints, way_around
 from tubeopt.planning.proof import proved
 from tubeopt.planning.question import asked
-from tubeopt.planning.reach import least_miss, step_constraints, way_around
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -196,7 +195,7 @@ def unproved(*arguments: Any) -> object:
 
 
 def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory_building, "proved", unproved)
+    monkeypatch.setattr(plan, "proved", unproved)
     found = plan_trajectory(THESIS, HOME, ([0.5, 0.0, 0.0], None), options=PLAIN)
     assert isinstance(found, Trajectory)
     assert not found.proved
@@ -208,7 +207,7 @@ def test_what_was_not_proved_in_time_is_returned_as_that(monkeypatch: pytest.Mon
 def test_the_command_ends_with_4_where_the_proof_is_missing(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(trajectory_building, "proved", unproved)
+    monkeypatch.setattr(plan, "proved", unproved)
     monkeypatch.setattr("tubeopt.show.plots.trajectory.animate_trajectory", lambda *_: None)
     study = tmp_path / "plan.yaml"
     study.write_text(f"kind: plan\nrobot: {THESIS_FILE}\ngoal_deg: [20, 0, 0]\nobjective: none\n")
@@ -296,7 +295,7 @@ def test_of_several_goals_all_must_be_proved_to_be_out_of_reach(monkeypatch: pyt
     z = np.zeros(6)
     for pair, told in (((likely, sure), likely), ((sure, likely), likely), ((sure, sure), sure)):
         walls = iter(pair)
-        monkeypatch.setattr(obstruction, "_walls", lambda *_, walls=walls: [next(walls)])
+        monkeypatch.setattr(search, "_walls", lambda *_, walls=walls: [next(walls)])
         assert wall(Task(TipCoordinates(joint_space(THESIS)), (), 0.05, 0.0), z, [z, z], Clock(1.0)) is told
 
 

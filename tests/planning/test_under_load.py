@@ -28,10 +28,9 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
-from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, SHAPE_ERROR
+from tubeopt.planning.sections import PARTS, SHAPE_ERROR, Constants
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 

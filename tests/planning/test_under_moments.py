@@ -22,9 +22,9 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.answer import point_of, sure_margin
 from tubeopt.planning import passage
-from tubeopt.planning.cross_sections import Constants
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
+from tubeopt.planning.sections import Constants
 
 HOME = THESIS.home_translations
 LENGTH, BENDING = 0.1, 1e-2

@@ -11,7 +11,7 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer
 from tubeopt import InputError, JointLimits, forward_kinematics, load_robot
-from tubeopt.planning.file import joint_trajectory, load_trajectory, save_trajectory
+from tubeopt.planning.trajectory import joint_trajectory, load_trajectory, save_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.runs.study_file import load_study
 

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..bodies.obstacles import Obstacle
 from ..errors import InputError, SolveError, vector
-from ..inverse.configurations import Configuration, configuration
-from ..inverse.joints import joint_space
+from ..inverse.joints import Configuration, configuration, joint_space
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.robot import Robot
 from ..solvers.compiled.library import cache_directory, compile_to

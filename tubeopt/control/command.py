@@ -10,7 +10,7 @@ import numpy as np
 
 from ..display import Displayed
 from ..errors import InputError, choice, finite, items, positive, vector
-from ..inverse.configurations import Configuration, parts
+from ..inverse.joints import Configuration, parts
 from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..typing import Array, Delegate

@@ -19,7 +19,7 @@ import numpy as np
 from ..arguments import typed
 from ..errors import InputError, finite, nearest, vector
 from ..files.units import TO_MM
-from ..inverse.configurations import configuration
+from ..inverse.joints import configuration
 from ..typing import Array
 from .c_binding import CServo
 from .command import Command, Why

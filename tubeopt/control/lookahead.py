@@ -32,10 +32,10 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Scene
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..inverse.configurations import Configuration
+from ..inverse.joints import Configuration
 from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
-from ..inverse.tip_coordinates import TipCoordinates
+from ..inverse.task import TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.blas import small

@@ -18,9 +18,8 @@ from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..inverse.configurations import Configuration, configuration, shift_of
 from ..inverse.goal import BODY_REACH, angle
-from ..inverse.joints import JointSpace, joint_space
+from ..inverse.joints import Configuration, JointSpace, configuration, joint_space, shift_of
 from ..inverse.posture import Posture, start_posture
 from ..robots.limits import JointLimits
 from ..robots.robot import Robot

@@ -14,9 +14,8 @@ import numpy as np
 import scipy
 
 from ..typing import Array, Index
-from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step
+from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step, apart, breakpoint_order
 from .goal import Goal
-from .order import apart, breakpoint_order
 from .posture import Posture
 
 STEPS, POSTURES = 60, 150

@@ -15,14 +15,12 @@ from ..stability.following import follow
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
-from .descent import held_by
-from .gauss_newton import SLACK
+from .gauss_newton import SLACK, held_by
 from .goal import MARGIN_ROOM, Goal, angle
 from .joints import JointSpace
 from .posture import Posture, posture_of, same_place
 from .search import find_way
-from .task import Task
-from .tip_coordinates import TipCoordinates
+from .task import Task, TipCoordinates
 
 PATH_SECONDS, PATH_MARGIN = 10.0, 2e-3
 """Longest search for a snap-free path to one solution, s, and the margin kept on it; half of the margin at its ends if

@@ -1,17 +1,19 @@
-"""What the actuators allow: the independent joint values of a robot, their ranges, and the order of its tubes."""
+"""Independent joint values of a robot: their ranges, the order of its tubes, and configurations of callers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, vector
 from ..files.units import TO_MM
 from ..robots.assembly import ROUND_OFF, Assembly
-from ..robots.limits import JointLimits
+from ..robots.limits import JointLimits, check_turn
 from ..robots.order import Demand, carriage_name, demands, in_order, translation_ranges
 from ..robots.robot import Robot
 from ..solvers.quadratic import constrained_least_squares
@@ -401,3 +403,71 @@ def _translations(shift: Array, tubes: Sequence[int], name: str) -> str:
     places, last = ", ".join(str(tube + 1) for tube in tubes[:-1]), tubes[-1] + 1
     of = f" of {name}" if name else ""
     return f"translations{of} of tubes {places} and {last} are {', '.join(numbers[:-1])} and {numbers[-1]}"
+
+
+Configuration = Any
+"""A pair (rotations, translations), or anything with these attributes: an Equilibrium, an InverseSolution."""
+
+
+def parts(name: str, value: Configuration) -> tuple[Any, Any]:
+    """Rotations and translations of a configuration as they are given; raises InputError naming it where it is none."""
+    if hasattr(value, "rotations") and hasattr(value, "translations"):
+        return value.rotations, value.translations
+    try:
+        rotations, translations = value
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name} is {value!r}; it must be a pair (rotations, translations), an Equilibrium or an InverseSolution"
+        ) from None
+    return rotations, translations
+
+
+def configuration(space: JointSpace, name: str, value: Configuration) -> Array:
+    """(m,) joint values of a configuration; raises InputError naming it where it is none."""
+    rotations, translations = parts(name, value)
+    n = space.robot.n_tubes
+    alpha = vector(f"rotations of {name}", rotations, n)
+    home = space.robot.home_translations if translations is None else translations
+    shift = vector(f"translations of {name}", home, n)
+    check_turn(alpha)
+    space.robot.assembly(shift)
+    return space.join(alpha, shift, name)
+
+
+def joints_of(space: JointSpace, name: str, value: Configuration) -> tuple[Array, tuple[float, ...]]:
+    """Rotations and translations (n,) of a configuration, as its joint space has them; raises as `configuration`."""
+    q = configuration(space, name, value)
+    return space.split(q)
+
+
+def shift_of(robot: Robot, *places: Any) -> list[Array]:
+    """(n,) translations, m, of each place that is a configuration, so far as it makes sense; a tip pose has none."""
+    found = []
+    for place in places:
+        if isinstance(place, tuple | list) and len(place) == 2:
+            shift = robot.home_translations if place[1] is None else place[1]
+        else:
+            shift = getattr(place, "translations", ())
+        with suppress(TypeError, ValueError):
+            row = np.array(shift, dtype=float)
+            if row.shape == (robot.n_tubes,):
+                found.append(row)
+    return found
+
+
+def scaled_weights(space: JointSpace, weights: Any) -> Array:
+    """(m,) weights of the joints in a distance: given per rad and per m, else one over the scale of each."""
+    if weights is None:
+        return 1 / space.scale
+    n = space.robot.n_tubes
+    try:
+        turn, shift = weights
+    except (TypeError, ValueError):
+        raise InputError(
+            "weights must be a pair: for rotations (n,), per rad, and for translations (n,), per m"
+        ) from None
+    values = [vector(f"weights of {what}", value, n) for what, value in (("rotations", turn), ("translations", shift))]
+    if min(value.min() for value in values) < 0:
+        raise InputError("weights must be at least 0")
+    together = [float(np.sqrt((values[1][list(tubes)] ** 2).sum())) for tubes in space.carriages]
+    return np.concatenate([values[0], together])

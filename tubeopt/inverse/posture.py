@@ -22,8 +22,7 @@ from ..errors import InputError, SolveError
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array, Delegate
 from .arm_surface import ArmSurface, Contacts
-from .configurations import Configuration, configuration
-from .joints import JointSpace
+from .joints import Configuration, JointSpace, configuration
 
 _Slopes = tuple[tuple[Array, Array, Array], Array]
 """Of tip, turn vector and margin by the joints, and of the shape points by rotations and translations."""

@@ -1,31 +1,243 @@
-"""The nonlinear program of inverse kinematics, solved by IPOPT: numbers in, posture out.
+"""Inverse kinematics as one nonlinear program: the torsion of an arm whose joint values are free.
+
+Beside the unknowns and equations of the torsion there are the joint values, in which base rotations, transmissions and
+the lengths of the pieces are linear as long as the breakpoints keep their order; the pose of the tip, integrated along
+the pieces; and the margin as a smooth constraint. The last is Jacobi's: with all torsional stiffnesses reduced by the
+fraction mu, the fields
+
+    (1 - mu) kt Y'' = V'' Y,   Y = 1, Y' = 0 at the tip
+
+keep det Y > 0 along the arm and det(Y(0) - |beta| Y'(0)) > 0 if and only if the margin is above mu. The determinants
+are smooth in all unknowns; the smallest eigenvalue is not where two of them cross, and is capped at 1 where nothing
+couples. Shape and fields are marched and not lifted into unknowns, as in an `EquilibriumBlock`: a solve of this small
+program, with first derivatives, then takes a tenth of the time.
 
 The order of breakpoints is that of the start. Where a section closes at the solution, the two breakpoints change places
-and the program of the new order goes on.
+and the program of the new order continues.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from ..block.transcription.program import ease_at_plate, structure_of, torsion_guess, torsion_numbers
+from ..block.transcription.chain import slid
+from ..block.transcription.collocated import Grid, shape_of, symbols, torsion_of
+from ..block.transcription.explicit import marched_fields
+from ..block.transcription.functions import determinant_function
+from ..block.transcription.model import TorsionModel
+from ..block.transcription.program import (
+    Structure,
+    add_torsion,
+    ease_at_plate,
+    structure_of,
+    torsion_guess,
+    torsion_numbers,
+)
+from ..bodies.obstacles import Obstacle
 from ..equilibrium.answer import to_equilibrium
 from ..equilibrium.member import Point, Unloaded
 from ..errors import InputError
+from ..physics.shape import GAUSS_POINTS, rotation_matrix
 from ..solvers.ipopt import inside_points
 from ..solvers.named_program import ProblemSolution, ProblemStatus
 from ..solvers.problem import Problem
 from ..solvers.settings import LARGEST_TWIST, Ipopt
 from ..typing import Array
-from .collocated import SETTINGS, Question, has_formula, inverse_program
-from .gauss_newton import Search
+from .gauss_newton import CLOSED_SECTION, Order, Search, apart, beyond, breakpoint_order
 from .goal import Goal
-from .order import CLOSED_SECTION, Order, apart, beyond, breakpoint_order
 from .posture import Posture
+
+STEPS = 2
+"""Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
+
+SHARPNESS = 30.0
+"""Sharpness of the smooth least distance from an obstacle, over the length of the robot: on the safe side."""
+
+SETTINGS = Ipopt(tolerance=1e-7, constraint_tolerance=1e-10, iterations=150, hessian="limited-memory", expand=True)
+"""Second derivatives of shape and Jacobi fields take seconds to build for every order of breakpoints; IPOPT's
+quasi-Newton approximation needs no more iterations with them than without."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What makes two programs the same but for numbers."""
+
+    structure: Structure
+    carriages: tuple[tuple[int, ...], ...]
+    pointed: bool
+    """Whether the direction is a constraint."""
+    aimed: bool
+    """Whether it is a cost."""
+    objective: str
+    """"nearest", "margin" or "curvature"."""
+    obstacles: tuple[Obstacle, ...]
+    """What the arm keeps away from."""
+    length: float
+    """By which distances are measured, m."""
+    closings: int
+    """Rows that keep the order."""
+
+
+def inverse_program(question: Question, thread: int) -> Problem:
+    """The program of a question, built once as long as it is among the last ones; each `thread` has its own numbers.
+
+    Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
+    Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
+    (n,) at translations 0; of tubes made of pieces `ease` (n,) at the plate, and `cuts` (P + 1,) between the pieces
+    where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,); `position`,
+    `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the
+    joints; `order` (closings, G) and its `bound`.
+    """
+    return (_among_bodies if question.obstacles else _in_free_space)(question, thread)
+
+
+def _program(question: Question, _thread: int) -> Problem:
+    structure, length = question.structure, question.length
+    n, groups, pieces = structure.grid.n_tubes, len(question.carriages), len(structure.section)
+    problem = Problem("inverse kinematics")
+
+    def given(name: str, rows: int = 1, columns: int = 1) -> Any:
+        return ca.reshape(problem.parameter(name, np.zeros(rows * columns)), rows, columns)
+
+    turn, shift = problem.variable("rotations", n), problem.variable("translations", groups, scale=length / 2)
+    floor = least = given("least margin")
+    if question.objective == "margin":
+        floor = problem.variable("margin", lower=0.0, upper=0.999)
+        problem.subject_to("margin above its bound", floor - least)
+        problem.maximize(floor)
+    moved = ca.vertcat(*(shift[k] for i in range(n) for k, tubes in enumerate(question.carriages) if i in tubes))
+    own = {
+        "transmission": given("transmission at 0", n) - moved,
+        "lengths": given("lengths at 0", pieces) + given("lengths per translation", pieces, groups) @ shift,
+    }
+    if structure.grid.detail:
+        own["transmission"] += (1 - given("ease", n)) * moved
+        passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - given("cuts", pieces + 1)
+        out = moved - given("translations of the mesh", n)
+        table = given("along", *structure.shapes["along"])
+        own["along"] = slid(table, structure.grid.detail, given("lengths of the mesh", pieces), (passed, out))
+    arm = add_torsion(problem, structure, turn, own)
+    frame, tip, points, bend = _shape(arm)
+    direction, wanted, weight = frame[:, 2], given("direction", 3), given("direction weight")
+    problem.subject_to("tip position", tip - given("position", 3), upper=0.0, scale=length)
+    if question.pointed:
+        problem.subject_to("tip direction", _aside(direction, wanted), upper=0.0)
+        problem.subject_to("tip direction, sense", ca.dot(direction, wanted))
+    fields = _jacobi(arm, structure.coupled, floor)
+    names = [f"margin, Jacobi fields at piece {k + 1}" for k in range(pieces - 1)] + ["margin"]
+    problem.subject_to("Jacobi fields", fields, entries=names)
+    order, bound = given("order", question.closings, groups), given("bound", question.closings)
+    if question.closings:
+        problem.subject_to("order of breakpoints", order @ shift - bound, scale=length)
+    clearance, radius = given("clearance"), given("radius", pieces)
+    for k, obstacle in enumerate(question.obstacles):
+        far = _soft_distance(obstacle, points.shape[1], length)
+        thick = ca.reshape(ca.repmat(radius.T, 2 * STEPS, 1), 1, -1)
+        clear = far(points, ca.horzcat(radius[0], thick))
+        problem.subject_to(f"clearance of obstacle {k + 1}", clear - clearance, scale=length)
+    off = given("weights", n + groups) * (ca.vertcat(turn, shift) - given("reference", n + groups))
+    cost = {"nearest": ca.sumsqr(off) / 2, "margin": -floor, "curvature": bend * length / 2}[question.objective]
+    problem.minimize(cost + weight * ca.sumsqr(direction - wanted) / 2 if question.aimed else cost)
+    return problem
+
+
+_in_free_space = lru_cache(maxsize=64)(_program)
+
+_among_bodies = lru_cache(maxsize=8)(_program)
+"""Distances from the segments of a way, written out for points along an arm, take 60 MB."""
+
+
+def _aside(direction: Any, target: Any) -> Any:
+    """(2,) components of a direction square to the target, in the basis of Duff et al. (JCGT 6(1), 2017)."""
+    x, y, z = target[0], target[1], target[2]
+    sign = ca.if_else(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    first = ca.vertcat(1 + sign * x**2 * a, sign * b, -sign * x)
+    second = ca.vertcat(b, sign + y**2 * a, -y)
+    return ca.vertcat(ca.dot(first, direction), ca.dot(second, direction))
+
+
+@lru_cache(maxsize=8)  # not more: what is cached keeps its body, which may be a table of 100 MB
+def has_formula(obstacle: Obstacle) -> bool:
+    """Whether an obstacle's distance can be written with symbols."""
+    point = ca.SX.sym("p", 3)
+    try:
+        obstacle.distance(point[0], point[1], point[2])
+    except InputError:
+        return False
+    return True
+
+
+def _soft_distance(obstacle: Obstacle, count: int, length: float) -> ca.Function:
+    """(points (3, count), radii (1, count)) -> a smooth number at most the least distance from an obstacle:
+    -log(sum exp(-k d)) / k."""
+    sharp, points, radius = SHARPNESS * 10 / length, ca.SX.sym("p", 3, count), ca.SX.sym("r", 1, count)
+    distance = [obstacle.distance(*ca.vertsplit(points[:, k])) - radius[k] for k in range(count)]
+    return ca.Function("soft", [points, radius], [-ca.logsumexp(-sharp * ca.vertcat(*distance)) / sharp])
+
+
+def _shape(arm: TorsionModel) -> tuple[Any, Any, Any, Any]:
+    """Frame and position of the tip, points along the arm (3, 1 + 2 STEPS P), and int |u|^2 ds."""
+    frame, position, bend = ca.MX(ca.DM.eye(3)), ca.MX(ca.DM.zeros(3)), ca.MX(0)
+    points = [position]
+    for k in range(arm.n_pieces):
+        frame, position, inside, part = _piece_shape(arm.grid)(frame, position, *arm.piece(k))
+        points.append(inside)
+        bend = bend + part
+    return frame, position, ca.horzcat(*points), bend
+
+
+@lru_cache(maxsize=16)
+def _piece_shape(grid: Grid) -> ca.Function:
+    """(R, p, arguments of a piece) -> R, p where it ends, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
+    torsion = torsion_of(symbols(grid))
+    frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
+    h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
+    for turn, shift, _ in shape_of(torsion, steps=STEPS):
+        position, turned = begin + frame @ shift, frame @ rotation_matrix(turn)
+        # Halfway on the cubic with the tangents at both ends.
+        points += [(before + position) / 2 + h * (ahead - turned[:, 2]) / 8, position]
+        before, ahead = position, turned[:, 2]
+    u = torsion.curvature(((np.arange(STEPS)[:, None] + GAUSS_POINTS) / STEPS).ravel())
+    bend = h * ca.dot(ca.repmat(ca.DM([5, 8, 5]) / 18, STEPS, 1), ca.sum1(u**2).T)
+    outputs = [turned, position, ca.horzcat(*points), bend]
+    return ca.Function("shape", [frame, begin, *torsion.piece.arguments], outputs, {"cse": True})
+
+
+def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
+    """Determinants of the Jacobi fields of tubes softened by `margin`: where pieces begin, tip to base, then of the
+    base with the transmissions."""
+    n = arm.grid.n_tubes
+    determinant = determinant_function(n)
+    y, v = ca.MX(ca.DM.eye(n)), ca.MX(ca.DM.zeros(n, n))
+    out = []
+    for k in reversed(range(arm.n_pieces)):
+        if coupled[k] or arm.grid.detail:
+            y, v = ca.vertsplit(_piece_fields(arm.grid)(ca.vertcat(y, v), margin, *arm.piece(k)), n)
+        else:
+            y = y - arm.lengths[k] * v
+        if k:
+            out.append(determinant(y))
+    out.append(determinant(y - ca.repmat(arm.transmission, 1, n) * v))
+    return ca.vertcat(*out)
+
+
+@lru_cache(maxsize=16)
+def _piece_fields(grid: Grid) -> ca.Function:
+    """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
+    torsion, n = torsion_of(symbols(grid)), grid.n_tubes
+    fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
+    marched = marched_fields(torsion, fields, margin)
+    return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})
+
 
 ORDERS = 6
 """Changes of the order of breakpoints that a solution goes through at most."""

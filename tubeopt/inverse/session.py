@@ -18,12 +18,21 @@ from ..solvers.blas import small
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
 from .clock import Clock
-from .configurations import Configuration
-from .descent import held_by, missed_by, moved, on_target, reach
-from .gauss_newton import FIRST_STEP, Model
+from .gauss_newton import (
+    FIRST_STEP,
+    Model,
+    Order,
+    breakpoint_order,
+    crossings,
+    held_by,
+    missed_by,
+    moved,
+    on_target,
+    reach,
+)
 from .goal import Goal, pose_question, unit_vector
 from .joint_path import answer_at, joint_path_of, jump_between
-from .order import Order, breakpoint_order, crossings
+from .joints import Configuration
 from .posture import Posture, posture_of, same_place, start_posture
 from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions

@@ -27,10 +27,10 @@ from ..typing import Array
 from .answer import InverseSolution
 from .arm_surface import ArmSurface
 from .clock import Clock
-from .configurations import Configuration
-from .descent import broyden
+from .gauss_newton import broyden
 from .goal import Goal, angle, pose_question
 from .joint_path import with_a_way
+from .joints import Configuration
 from .multistart import Multistart, known_home
 from .posture import posture_of, start_posture
 from .settings import DEFAULT_OPTIONS, InverseOptions

@@ -1,19 +1,16 @@
 """Trajectories that never snap: on one stable branch all the way, around obstacles, within rates, and proved."""
 
-from .arm_distance_bound import PairProof
-from .arms import ArmsProof, PlacedRobot, verify_arms
+from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
 from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
-from .leader import follow_the_leader
 from .motion import RateLimits
-from .pair_reach import PairReach, PairShare
 from .plan import plan_trajectory
 from .proof import Proof, verify_trajectory
 from .question import PlanOptions
-from .reach_share import ReachShare, RegionReach, evaluate_reach
+from .reach_share import PairReach, PairShare, ReachShare, RegionReach, evaluate_reach
 from .roadmap import Roadmap, build_roadmap, load_roadmap
-from .tip_path import follow_tip_path
+from .tip_path import follow_the_leader, follow_tip_path
 from .trajectory import Entry, PlanStatistics, Trajectory
 
 __all__ = [

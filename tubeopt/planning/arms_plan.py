@@ -25,8 +25,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..files.field_metadata import form, unit
 from ..inverse.clock import Clock
-from ..inverse.configurations import shift_of
-from ..inverse.joints import joint_space
+from ..inverse.joints import joint_space, shift_of
 from ..solvers.blas import small
 from ..solvers.time_limit import LEAST_SECONDS
 from ..typing import Array

@@ -31,8 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..typing import Array, Mask
-from .cross_sections import Jet, inverse, linear, part, turned
-from .sections import PARTS, Intervals
+from .sections import PARTS, Intervals, Jet, inverse, linear, part, turned
 
 Turn = tuple[Array, Array]
 """Bounds (B, K, n) of the changes of theta_i in every section, and (B, K, n, n) of theta_i - theta_j."""

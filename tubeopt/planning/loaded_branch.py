@@ -33,9 +33,8 @@ import numpy as np
 
 from ..typing import Array, Mask
 from .branch import Branch, Turn, least_root, tip_of, whirled
-from .cross_sections import Jet, linear, part, turned
 from .loaded_sections import LoadedIntervals
-from .sections import PARTS
+from .sections import PARTS, Jet, linear, part, turned
 
 SIXTH = 1 / 6
 """Share of T by which a function of time may be off a straight line, where its second derivative is at most T, and T is

@@ -12,8 +12,7 @@ from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.order import outermost, twisted_tube
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
-from .cross_sections import Bending, Drift, Jet, turned
-from .sections import JUMP, SHAPE_ERROR, Arms, Intervals
+from .sections import JUMP, SHAPE_ERROR, Arms, Bending, Drift, Intervals, Jet, turned
 
 
 def uncovered(load: Load) -> str:

@@ -27,10 +27,9 @@ from ..stability.following import find_snap
 from ..typing import Array, Index
 from .branch import Branch, branch
 from .clearance_bound import Wanted, cleared
-from .cross_sections import Constants
 from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
-from .sections import Arms, Intervals
+from .sections import Arms, Constants, Intervals
 
 LARGEST_TURN, LARGEST_SHIFT = 0.04, 0.004
 """Largest changes of joints between two equilibria, to begin with: rad, and as a share of the longest tube."""

@@ -1,4 +1,4 @@
-"""What a caller asks of a plan, checked before any work is done."""
+"""The chart of a robot that bears a load: points are equilibria without it, arms are what the load makes of them."""
 
 from __future__ import annotations
 
@@ -10,29 +10,99 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 
 from ..block.custom import CustomObjective
-from ..block.quantities import Expression
+from ..block.quantities import Expression, recorded
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
+from ..equilibrium.kinematics import equilibrium_at, forward_kinematics
+from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, positive, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
 from ..inverse.clock import Clock, LateError
-from ..inverse.configurations import shift_of
-from ..inverse.joints import JointSpace, joint_space
+from ..inverse.joints import JointSpace, joint_space, shift_of
 from ..inverse.search import SEARCHES, Way
-from ..inverse.task import Task
-from ..inverse.tip_coordinates import TipCoordinates
+from ..inverse.task import Arms, Task, TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
 from ..stability.deflection import under_any_force
+from ..stability.shooting import profiles
 from ..typing import Array
-from .loaded_chart import LoadedChart
 from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
-from .path_program import WEIGHTS, path_cost
+
+SAME = 1e-6
+"""Tips (rad) of equilibria that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedChart(TipCoordinates):
+    """As `TipCoordinates`; every arm is that into which the stable equilibrium of its point grows with the load."""
+
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """The point of an equilibrium: that of what is left of it without its load.
+
+        Raises:
+            SolveError: it snaps as the load is taken off.
+        """
+        known = equilibrium
+        if known.load is not None:
+            known = forward_kinematics(known.robot, known.rotations, known.translations, load=Load(), start=known)
+        return super().of(known)
+
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
+        """As those of `TipCoordinates`, under the load."""
+        plain, shift = super().arms(z, 0.0, clock), self.translations(z)
+        floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
+        for k in np.flatnonzero(plain.stable).tolist():
+            if clock is not None and clock.over:
+                raise LateError
+            e = self._loaded(z[k, : shift.shape[1]], plain.rotations[k], shift[k])
+            if e is not None:
+                found[k] = e
+        stable = np.array([k in found and found[k].margin > floor[k] for k in range(len(z))], dtype=bool)
+        width = max((len(e.arc_length) for e in found.values()), default=plain.points.shape[1])
+        points, tangents, s = (_widened(table, width) for table in (plain.points, plain.tangents, plain.arc_length))
+        for k, e in found.items():
+            own = e.position, e.frame[:, :, 2], e.arc_length
+            points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in own)
+        return Arms(plain.rotations, stable, points, tangents, s, plain.tube_end)
+
+    def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:
+        """The equilibrium under the load at joint values, grown from the one without it that has these tips."""
+        robot = self.space.robot
+        try:
+            bare = forward_kinematics(robot, rotations, translations)
+            if np.abs(bare.tip_rotations - tips).max() > SAME:
+                problem = reduced_problem(robot, tuple(translations.tolist()), DEFAULT_DISCRETISATION)
+                theta = profiles(problem, tips[None])[0]
+                bare = equilibrium_at(robot, rotations, translations, lambda s: theta.T)
+            return forward_kinematics(robot, rotations, translations, load=self.load, start=bare)
+        except SolveError:
+            return None
+
+
+def _widened(table: Array, width: int) -> Array:
+    """(N, width, ...) of a table (N, p, ...): its last points repeated, or left out."""
+    more = [(0, 0)] * table.ndim
+    more[1] = (0, max(0, width - table.shape[1]))
+    return np.pad(table, more, mode="edge")[:, :width].copy()
+
 
 FORCE_ROOM = 1.05
 """Safety factor on the displacement of the arm by a force, known at the ends of a motion."""
+
+
+WEIGHTS = {
+    "length": (1.0, 0.1, 0.0, 0.0),
+    "time": (0.02, 1.0, 0.0, 0.0),
+    "effort": (0.02, 0.05, 1e-2, 0.0),
+    "margin": (0.02, 0.05, 0.0, 1.0),
+}
+"""Of length, time, effort and margin, for every objective."""
+
+PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
+"""What a custom cost on the path may speak of, at every knot."""
 
 
 class PathSource(Protocol):
@@ -220,3 +290,20 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
     between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection
     reserve = FORCE_ROOM * (between if np.isfinite(between) else max(alone))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
+
+
+def path_cost(extra: CustomObjective, n: int) -> Expression:
+    """A custom cost on the path as an expression of one of its poses.
+
+    Raises:
+        InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
+    """
+    extra.checked()
+    found = recorded(extra.expression, n, 1, extra.words)
+    for one in found.quantities:
+        if one.pose is None or one.name not in PATH_QUANTITIES:
+            known = ", ".join(PATH_QUANTITIES)
+            raise InputError(f"the cost {extra.words} uses {one.name}; on a path it may use {known}")
+    if found.value.numel_out() != 1:
+        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
+    return found

@@ -33,10 +33,9 @@ from ..planning import (
     plan_trajectory,
     verify_trajectory,
 )
-from ..planning.file import TimedJoints, load_trajectory
-from ..planning.leader import follow_the_leader
 from ..planning.motion import ANY_RATES
-from ..planning.tip_path import follow_tip_path
+from ..planning.tip_path import follow_the_leader, follow_tip_path
+from ..planning.trajectory import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from ..typing import Array, Progress
 from .anatomy_file import BasePart

@@ -15,7 +15,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import ArmsPlan, PairProof, Trajectory
-from ..planning.file import save_trajectory
+from ..planning.trajectory import save_trajectory
 from ..robots.file import save_robot
 from .formatting import at_least
 from .plan_report import TRAJECTORY

@@ -18,7 +18,7 @@ from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import Entry, Proof, Trajectory
-from ..planning.file import save_joint_trajectory, save_trajectory
+from ..planning.trajectory import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
 from ..runs.plan_study import Checked
 from ..stability import ASSUMING

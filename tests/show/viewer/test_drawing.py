@@ -22,7 +22,7 @@ from tubeopt import (
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.frames import Plane
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
-from tubeopt.planning.file import load_trajectory
+from tubeopt.planning.trajectory import load_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.file import robot_to_yaml
 from tubeopt.show.arm_surfaces import Centreline, plate_part, robot_parts

@@ -16,7 +16,7 @@ from ...files.files import atomic_write
 from ...files.units import DEG, MM, in_unit
 from ...files.yaml_file import to_yaml
 from ...planning import ArmsPlan
-from ...planning.file import branch_line, timed_csv
+from ...planning.trajectory import branch_line, timed_csv
 from ...robots.file import robot_to_yaml
 from ..arm_surfaces import Part, plate_part, plate_radius
 from .host import quiet_server, titled_page

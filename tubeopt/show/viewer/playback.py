@@ -12,7 +12,7 @@ from ...equilibrium.readings import to_model
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.csv_file import read_csv
-from ...planning.file import TIME, load_trajectory
+from ...planning.trajectory import TIME, load_trajectory
 from ...robots.file import Waypoints as Way
 from ...robots.file import load_waypoints as load_path
 from ...robots.robot import Robot

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ...bodies.obstacles import Obstacle
 from ...errors import InputError
 from ...files.units import TO_MM
-from ...inverse.descent import held_by, reach
+from ...inverse.gauss_newton import held_by, reach
 from ...inverse.goal import Goal, pose_question
 from ...inverse.posture import Posture, start_posture
 from ...inverse.settings import InverseOptions
