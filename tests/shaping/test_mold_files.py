@@ -15,15 +15,16 @@ import pytest
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping import EndMill, MillingSpec, Springback, write_mold
 from tubeopt.shaping.mold.files import (
+    Part,
     draw_plate,
     dxf_deviation,
     manifold,
+    plate_part,
     write_dxf,
     write_solid,
-    write_stl,
     wrong_volume,
 )
-from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation, write_gcode
+from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation
 from tubeopt.shaping.mold.groove import Arc
 from tubeopt.show.plots.mold import plot_mold, plot_setup_sheet
 
@@ -126,13 +127,13 @@ def test_a_solid_that_is_not_right_is_refused(mold: Mold, files: Path, tmp_path:
     assert wrong_volume(mold, "lid", mesh).startswith("the volume of the lid is off by")
     cube = manifold().Manifold.cube((1.0, 1.0, 1.0))
     with pytest.raises(SolveError, match=r"said\.stl: it is a cube"):
-        write_solid(cube, tmp_path / "said.stl", "base", lambda _: "it is a cube")
+        write_solid(Part("base", lambda: cube, lambda _: "it is a cube", ()), tmp_path / "said.stl")
     whole = cube.to_mesh()
     torn = SimpleNamespace(
         to_mesh=lambda: SimpleNamespace(vert_properties=whole.vert_properties, tri_verts=whole.tri_verts[1:])
     )
     with pytest.raises(SolveError, match=r"torn\.stl: the solid of the base is not watertight"):
-        write_solid(torn, tmp_path / "torn.stl", "base", lambda _: "")
+        write_solid(Part("base", lambda: torn, lambda _: "", ()), tmp_path / "torn.stl")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -210,7 +211,7 @@ def test_gcode_that_strays_is_seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         read_gcode("G1 X1 Y@\n")
     monkeypatch.setattr("tubeopt.shaping.mold.gcode.groove_gcode", lambda _: shifted)
     with pytest.raises(SolveError, match="from its groove"):
-        write_gcode(mold, tmp_path)
+        write_mold(mold, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -248,7 +249,7 @@ def test_a_missing_library_is_named(
             write_dxf(draw_plate(mold, "base"), drawn(mold), tmp_path / "x")
     else:
         with pytest.raises(InputError, match=missing):
-            write_stl(mold, tmp_path / "x", "base")
+            write_solid(plate_part(mold, "base"), tmp_path / "x")
 
 
 def test_what_needs_a_missing_library_is_left_out_with_a_warning(

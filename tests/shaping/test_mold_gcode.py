@@ -11,8 +11,8 @@ import trimesh
 
 from tubeopt import InputError, Mold, MoldSpec, SolveError, Tube, plan_mold
 from tubeopt.shaping.mold.checks import beyond_edge
-from tubeopt.shaping.mold.files import write_stl
-from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of, write_gcode
+from tubeopt.shaping.mold.files import plate_part, write_mold, write_solid
+from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of
 from tubeopt.shaping.mold.spec import MillingSpec, PlateSpec, VentSpec, WorkshopSpec
 
 from .gcode_machine import Block, mill
@@ -74,7 +74,7 @@ def test_all_holes_are_there_and_go_through(dialect: str) -> None:
 def test_what_is_milled_away_is_what_the_solid_lacks(part: str, tmp_path: Path) -> None:
     spec = MoldSpec(vents=VentSpec(profile=(0.1,)))
     mold = plan_mold([SMALL, Tube(1.2e-3, 0.9e-3, 0.0, 20e-3, 20.0)], spec)
-    solid = trimesh.load_mesh(write_stl(mold, tmp_path / "plate.stl", part))
+    solid = trimesh.load_mesh(write_solid(plate_part(mold, part), tmp_path / "plate.stl"))
     thickness = 12.7 if part == "base" else 6.35
     block = Block((1e3 * mold.size[0], 1e3 * mold.size[1]), thickness)
     for stage, text in zip(stages_of(mold, part), texts(mold, part), strict=True):
@@ -117,7 +117,7 @@ def test_hazards_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert "spindle still" in hazards(read_gcode(good.replace("M3", "M5")))[0]
     monkeypatch.setattr("tubeopt.shaping.mold.gcode._up", lambda mold: iter(["G0 Z5.0000"]))
     with pytest.raises(SolveError, match="rapid speed below the plate's face"):
-        write_gcode(mold, tmp_path)
+        write_mold(mold, tmp_path)
     assert not list(tmp_path.iterdir())
 
 

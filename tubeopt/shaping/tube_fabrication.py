@@ -29,15 +29,19 @@ from .mold.layout import open_area
 from .mold.mold import Groove, Mold, plan_mold
 from .mold.spec import GrooveSpec, MoldSpec
 
+# Each mold moves the leads by what the last heating said: the correction is a fixed point, and shrinks each time.
 MOLDS = 5
 """Molds that are drawn at most."""
 
+# A tenth of what a mill is set to.
 SAME_LENGTH = 1e-5
 """Lengths of mold and heating that differ by less are equal, m."""
 
+# A cold end is read from cells of about a millimetre.
 LONGER_LEAD = 1e-3
 """Length of the leads beyond cold ends that reach into the curved part, m."""
 
+# The next plate rounds lengths, which moves the resistance by up to a percent or two.
 LEAD_PEAK = 0.98
 """Share of the circuit's peak current for which leads are made longer, where a shorter tube would draw more."""
 

@@ -36,15 +36,19 @@ from .thermal import COARSE, FINE, ThermalModel, gap_of, stack, thermal_model
 # --- logged heatings: what was measured when, and which of it can be believed -----------------------------------------
 
 
+# Two equal greatest readings are common where a converter has steps of 0.25 K.
 FLAT = 3
 """Readings in a row at a channel's greatest value that are more than chance."""
 
+# Below it a slow thermometer, or one at a cold end, need not move.
 HEATED = 30.0
 """Rise that the rig's file must expect of a thermometer before it is called dead or saturated, K."""
 
+# Twice the standard limit of error of type K near room temperature, 2.2 K (ASTM E230).
 SHIFTED = 5.0
 """Difference of a thermometer from the ambient temperature before heating that gets a remark, K."""
 
+# Two tests on some ten channels: one false alarm in 500 logs; `test_false_alarms_are_rare` counts them.
 RARE = 1e-4
 """Probability below which a deviation is no accident of noise."""
 
@@ -292,15 +296,19 @@ def unexplained(
 # --- the fit ----------------------------------------------------------------------------------------------------------
 
 
+# Twice the step of a plan's simulation (`simulation.STEP`): a fit simulates all perturbed rigs several times.
 STEP = 0.5
 """Longest step of the simulation of a log, s."""
 
+# One-sided differences: half of it times the curvature is their error, and round-off takes three of 15 digits.
 PERTURBATION = 1e-3
 """Step of the logarithm of a factor in finite differences."""
 
+# Scales the unknown only, so that a step of the search is of one size in all.
 BIAS_SIZE = 25.0
 """Bias of a thermometer that counts as much as a factor of e, K."""
 
+# A factor known to exp(0.4), 50 %, says less than the file of a rig.
 WEAK = 0.4
 """Standard error of a factor's logarithm above which the log does not determine it, and it is fixed."""
 

@@ -41,11 +41,12 @@ from .simulation import History, State, simulate, simulate_feedback, warming_spa
 from .spec import HeatingSpec
 from .thermal import PROGRAM, ThermalModel, curve_start, joined, thermal_model, vent_profile
 
-# The program limits the ramp at its collocation points only; between them, and on the fine grid, it is a little more.
+# The program limits the ramp at its collocation points only; between them, and on the fine grid, it is more. Half of it
+# begins a hold up to 1.5 s sooner, twice 2 to 3 s later.
 RAMP_KEPT = 0.03
 """Share of the ramp that is kept for the fine grid."""
 
-# Where room for counts would take nearly all of the ramp, the heating would never end.
+# Where room for counts would take nearly all of the ramp, the heating would never end. Half and twice change no plan.
 RAMP_LEFT = 0.15
 """Share of the ramp that is left at least when room is made for whole counts."""
 
@@ -53,16 +54,17 @@ RAMP_LEFT = 0.15
 MOST_MISS = 1500.0
 """Largest miss of the window, K."""
 
-# Drives are linear between some 25 nodes; a duty is their quotient by a current that changes slowly, so 16 points on
-# each interval follow it to a thousandth of a count.
+# Drives are linear between 25 nodes; a duty is their quotient by a current that changes slowly. 16 points on each
+# interval follow it to a thousandth of a count: half and twice change no plan.
 DUTY_POINTS = 401
 """Points of the piecewise linear duty over heating and hold."""
 
-# Half a time step of the fine grid: the guess obeys the ramp to a few K/s.
+# Half and twice change neither a plan nor its time.
 GUESS_SLOT = 0.25
 """Slot of the controller that finds the starting schedule, s."""
 
 # From a small miss IPOPT takes the slack back in a few steps; where the start is far off, a slack of 0 takes a hundred.
+# Half and twice change no plan.
 GUESS_MISS = 20.0
 """Miss of the window by the starting schedule above which the program starts with slack, K."""
 

@@ -360,6 +360,7 @@ def ageing_words(plan: HeatingPlan) -> tuple[str, ...]:
 # --- what keeps a schedule from its window ----------------------------------------------------------------------------
 
 
+# A technician changes no rig for less: the loss of a rig is known to 15 % (`Uncertainty`).
 WORTH = 0.1
 """Relative change that is worth being reported: of a miss, and of the time to the longest heating."""
 

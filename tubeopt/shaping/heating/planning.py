@@ -88,18 +88,23 @@ def plan_heating(
 # --- changes that would help ------------------------------------------------------------------------------------------
 
 
+# Each may take a plan of its own, some seconds. Candidates are ordered by the reason of the miss.
 MOST_CURES = 3
 """Changes that are tried."""
 
+# A MAX31855 converts in 100 ms: the firmware keeps no shorter slot under control.
 QUICK_SLOT = 0.1
 """Slots that are proposed for a window too narrow for the requested ones, s."""
 
+# A sixth of `RESERVE`: a larger miss of the program is not made up by counts.
 SMALL_MISS = 0.05
 """Miss of the window by the program below which a schedule of whole counts is made as a check, K."""
 
+# The default slot: one fifth of the counts that slots of 0.1 s need, where `SWING` allows it.
 CHECKED_SLOT = 0.5
 """Longest duration of equal duties in that check, s."""
 
+# A tenth of a window of 50 K is 5 K, twice the ripple of the default slot.
 SWING = 0.1
 """Largest heating by half a count in that time, as a fraction of the window's width."""
 

@@ -197,9 +197,12 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
 # --- feedback: gains and set-point from the model, chosen on uncertain rigs -------------------------------------------
 
 
+# A quarter of a window of 50 K is 12 K: the bias is 2 K for a thermocouple, 9 K for a camera.
 INSIDE = 0.25
 """Distance of the coldest point inside the window where a controlled hold begins, as a fraction of its width."""
 
+# From 48 rigs the share in the window has a standard error of 7 %, enough to order five gains; the time grows with
+# them.
 RIGS = 48
 """Random rigs on which gains and set-point are chosen; others test them."""
 

@@ -17,9 +17,8 @@ from ...errors import InputError, SolveError, extra
 from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
-from .gcode import write_gcode
+from .gcode import checked_programs
 from .groove import Arc, Point, farthest, leads_to_edge, polygon
-from .layout import Hole
 from .mold import PARTS, Clamp, Groove, Mold, clamp_corners
 
 # --- what is drawn of a plate -----------------------------------------------------------------------------------------
@@ -138,32 +137,66 @@ ABOVE = 1e-3
 """Cutters of a solid reach this far (m) beyond the faces, so that no faces coincide."""
 
 
-def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
-    """Write base and lid as DXF, SVG and STL and their G-code; return the paths.
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A piece to be made: a plate, a cylinder or a block, and everything that its files are made of."""
+
+    name: str
+    """Of its files, without their ending."""
+    solid: Callable[[], Any]
+    """Makes the solid (manifold3d, mm)."""
+    fault: Callable[[Any], str]
+    """What is wrong with the mesh (mm) of its file, in words; "" where nothing is."""
+    texts: tuple[tuple[str, str], ...]
+    """Names and contents of its programs and tables, which were read again and compared."""
+    drawing: Drawing | None = None
+    """Of a plate."""
+    centreline: tuple[Arc, ...] = ()
+    """That its drawing must hold, m."""
+
+
+def write_parts(parts: Sequence[Part], directory: str | PathLike[str]) -> list[Path]:
+    """Write the drawings (DXF, SVG) and solids (STL) of parts, then their programs and tables; return the paths.
 
     Drawings and solids whose package (ezdxf, manifold3d, trimesh) is not installed are left out with a warning.
 
     Raises:
         InputError: a file cannot be written.
-        SolveError: a file that was written does not agree with the mold when it is read back.
+        SolveError: a drawing or a solid does not agree with its part when it is read back.
     """
     out, paths = Path(directory), list[Path]()
-    centre = [piece for groove in mold.grooves for piece in groove.centreline.pieces]
-    for part in PARTS:
-        paths += write_drawing(draw_plate(mold, part), centre, out / part)
+    for part in parts:
+        if part.drawing is not None:
+            with left_out_where_missing():
+                paths.append(write_dxf(part.drawing, part.centreline, out / f"{part.name}.dxf"))
+            write_text(out / f"{part.name}.svg", svg_of(part.drawing))
+            paths.append(out / f"{part.name}.svg")
         with left_out_where_missing():
-            paths.append(write_stl(mold, out / f"{part}.stl", part))
-    return [*paths, *write_gcode(mold, out)]
+            paths.append(write_solid(part, out / f"{part.name}.stl"))
+    for name, text in (file for part in parts for file in part.texts):
+        write_text(out / name, text)
+        paths.append(out / name)
+    return paths
 
 
-def write_drawing(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> list[Path]:
-    """Write a drawing as DXF and SVG under a path to which the endings are added, and return the paths; errors, and
-    what is left out, as of `write_mold`."""
-    svg, paths = path.with_suffix(".svg"), list[Path]()
-    with left_out_where_missing():
-        paths.append(write_dxf(drawing, centreline, path.with_suffix(".dxf")))
-    write_text(svg, svg_of(drawing))
-    return [*paths, svg]
+def write_mold(mold: Mold, directory: str | Path) -> list[Path]:
+    """Write base and lid as DXF, SVG and STL and their G-code, as `write_parts`; return the paths.
+
+    Raises SolveError too where a program, read back, leaves its groove by more than 10 um, or moves where it must not.
+    """
+    return write_parts([plate_part(mold, name) for name in PARTS], directory)
+
+
+def plate_part(mold: Mold, name: str) -> Part:
+    """A plate of a mold, "base" or "lid": the upper face of the base at z = 0, the lid on it."""
+    return Part(
+        name=name,
+        solid=partial(_plate_solid, mold, name),
+        fault=partial(wrong_volume, mold, name),
+        texts=tuple((program.file, program.text) for program in checked_programs(mold, name)),
+        drawing=draw_plate(mold, name),
+        centreline=tuple(piece for groove in mold.grooves for piece in groove.centreline.pieces),
+    )
 
 
 # --- drawings ---------------------------------------------------------------------------------------------------------
@@ -274,23 +307,16 @@ def _path(piece: Arc) -> str:
 # --- solids -----------------------------------------------------------------------------------------------------------
 
 
-def write_stl(mold: Mold, path: Path, part: str) -> Path:
-    """Write a plate of the mold as binary STL, whole or not at all, and return the path: the upper face of the base at
-    z = 0, the lid on it. Raises SolveError where its volume, read back, is off by more than 0.1 %."""
-    above = (*mold.holes, *mold.vents)
-    solid = _base(mold) if part == "base" else _plate(mold, above, mold.spec.plate.lid_thickness, 0.0)
-    return write_solid(solid, path, part, partial(wrong_volume, mold, part))
-
-
-def write_solid(solid: Any, path: Path, what: str, wrong: Callable[[Any], str]) -> Path:
-    """Write a solid as STL; raises SolveError where it is not watertight, or something is wrong with it, read back."""
-    mesh = solid.to_mesh()
+def write_solid(part: Part, path: Path) -> Path:
+    """Write the solid of a part as binary STL, whole or not at all, and return the path; raises SolveError where it is
+    not watertight, or something is wrong with it, read back."""
+    mesh = part.solid().to_mesh()
     # Vertices as STL holds them; what then coincides is one vertex, so that the file closes as the solid does.
     faces = trimesh().Trimesh(np.asarray(mesh.vert_properties, dtype=np.float32)[:, :3], mesh.tri_verts, process=True)
     with atomic_write(path) as temporary:
         temporary.write_bytes(faces.export(file_type="stl"))
         read = trimesh().load_mesh(str(temporary), file_type="stl")
-        words = wrong(read) if read.is_watertight else f"the solid of the {what} is not watertight"
+        words = part.fault(read) if read.is_watertight else f"the solid of the {part.name} is not watertight"
         if words:
             raise SolveError(f"{path}: {words}")
     return path
@@ -302,31 +328,28 @@ def wrong_volume(mold: Mold, part: str, mesh: Any) -> str:
     return f"the volume of the {part} is off by {off * 100:.3g} %" if abs(off) > 1e-3 else ""
 
 
-def _base(mold: Mold) -> Any:
-    library = manifold()
-    thickness = mold.spec.plate.thickness
-    solid = _plate(mold, mold.holes, thickness, -thickness)
-    for groove in mold.grooves:
-        # Beyond the edge by more than an oblique exit needs.
-        curve = groove.centreline.lengthened(20 * groove.width)
-        corners = polygon(curve, groove.width)
-        cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
-        solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
-    return solid
-
-
-def _plate(mold: Mold, holes: Sequence[Hole], thickness: float, bottom: float) -> Any:
-    """The plate with its holes, which go through: cut out of its outline, in the plane, and made thick."""
-    library = manifold()
-    outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
+def _plate_solid(mold: Mold, part: str) -> Any:
+    """A plate cut out of its outline with its holes, in the plane, and made thick; the base less its grooves."""
+    library, plate = manifold(), mold.spec.plate
+    base = part == "base"
+    holes = mold.holes if base else (*mold.holes, *mold.vents)
     drills = [
         library.CrossSection.circle(hole.diameter / 2 * TO_MM, HOLE_SIDES).translate(
             (hole.centre[0] * TO_MM, hole.centre[1] * TO_MM)
         )
         for hole in holes
     ]
+    outline = library.CrossSection.square((mold.size[0] * TO_MM, mold.size[1] * TO_MM))
     drilled = library.CrossSection.batch_boolean([outline, *drills], library.OpType.Subtract)
-    return library.Manifold.extrude(drilled, thickness * TO_MM).translate((0.0, 0.0, bottom * TO_MM))
+    if not base:
+        return library.Manifold.extrude(drilled, plate.lid_thickness * TO_MM)
+    solid = library.Manifold.extrude(drilled, plate.thickness * TO_MM).translate((0.0, 0.0, -plate.thickness * TO_MM))
+    for groove in mold.grooves:
+        # Beyond the edge by more than an oblique exit needs.
+        corners = polygon(groove.centreline.lengthened(20 * groove.width), groove.width)
+        cutter = library.Manifold.extrude(library.CrossSection([corners * TO_MM]), (groove.depth + ABOVE) * TO_MM)
+        solid -= cutter.translate((0.0, 0.0, -groove.depth * TO_MM))
+    return solid
 
 
 def manifold() -> Any:

@@ -13,13 +13,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from ...errors import InputError, SolveError
-from ...files.files import write_text
 from ...files.units import TO_MM
 from .checks import THROUGH, beyond_edge, overrun
 from .groove import Arc, Centreline, Point, farthest
@@ -53,16 +51,6 @@ class Stage:
     lines: tuple[str, ...]
 
 
-def write_gcode(mold: Mold, directory: Path) -> list[Path]:
-    """Write the programs of both plates, and return their paths; raises SolveError where, read again, a cutter
-    leaves its way by more than 10 um, or moves where it must not."""
-    made = programs_of(mold)
-    deviation = toolpath_deviation(mold, groove_gcode(mold))
-    if deviation > TOLERANCE:
-        raise SolveError(f"{directory}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
-    return write_programs(made, directory)
-
-
 @dataclass(frozen=True)
 class Program:
     """A program: its file, the plate, the tool that it begins with, and what it says."""
@@ -83,16 +71,18 @@ class Program:
         return sum(motion.time for motion in self.motions)
 
 
-def write_programs(made: Sequence[Program], directory: Path) -> list[Path]:
-    """Write programs, and return their paths."""
-    for each in made:
-        write_text(directory / each.file, each.text)
-    return [directory / each.file for each in made]
-
-
 def programs_of(mold: Mold) -> list[Program]:
     """The programs of both plates."""
     return [each for part in PARTS for each in programs(mold, part)]
+
+
+def checked_programs(mold: Mold, part: str) -> list[Program]:
+    """The programs of a plate; raises SolveError where, read again, a cutter leaves its groove by more than 10 um."""
+    made = programs(mold, part)
+    deviation = toolpath_deviation(mold, groove_gcode(mold)) if part == "base" else 0.0
+    if deviation > TOLERANCE:
+        raise SolveError(f"{made[0].file}: a cutter path deviates from its groove by {deviation * 1e6:.3g} um")
+    return made
 
 
 def clear_room(mold: Mold) -> float:
@@ -101,18 +91,16 @@ def clear_room(mold: Mold) -> float:
 
 
 def programs(mold: Mold, part: str) -> list[Program]:
-    """The programs of a plate: one, or one for each tool where there is no touch plate."""
-    title = f"{part} of a mold, {mold.spec.material.name}"
-    return programs_for(part, title, clear_room(mold), mold.spec, stages_of(mold, part))
+    """The programs of a plate: one, or one for each tool where there is no touch plate.
 
-
-def programs_for(part: str, title: str, clear: float, spec: MoldSpec, stages: Sequence[Stage]) -> list[Program]:
-    """The programs of stages; `title` and `clear` as in `program`. Raises SolveError where, read again, one moves where
-    it must not."""
+    Raises SolveError where, read again, one moves where it must not.
+    """
+    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
-    if spec.workshop.touch_plate is not None:
+    if mold.spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}
-    made = [Program(name, part, some[0].tool, program(title, clear, spec, some)) for name, some in files.items()]
+    clear = clear_room(mold)
+    made = [Program(n, part, some[0].tool, program(title, clear, mold.spec, some)) for n, some in files.items()]
     for each in made:
         for wrong in hazards(each.motions):
             raise SolveError(f"{each.file}: {wrong}")
@@ -130,21 +118,16 @@ def check_duration(file: str, time: float) -> None:
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
-    """What the tools do to a plate, one after the other; what cuts it out comes last."""
-    plate = mold.spec.plate
-    if part == "base":
-        return [*groove_stages(mold), *plate_stages(mold.holes, mold.size, plate.thickness, mold.spec)]
-    return plate_stages((*mold.vents, *mold.holes), mold.size, plate.lid_thickness, mold.spec)
-
-
-def plate_stages(holes: Sequence[Hole], size: Point, thickness: float, spec: MoldSpec) -> list[Stage]:
-    """A stage for every drill, and one that cuts the plate out, m."""
-    shop, stages = spec.workshop, list[Stage]()
+    """What the tools do to a plate, one after the other: grooves, a stage for every drill; what cuts it out is last."""
+    spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
+    thickness = spec.plate.thickness if base else spec.plate.lid_thickness
+    holes = mold.holes if base else (*mold.vents, *mold.holes)
+    stages = groove_stages(mold) if base else []
     for diameter in sorted({hole.diameter for hole in holes}):
         lines = tuple(drilled([hole for hole in holes if hole.diameter == diameter], thickness, spec))
         stages.append(Stage(f"drill {diameter * TO_MM:g} mm", diameter, shop.drill_spindle, lines))
     if shop.cut_out:
-        cutter, lines = shop.outline_diameter, tuple(outlined(size, thickness, spec))
+        cutter, lines = shop.outline_diameter, tuple(outlined(mold.size, thickness, spec))
         stages.append(Stage(f"end mill {cutter * TO_MM:g} mm", cutter, spec.milling.spindle, lines))
     return stages
 

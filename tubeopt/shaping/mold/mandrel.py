@@ -23,7 +23,6 @@ from ...display import Displayed
 from ...errors import InputError, SolveError, instance
 from ...files.csv_file import to_csv
 from ...files.field_metadata import form, key, unit
-from ...files.files import left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...robots.pieces import Piece, breaks_of, values, vary
 from ...robots.tubes import Tube
@@ -39,7 +38,7 @@ from .checks import (
     stiffness_remarks,
     strain_check,
 )
-from .files import manifold, trimesh, write_solid
+from .files import Part, manifold, trimesh, write_parts
 from .gcode import check_duration
 from .groove import SAGITTA, comes_back, way_to_edge
 from .heat import ColdEnd, cold_end
@@ -401,28 +400,25 @@ FINE = 1e-4
 
 
 def write_mandrel(mandrel: Mandrel, directory: str | PathLike[str]) -> list[Path]:
-    """Write mandrel.stl, and of a turned one mandrel.csv and mandrel.nc; return the paths.
+    """Write mandrel.stl, and of a turned one mandrel.csv and mandrel.nc, as `write_parts`; return the paths.
 
-    The solid is left out with a warning where manifold3d or trimesh is not installed.
-
-    Raises:
-        InputError: a file cannot be written.
-        SolveError: what was written lies more than 10 um from the curve when it is read back.
+    Raises SolveError too where a groove lies more than 10 um from its curve when it is read back.
     """
-    out = Path(directory)
-    paths = []
-    with left_out_where_missing():
-        paths.append(write_solid(_solid(mandrel), out / "mandrel.stl", "mandrel", partial(solid_off_curve, mandrel)))
+    return write_parts([mandrel_part(mandrel)], directory)
+
+
+def mandrel_part(mandrel: Mandrel) -> Part:
+    """The cylinder or block; of a cylinder with the table of rotation and feed, and its program."""
+    texts: tuple[tuple[str, str], ...] = ()
     if isinstance(mandrel.body, Cylinder):
         rows = rotation_table(mandrel) * np.array([TO_MM, TO_MM, 180 / math.pi, TO_MM])
         table, text = to_csv(COLUMNS, [[f"{x:.5f}" for x in row] for row in rows]), mandrel_gcode(mandrel)
         read = np.loadtxt(io.StringIO(table), delimiter=",", skiprows=1)[:, 1:]
-        for path, content, rows in ((out / "mandrel.csv", table, read), (out / "mandrel.nc", text, read_rotary(text))):
-            if words := _table_off_curve(mandrel, rows):
-                raise SolveError(f"{path}: {words}")
-            write_text(path, content)
-            paths.append(path)
-    return paths
+        texts = (("mandrel.csv", table), ("mandrel.nc", text))
+        for (name, _), places in zip(texts, (read, read_rotary(text)), strict=True):
+            if words := _table_off_curve(mandrel, places):
+                raise SolveError(f"{name}: {words}")
+    return Part("mandrel", partial(_solid, mandrel), partial(solid_off_curve, mandrel), texts)
 
 
 def rotation_table(mandrel: Mandrel) -> Array:
