@@ -21,6 +21,7 @@ from ..control.crtk import CrtkRobot
 from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
+from ..files.fields import asking, values
 from ..runs.obstacle_file import Bodies
 from ..runs.robot_keys import Posed, RobotPath, said_of
 from ..show.reports import report
@@ -32,19 +33,12 @@ from .output import OF_PICTURES, Output, can_be_saved, present, told
 # --- C library --------------------------------------------------------------------------------------------------------
 
 
+@asking(c_library, "prefix", "loads")
 class ExportEntry(Entry):
     """A robot to be written in C."""
 
     robot: RobotPath
     c: str = Field(description="directory to write the C library to", examples=["DIR"])
-    prefix: str = Field(
-        "tubeopt",
-        description="prefix of all C names; use a different one for each robot of a program",
-        examples=["NAME"],
-    )
-    loads: bool = Field(
-        False, description="include tip force and weight; required for the compliance of tubes made of pieces"
-    )
 
 
 @asks(
@@ -62,7 +56,7 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
     folder = Path(study.c)
     can_be_saved(output.out)
     can_be_saved(folder)
-    library = c_library(study.robot, name=Path(robot).stem, prefix=study.prefix, loads=study.loads)
+    library = c_library(study.robot, name=Path(robot).stem, **values(c_library, study, "prefix", "loads"))
     present(report(library), output, written=save_c_library(library, folder))
 
 

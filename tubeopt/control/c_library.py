@@ -96,8 +96,8 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
 
     Args:
         name: what the comments call it.
-        prefix: what the names of its functions begin with; two robots in one program need two.
-        loads: whether it can bear a force at its tip and its weight.
+        prefix: prefix of all C names; use a different one for each robot of a program.
+        loads: include tip force and weight; required for the compliance of tubes made of pieces.
 
     Raises:
         InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or

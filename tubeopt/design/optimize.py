@@ -15,7 +15,7 @@ from ..bodies.scene import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, whole
-from ..files.field_metadata import key
+from ..files.field_metadata import Range, key
 from ..robots.concentric import ConcentricRobot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, check_time, limited, time_left, within
@@ -138,10 +138,10 @@ FORCE_ACCURACY = 2e-3
 def optimize_design(
     task: DesignTask,
     *,
-    starts: int = 1,
-    seed: int = 0,
+    starts: Annotated[int, Range(least=1)] = 1,
+    seed: Annotated[int, Range(least=0)] = 0,
     workers: int = 1,
-    turns: int = 6,
+    turns: Annotated[int, Range(least=0)] = 6,
     progress: Progress | None = None,
     start: Attempt | None = None,
     time_limit: float = LONG_TIME_LIMIT,
@@ -154,11 +154,12 @@ def optimize_design(
     are added case by case where they are violated. At the end independent code checks everything again.
 
     Args:
-        starts: number of starts: the dimensions of the task, then random ones. If none gives a feasible design, up to 4
-            are tried.
-        seed: seed of the random starts.
+        starts: number of starting points: the given dimensions and random ones. If none gives a feasible design, up to
+            4 are tried.
+        seed: random seed of starts, turns and samples.
         workers: processes for the starts.
-        turns: random full turns back and forth per checked set of translations; no certified robot may snap on them.
+        turns: number of random full turns, per row of translations, to test a certified robot for snaps. They go back
+            and forth.
         progress: called with the number of starts done and of all. If it has a method `iteration` and there is one
             worker, that is called with stage and measure after each iteration.
         start: an earlier result for a task with the same unknowns, used as the start.

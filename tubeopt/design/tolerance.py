@@ -13,7 +13,7 @@ import scipy
 from ..arguments import typed
 from ..equilibrium.batch import forward_kinematics_batch
 from ..errors import InputError, SolveError, instance, vector, whole
-from ..files.field_metadata import NOT_NEGATIVE, OneOf, Typical, check_fields, key, unit
+from ..files.field_metadata import NOT_NEGATIVE, OneOf, Range, Typical, check_fields, key, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.tubes import Tube
 from ..solvers.parallel import executor, run_all
@@ -81,7 +81,7 @@ def tolerance_analysis(  # noqa: PLR0913
     translations: Sequence[Sequence[float]] | None = None,
     poses: Sequence[tuple[Array, Array]] = (),
     margin: float = 0.0,
-    samples: int = 500,
+    samples: Annotated[int, Range(least=2)] = 500,
     workers: int = 1,
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
@@ -92,6 +92,7 @@ def tolerance_analysis(  # noqa: PLR0913
         translations: (T, n) m at which the certificate is computed; None is home.
         poses: (rotations, translations) whose tips are compared, rad and m.
         margin: of which to report how many samples keep it.
+        samples: number of random robots.
         time_limit: s, on the clock.
 
     Raises:

@@ -33,7 +33,9 @@ from ..design import (
     Target,
     Tolerances,
     Wall,
+    optimize_design,
     search_design,
+    tolerance_analysis,
 )
 from ..design.parameters import TUBE_FIELDS
 from ..design.requirements import Requirement
@@ -241,21 +243,15 @@ class Designed(Entry):
         return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
 
 
+@asking(optimize_design, "starts", "seed", "turns")
 class Tried(Entry):
     """How many designs a search begins with."""
 
-    starts: Count = Field(1, description="number of starting points: the given dimensions and random ones")
-    seed: Annotated[Whole, Field(ge=0)] = Field(0, description="random seed of starts, turns and samples")
-    turns: Annotated[Whole, Field(ge=0)] = Field(
-        6, description="number of random full turns, per row of translations, to test a certified robot for snaps"
-    )
-
 
 @asking(Tolerances)
+@asking(tolerance_analysis, "samples")
 class TolerancesEntry(Part):
     """Manufacturing errors: standard deviations, or half widths of uniform distributions."""
-
-    samples: Annotated[Whole, Field(ge=2)] = Field(500, description="number of random robots")
 
 
 # --- tubes from stock -------------------------------------------------------------------------------------------------
