@@ -15,13 +15,13 @@ from pathlib import Path
 
 from tubeopt.runs.design_study import PairStudy
 from tubeopt.runs.study_file import load_study
-from tubeopt.show.plots.design import plot_pair_shares
+from tubeopt.show.plots.design import plot_pair_places, plot_pair_shares
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def main(out: Path, samples: int = 60) -> list[Path]:
-    """Search for this number of seconds, verify, print, save the picture into `out`, and return its path."""
+    """Search for this number of seconds, verify, print, save two pictures into `out`, and return their paths."""
     study = load_study(ROOT / "configs" / "studies" / "design_pair.yaml")
     assert isinstance(study, PairStudy)
     answer = study.model_copy(update={"seconds": Decimal(samples)}).run()
@@ -29,12 +29,15 @@ def main(out: Path, samples: int = 60) -> list[Path]:
     for name, one in (("two CRL robots side by side", answer.before), ("sized and placed together", answer.after)):
         alone = ", ".join(f"{100 * each.share:.0f} %" for each in one.reached)
         print(
-            f"{name}: alone they reach {alone} of the places, together {100 * one.share:.0f} % of the pairs of places"
+            f"{name}: alone they reach {alone} of the points, together {100 * one.share:.0f} % of the pairs of points"
         )
     print(f"motions of both arms to such pairs that are proved: {answer.proved} of {answer.planned}")
-    path = out / "design_pair.png"
-    plot_pair_shares((answer.before, answer.after), path, names=answer.names)
-    return [path]
+    shares, names = (answer.before, answer.after), answer.names
+    targets = answer.plates[0].placed(answer.after.reached[0].targets)
+    paths = [out / "design_pair.png", out / "design_pair_places.png"]
+    plot_pair_shares(shares, paths[0], names=names)
+    plot_pair_places(shares, paths[1], names=names, places=targets)
+    return paths
 
 
 if __name__ == "__main__":

@@ -89,6 +89,113 @@ tubes:
 
 HEAD = ["| key | default | meaning |", "|---|---|---|"]
 
+TITLES = {
+    # obstacles
+    "AnatomyEntry": "Obstacles of an anatomy file",
+    "Box": "Box",
+    "Capsule": "Capsule",
+    "Corridor": "Corridor (vessel)",
+    "HalfSpace": "Half-space",
+    "MeshEntry": "Mesh file as an obstacle",
+    "Sphere": "Sphere",
+    # molds
+    "ClampSpec": "Clamps outside the mold",
+    "EndMill": "End mill",
+    "GrooveSpec": "Groove",
+    "HeatSpec": "Heating conditions of a mold",
+    "MillingSpec": "Milling of the groove",
+    "MoldMaterial": "Mold material",
+    "PlateSpec": "Plates and bolts",
+    "SpringbackEntry": "Spring-back",
+    "VentSpec": "Vents",
+    "WorkshopSpec": "Milling machine and G-code",
+    # rigs
+    "BatteryEntry": "Battery",
+    "Circuit": "Circuit (cables, contacts, MOSFET)",
+    "Clamps": "Clamps of the rig",
+    "MoldBed": "Mold around the heated tube",
+    "ThermalData": "Thermal and electrical constants",
+    # tubes and robots
+    "HelixEntry": "Helix",
+    "MaterialEntry": "Tube material",
+    "PatternEntry": "Slots: remaining stiffness",
+    "PieceEntry": "Piece of a tube",
+    "SeriesEntry": "Varying curvature or stiffness",
+    "Slots": "Slots: geometry",
+    "TubeEntry": "Tube",
+    "CalibrationEntry": "Calibration of the joints",
+    "ConcentricEntry": "Concentric tube robot",
+    "EccentricEntry": "Eccentric tube robot, one segment",
+    "SegmentedEccentricEntry": "Eccentric tube robot, several segments",
+    "Friction": "Friction between tubes",
+    "JointLimits": "Joint limits",
+    "SavedRegistration": "Registration of a measuring device",
+    # parts of studies
+    "AnatomyPart": "Anatomy: image, meshes, points",
+    "ArmPart": "Arm of several robots",
+    "AvoidEntry": "Requirement: avoid bodies",
+    "BallPart": "Ball",
+    "BasePart": "Base pose in the patient",
+    "CorridorRequirementEntry": "Requirement: stay in a corridor",
+    "Coverage": "Requirement: reach a box",
+    "CutPart": "Section plane of figures",
+    "EntryPart": "Entry: allowed base poses",
+    "FreeEntry": "Free dimension of a design",
+    "LandmarksPart": "Landmarks",
+    "LengthEntry": "Requirement: length of a tube",
+    "LoadEntry": "Load: tip force, moment, gravity",
+    "MeshPart": "Mesh file in a patient",
+    "Objective": "Objective of a design",
+    "PairPart": "Robot of a pair",
+    "PointLoad": "Point load",
+    "PointsPart": "Point cloud",
+    "PoseEntry": "Task pose of a design",
+    "RateLimits": "Rates and accelerations",
+    "RegionEntry": "Objective: reachable part of a target region",
+    "RegistrationPart": "Registration by landmarks",
+    "Requirements": "Requirements of a design",
+    "SampleEntry": "Random samples of a sweep",
+    "SnapFree": "Requirement: snap-free at all rotations",
+    "SnapFreeInUse": "Requirement: snap-free at task poses",
+    "StockStudy": "Stock of a design",
+    "Strain": "Requirement: largest strain",
+    "Stretch": "Distributed load",
+    "StructurePart": "Image of one structure",
+    "Target": "Target of the tip",
+    "TolerancesEntry": "Manufacturing tolerances",
+    "VaryEntry": "Varied keys of a sweep",
+    "StockEntry": "Tube size in stock",
+    # studies
+    "ArmsStudy": "Study: plan several robots",
+    "CertifyStudy": "Study: certify",
+    "DesignStudy": "Study: design",
+    "EquilibriaStudy": "Study: all equilibria",
+    "FabricationStudy": "Study: fabricate a robot",
+    "FollowStudy": "Study: follow a joint path",
+    "ForceStudy": "Study: estimate the tip force",
+    "ForwardKinematicsStudy": "Study: forward kinematics",
+    "HeatingCalibrationStudy": "Study: calibrate a heating rig",
+    "HeatingRunStudy": "Study: run a heating",
+    "HeatingStudy": "Study: plan a heating",
+    "InverseStudy": "Study: inverse kinematics",
+    "LedHeatingStudy": "Study: closed-loop heating and firmware",
+    "LoadLimitStudy": "Study: load limit",
+    "MandrelStudy": "Study: mandrel",
+    "MaterialsStudy": "Study: rank mold materials",
+    "MeasureStudy": "Study: choose measurements",
+    "MoldCalibrationStudy": "Study: calibrate spring-back",
+    "MoldStudy": "Study: mold",
+    "PairStudy": "Study: design two robots",
+    "PlanStudy": "Study: plan a trajectory",
+    "SnapStudy": "Study: first snap",
+    "StabilityMapStudy": "Study: stability map",
+    "SweepEntry": "Study: sweep",
+    "ValidationStudy": "Study: validate and calibrate",
+    "VerifyStudy": "Study: verify a trajectory",
+    "WorkspaceStudy": "Study: workspace",
+}
+"""Heading of the keys of every model, in words that a user searches for."""
+
 SHARED = 3
 """Number of tables with the same row that moves it into a table of shared keys."""
 
@@ -117,7 +224,7 @@ def page() -> str:
             rows = {key: words for key, words in tables[part].items() if shared.get(key) != words}
             lines += [*HEAD, *rows.values(), ""] if rows else []
             if others := [f"`{key}`" for key in tables[part] if key not in rows]:
-                lines += [f"And the [shared keys](#{title.lower()}-shared-keys) {', '.join(others)}.", ""]
+                lines += [f"And the [shared keys]({_anchor(title)}-shared-keys) {', '.join(others)}.", ""]
     return "\n".join(lines)
 
 
@@ -135,8 +242,13 @@ def _kind(part: Mapping[str, Any]) -> str:
 
 
 def _title(name: str) -> str:
-    """The name of a model as the page calls it."""
-    return name.rpartition("__")[2].removesuffix("Entry")
+    """Heading of a model on the page."""
+    return TITLES[name.rpartition("__")[2]]
+
+
+def _anchor(title: str) -> str:
+    """Link target of a heading, as the site makes it."""
+    return "#" + re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
 def _row(key: str, value: dict[str, Any], required: bool) -> str:
@@ -158,7 +270,7 @@ def _allowed(value: dict[str, Any]) -> str:
         return " or ".join(str(word) for word in value["enum"])
     if "$ref" in value:
         title = _title(value["$ref"].rpartition("/")[2])
-        return f"[{title}](#{title.lower()})"
+        return f"[{title}]({_anchor(title)})"
     signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
     inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]

@@ -209,13 +209,13 @@ TICKS = 5
 def plot_pair_shares(
     shares: tuple[PairShare, PairShare], *, names: tuple[str, str] = ("one", "other"), title: str = ""
 ) -> Figure:
-    """Figure of the distance of two arms with their tips at any two places, before and after.
+    """Figure of the distance between two arms with their tips at any two targets, before and after.
 
-    Grey: an arm does not reach its place, or both places are the same.
+    Grey: an arm does not reach its target, or both targets are the same.
 
     Args:
         shares: of the robots as given, and of the designs.
-        names: of the arms.   title: heading; by default the share of pairs of places that is held.
+        names: of the arms.   title: heading; by default the names of the arms.
     """
     figure = new_figure(7.2, 3.4)
     panels = figure.subplots(1, 2, sharey=True)
@@ -224,11 +224,12 @@ def plot_pair_shares(
         table = np.where(np.eye(len(one.apart), dtype=bool), np.nan, one.apart * TO_MM)
         panel.set_facecolor(FAINT)
         panel.imshow(table, vmin=0, vmax=most, cmap="RdBu")
-        panel.set(title=f"{when}: {100 * one.share:.0f} % held", xlabel=f"place of the tip of {names[1]}")
+        panel.set(title=f"{when}: {100 * one.share:.0f} % of pairs", xlabel=f"target number of {names[1]}")
         panel.set(xticks=range(0, len(table), TICKS), yticks=range(0, len(table), TICKS))
-    panels[0].set_ylabel(f"place of the tip of {names[0]}")
-    figure.colorbar(panels[0].images[0], ax=panels, label="arms apart (mm)", extend="both")
-    headed(figure, title or f"{names[0]} and {names[1]} with their tips at two places at the same time")
+    panels[0].set_ylabel(f"target number of {names[0]}")
+    where: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40, "extend": "both"}
+    colour_bar(figure, panels[0].images[0], "distance between arms (mm)", ax=panels, **where)
+    headed(figure, title or f"Pairs of targets that {names[0]} and {names[1]} reach together")
     return figure
 
 
@@ -236,10 +237,10 @@ def plot_pair_shares(
 def plot_pair_places(
     shares: tuple[PairShare, PairShare], *, places: Array, names: tuple[str, str] = ("one", "other"), title: str = ""
 ) -> Figure:
-    """Map of the places of two arms, before and after: how much of the region the one holds while the other is there.
+    """Map of the targets of two arms, before and after, coloured by the targets that remain for the other arm.
 
-    The left half of a point is the first arm with its tip there, the right half the second. Its colour is the share of
-    the other places that the other tip then holds without contact. White: the arm does not reach the place.
+    The left half of a point is the first arm with its tip there, the right half the second. The colour is the fraction
+    of the other targets that the other tip then reaches without contact. White: the arm does not reach the target.
 
     Args:
         shares: of the robots as given, and of the designs.
@@ -255,7 +256,7 @@ def plot_pair_places(
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     middle, half = (places.max(0) + places.min(0)) / 2 * TO_MM, 0.6 * float(np.ptp(places, axis=0).max()) * TO_MM
     for column, one, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
-        column[0].set_title(f"{when}: {100 * one.share:.0f} % held")
+        column[0].set_title(f"{when}: {100 * one.share:.0f} % of pairs")
         column[1].set_xlabel("x (mm)")
         for axes, axis in zip(column, (2, 1), strict=True):  # seen along y, and along z
             drawn = [_draw_halves(axes, places[:, [0, axis]] * TO_MM, one, arm) for arm in (0, 1)]
@@ -264,12 +265,12 @@ def plot_pair_places(
     panels[0, 0].set_ylabel("z (mm)")
     panels[1, 0].set_ylabel("y (mm)")
     where: dict[str, Any] = {"location": "bottom", "shrink": 0.6, "aspect": 40}
-    colour_bar(figure, drawn[0], "share of the other places that the other arm holds", ax=panels, **where)
+    colour_bar(figure, drawn[0], "targets left for the other arm (fraction)", ax=panels, **where)
     return headed(figure, title or f"tip of {names[0]}: left half,  tip of {names[1]}: right half")
 
 
 def _draw_halves(axes: Axes, points: Array, share: PairShare, arm: int) -> Collection:
-    """The left (arm 0) or right half of each point (N, 2), mm, by what the other arm holds with this one there."""
+    """The left (arm 0) or right half of each point (N, 2), mm, by the targets left for the other arm."""
     from matplotlib.markers import MarkerStyle
 
     reached = share.reached[arm].reached
