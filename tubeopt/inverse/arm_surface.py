@@ -13,18 +13,22 @@ from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
 
+# Half a millimetre on an arm of 200 mm; what lies between two points is bounded by the arm's bend, see `_at_least`.
 FINE = 400
 """Points along the arm at which its distance from bodies is measured."""
 
 EVENLY = np.linspace(0.0, 1.0, FINE)
 """Where these are, as shares of it."""
 
+# Every sixteenth point tells on which stretches the arm can be closest at all.
 STRIDES = (16, 4, 1)
 """Of these points every so many-th is looked at first, then more where the distance may be the least."""
 
+# One call for all of them, where golden-section search would take as many calls one after the other.
 FINER = 17
 """Points between the two neighbours of one at which it is closest."""
 
+# Every contact is a row of a quadratic program.
 MOST_CONTACTS = 6
 """Places where the arm comes closest to one body that are told."""
 

@@ -18,25 +18,34 @@ from .gauss_newton import FIRST_STEP, SLACK, Back, Descent, Model, Search, Step,
 from .goal import Goal
 from .posture import Posture
 
+# Quasi-Newton updates need about as many steps as there are joints before they converge superlinearly; each step may
+# take some equilibria to come back to what is allowed.
 STEPS, POSTURES = 60, 150
 """Maximum numbers of steps and of equilibria of one descent."""
 
+# 2 nm on an arm of 200 mm, which is the accuracy of forward kinematics.
 PROMISE = 1e-8
 """Approach of a step to the target, as a share of the robot's length, that it must promise."""
 
+# The first is ten times PROMISE, since two descents to one minimum end up to that far apart. The second compares
+# searches that were not polished: 4 um on an arm of 200 mm.
 GAIN, SAME_MISS = 1e-7, 2e-5
 """Approach by which a later end replaces an earlier one, and largest difference of distances from the target that count
 as equal; both as shares of the robot's length."""
 
+# Newton steps on the constraints: each about doubles the digits where they converge.
 RETURNS = 12
 """Maximum number of steps back into the allowed set."""
 
+# Cholesky's factorisation needs a positive definite matrix also where some motion of the joints does not move the tip.
 CURVATURE = 1e-6
 """Smallest curvature of the model, per square of a joint's scale."""
 
 SAME_END = 1e-3
 """Ends closer than this in every joint, in units of their scales, are one."""
 
+# A minimum to which four further ends lead is most likely the global one. That is evidence, not a proof, and the
+# message says no more than that the search ended.
 AGREEING = 4
 """Number of further ends at the same distance after which no closer one is searched for."""
 

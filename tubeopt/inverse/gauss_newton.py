@@ -28,12 +28,17 @@ from .arm_surface import MOST_CONTACTS
 from .goal import DIRECTION_TOLERANCE, POSITION_TOLERANCE, Goal
 from .posture import Posture
 
+# Ten times the distance at which a target counts as met: breakpoints that are closer make no difference to an answer.
 CLOSED_SECTION = 1e-7
 """Length, m, of a section between breakpoints that counts as none."""
 
+# Derivatives hold up to the end of a section only. On an arm of 200 mm one of 20 um stops a step so soon that a
+# descent looks converged although the next order of breakpoints leads on.
 SHORT_SECTION = 1e-4
 """Length of a section, as a share of the robot's length, that may block a step like a closed one."""
 
+# More than CLOSED_SECTION (2 um against 0.1 um on an arm of 200 mm), or the first step beyond a change of order would
+# close the section again and lead back.
 MOVED_PAST = 1e-5
 """Distance that breakpoints are moved past each other, as a share of the robot's length."""
 
@@ -151,12 +156,16 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> I
 SLACK = 1e-9
 """Clearance (m) that may be missing by round-off."""
 
+# Measured on 80 targets of two robots, of which 79 are reached: half takes 0.94 times as many equilibria, twice 0.99
+# times.
 FIRST_STEP = 0.6
 """Largest change of a joint in the first step, and half of the largest later on, in units of the joints' scales."""
 
 SHORTEST_STEP = 1e-5
 """Step, in units of the joints' scales, below which a descent ends: far above the round-off of an equilibrium, 1e-8."""
 
+# Those of trust-region methods: Nocedal and Wright, Numerical Optimization (2006), algorithm 4.1, have 0 to 1/4, 3/4
+# and 1/4.
 ENOUGH, FAITHFUL, SHORTER = 0.05, 0.7, 0.35
 """Parts of the promised decrease from which a step is taken, and from which the next may be twice as long; by how much
 a step is shortened that is not taken."""
@@ -335,12 +344,18 @@ again on a finer mesh leaves it an answer."""
 LEAST_PROMISE = 1e-7
 """Relative decrease of what is left to the target that a step must promise."""
 
+# Steps past a kink gain little, and the next ones more. On the same targets 2 and 10 in place of 5 change the number
+# of equilibria by 2 % at most.
 PATIENCE, STAGNANT = 5, 0.97
 """Steps in a row that together must bring the tip closer than this share of its distance."""
 
+# Twice as many as lead to the target. Margin and curvature, of which only gradients are known, are lowered by steepest
+# descent, which converges linearly and uses most of these steps.
 IMPROVING_STEPS = 60
 """Maximum number of steps that lower the cost of a solution on target."""
 
+# The weight takes the place of an equality in the quadratic program. Squared, 1e8, it leaves the cost eight of the
+# sixteen digits of a double, and the target a miss of 1e-8 of the step, which `correct` takes away.
 TARGET_WEIGHT = 1e4
 """Weight of the target relative to the cost, in an improving step."""
 

@@ -22,21 +22,26 @@ from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task, TipCoordinates
 
+# The default limit of `tubeopt ik` is 20 s per target, half of which is left to the search of the answer.
 PATH_SECONDS, PATH_MARGIN = 10.0, 2e-3
 """Longest search for a snap-free path to one solution, s, and the margin kept on it; half of the margin at its ends if
 that is less."""
 
+# Near the axis, and near straight arms, joints turn far although nothing jumps.
 TURN_PER_MOVE, SHIFT_PER_MOVE = 20.0, 8.0
 """Motion of a rotation, rad, and of a translation, in units of its scale, that is no jump: per motion of the tip in
 robot's lengths and, where it is pointed, rad. A carriage that moves more than four times as far as the tip changes the
 configuration."""
 
+# A tip that moves around the axis turns all tubes with it by its azimuth, however close to the axis it is.
 TURN_PER_AZIMUTH = 2.0
 """Additional rotation that is no jump, per angle that the tip moves about the axis of the plate."""
 
+# The motion in the null space turns joints also where the tip rests.
 LEAST_JUMP = 0.02
 """Motion of a joint, in units of its scale, that is no jump in any case."""
 
+# The path of the tip leaves the chord by the square of the step. The least one keeps round-off out.
 DEVIATION, LEAST_DEVIATION = 0.05, 1e-5
 """Distance of the tip from the line between two targets that is no jump: as a share of their distance; least, m."""
 

@@ -27,9 +27,11 @@ from .joints import Configuration, JointSpace, configuration
 _Slopes = tuple[tuple[Array, Array, Array], Array]
 """Of tip, turn vector and margin by the joints, and of the shape points by rotations and translations."""
 
+# Round-off of arc lengths, which are sums of lengths of pieces.
 EDGE = 1e-9
 """Distance (m) along the arm from the end of a tube up to which a contact is at it."""
 
+# Ten times the distance at which a target counts as met.
 SAME_TIP = 1e-7
 """Distance (m) of two tips at the same joint values that are one equilibrium."""
 

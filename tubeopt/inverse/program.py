@@ -54,6 +54,7 @@ from .gauss_newton import CLOSED_SECTION, Order, Search, apart, beyond, breakpoi
 from .goal import Goal
 from .posture import Posture
 
+# The program only needs the right basin: Newton's method on the fine mesh finishes its answer.
 STEPS = 2
 """Steps of the shape per piece: the fast path, and forward kinematics after it, integrate more finely."""
 
@@ -242,12 +243,16 @@ def _piece_fields(grid: Grid) -> ca.Function:
 ORDERS = 6
 """Changes of the order of breakpoints that a solution goes through at most."""
 
+# Distances are written out for every point along the arm.
 MOST_BODIES = 16
 """Obstacles for which a program is built: every one costs as much as all of the arm."""
 
+# CasADi's construction cannot be interrupted. A program is begun only where more time than this is left, so that a
+# time limit is kept.
 BUILDING = 0.025
 """Seconds that building it may take, per cube of the number of tubes, and per obstacle and one."""
 
+# Forward kinematics, on a finer mesh, then finds the margin above its bound.
 MARGIN_BEYOND = 1e-4
 """Margin that it keeps beyond the bound: its Jacobi fields take coarser steps than forward kinematics."""
 

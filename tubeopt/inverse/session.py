@@ -38,21 +38,27 @@ from .program import programmable, solve_program
 from .settings import DEFAULT_OPTIONS, InverseOptions
 from .solving import answers_of
 
+# A fifth of what an answer may miss by.
 STEP_TOLERANCE = 2e-9
 """Distance, m, and angle, rad, at which a step ends."""
 
+# Derivatives of the last target are used for a whole step, so that its error grows with the square of the step.
 MOVE = 0.02
 """Share of the robot's length; farther targets are approached in so long parts on a straight line."""
 
+# Four halvings. Where the robot jumps even then, the branch most likely ends there.
 LEAST_PART = 1 / 16
 """Smallest part, as a share of the longest, into which a step is divided to avoid a jump."""
 
+# The motion in the null space stays below that towards the target, for which the linear model is trusted.
 PUSH = 0.5
 """Length of the motion towards larger margin, over that of the motion towards the target."""
 
+# Near a fold the margin falls like a square root, so that derivatives of earlier steps predict it too large.
 CAREFUL = 0.15
 """Margin above its bound below which derivatives are computed anew for every step."""
 
+# A point of the arm can move farther than the tip, which may only turn.
 CLEARANCE_PER_MOVE, LEAST_CLEARANCE = 4.0, 2e-4
 """Spare clearance of a step that ignores obstacles: per distance that the tip moves, and besides, m."""
 

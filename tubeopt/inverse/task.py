@@ -176,20 +176,27 @@ class TipCoordinates:
         return [rotations, fields, *curves, s.reshape(count, -1)]
 
 
+# What lies between two points leaves the chord by the square of their distance: half the steps take twice the time for
+# a quarter of the error, which `margin_room` and `clearance_room` cover.
 STEP_TURN, STEP_JOINT, STEP_SHIFT = 0.15, 0.35, 0.02
 """Largest changes between two checked points of a motion: of a tip rotation and of a joint rotation, rad, and of a
 translation, as a share of the longest tube."""
 
+# Sixteen times as many points: what needs more grazes its bound.
 HALVINGS = 4
 """Maximum number of bisections where the reserve is small."""
 
+# Next to an end, which other code found allowed to the last digit, no reserve can be asked for. It grows with the
+# distance from there, as the error between points does.
 CLEARANCE_SLOPE, MARGIN_SLOPE = 3e-4, 0.02
 """Required reserves of the clearance, m, and of the margin, per distance from an end in units of the joints' scales, up
 to those of full steps. No reserve is needed at the end itself."""
 
+# An arm is closest to bodies in few places; windows lie around the smallest distances.
 WINDOWS, WINDOW_POINTS = 12, 9
 """Intervals along an arm that are checked with finer points, and points of each."""
 
+# Above the round-off of points that went through the units of OMPL.
 SAME = 1e-9
 """Distance (joints' scales) of points that are one."""
 

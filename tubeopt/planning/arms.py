@@ -47,9 +47,11 @@ from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, ha
 from .proof import Proof, ProofStatus, verify_trajectory
 from .sections import Constants, Intervals
 
+# Each halves the intervals in which the bound is not sharp.
 MOST_ROUNDS = 12
 """Times that intervals in which nothing sharp is shown of two arms are halved."""
 
+# Round-off of breakpoints that coincide.
 SHORT = 1e-12
 """Length (m) of a section that is none."""
 
@@ -286,6 +288,7 @@ def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> Pai
 
 PLATE = Frame()
 
+# Coarser than that of an arm and bodies: cells of two arms have eight corners and are halved in three directions.
 ACCURACY = 5e-5
 """Largest distance of the bound of the distance of two arms below the smallest measured one, m."""
 

@@ -48,15 +48,19 @@ from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions
 from .trajectory import Trajectory
 
+# Steps of a fortieth of the longest wait.
 DELAYS = 41
 """Delays tried for a robot, from none to the rest of all earlier ones."""
 
+# What happens between two instants is covered by ROOM, and then by the proof.
 INSTANTS, POINTS = 80, 64
 """Instants of a motion, and points per arm, that determine delays."""
 
+# The first value is enough for slow motions; four times that is tried next, and then no overlap at all.
 ROOM = 3e-4
 """Reserve of the distance between moving arms, m, for the error between instants and points."""
 
+# A capsule is thicker than the arm by its sagitta: 10 um for a curvature of 20 per m.
 REST_CHORD = 2e-3
 """Longest piece of an arm at rest that is taken as straight, m."""
 

@@ -24,9 +24,11 @@ from ..bodies.scene import Scene
 from ..typing import Array, Index, Mask
 from .sections import PARTS, Intervals
 
+# Halving cells in space costs no equilibrium, halving intervals in time costs one: the larger part is left to time.
 SHARE = 1 / 3
 """Part of the tolerance that the size of cells may give away; the rest is left to the time between equilibria."""
 
+# Inside a body nothing has to be sharp: the trajectory is refuted.
 DEEP = 0.05
 """Share of the depth of an arm inside a body that the bound may give away: what it says then is that it is inside."""
 

@@ -32,9 +32,11 @@ from .plan import plan_trajectory
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .trajectory import Entry, Trajectory
 
+# They rank poses of the plate; plans decide.
 ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
 """Random arms that rank poses of the plate, those considered per goal position (nearest first), and points of each."""
 
+# A pose that leads nowhere must not use up the time of those after it.
 SPLIT = 4
 """While more than so many poses of the plate remain, each gets this fraction of the remaining time."""
 

@@ -41,6 +41,7 @@ from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .question import PlanTask
 
+# The test ends at the first start that comes near, and so costs little where a place can be reached.
 STARTS, STEPS = 8, 20
 """Starts of the test for unreachable places, half of them nearest in the table, half spread; and Gauss-Newton steps
 from each."""
@@ -48,6 +49,7 @@ from each."""
 LONGEST_STEP = 0.4
 """Largest change of a coordinate, in units of the joints' scales."""
 
+# Who comes this close may be kept off by the margin or by the ranges, which this test leaves out.
 NEAR = 0.02
 """Miss, as a share of the robot's length, below which a place is left to inverse kinematics."""
 
@@ -171,6 +173,7 @@ def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, A
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)
 
 
+# Files have joint values to six digits.
 ROUNDED = 1e-6
 """Share of a joint's scale by which an end may be out of range: joint values of a file are rounded."""
 
@@ -178,6 +181,7 @@ FINISHED = 1e-6
 """Margin by which an end may fall short: round-off of forward kinematics."""
 
 
+# A time limit has to be positive.
 LEAST_SECONDS = 1e-3
 """Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
 
@@ -185,22 +189,28 @@ LEAST_SECONDS = 1e-3
 MOST_ENDS = 12
 """Maximum number of equilibria at which a plan may end, nearest to the start first."""
 
+# Turns farther from the start only make paths longer.
 MOST_TURNS = 3
 """Maximum number of full turns of one tube that are tried, nearest to the start first."""
 
+# The first point of a region and the one farthest from it.
 PLACES = 2
 """Number of points of a region for which other configurations are searched."""
 
+# Far above the accuracy of inverse kinematics, far below the distance of two configurations.
 SAME_END = 1e-3
 """Ends closer than this in every coordinate, in units of the joints' scales, are one."""
 
+# The grid of tip rotations grows exponentially with the tubes.
 SEARCHED_TUBES, SEARCH_SECONDS = 3, 30.0
 """Largest number of tubes for which all equilibria at joint values are searched in any case. For more, so many seconds
 must be left, because that cannot be interrupted; otherwise that of forward kinematics is tried."""
 
+# A second end shortens short paths by a tenth.
 NEAR_POINTS, ENOUGH_ENDS = 8, 2
 """Roadmap nodes, nearest tip first, that start the inverse kinematics of the goal; and solutions that suffice."""
 
+# A goal without joint values needs no path, so that most of the time goes here first.
 GOALS_SHARE = 0.6
 """Share of the remaining time after which no further starts are tried for joint values of a tip goal."""
 

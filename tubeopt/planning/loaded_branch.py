@@ -40,6 +40,7 @@ SIXTH = 1 / 6
 """Share of T by which a function of time may be off a straight line, where its second derivative is at most T, and T is
 linear in time and nowhere negative."""
 
+# The first two spread a change to all tubes, torques and moments of a section, see `_changes`.
 ROUNDS = 2, 6
 """Rounds in which what lies between samples is found from itself: until all has its share, and until it suffices."""
 

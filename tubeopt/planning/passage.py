@@ -31,24 +31,33 @@ from .loaded_branch import loaded_branch
 from .loaded_sections import LoadedArms, LoadedIntervals, Pull, uncovered
 from .sections import Arms, Constants, Intervals
 
+# The bounds between neighbours are of second order in the step. Samples are as far apart, so that planned motions need
+# no steps between them. Measured on six plans: half takes 1.4 times as many equilibria and 15 % more time, twice
+# changes nothing.
 LARGEST_TURN, LARGEST_SHIFT = 0.04, 0.004
 """Largest changes of joints between two equilibria, to begin with: rad, and as a share of the longest tube."""
 
+# Near a fold the bounds ask for ever shorter steps.
 MOST_EQUILIBRIA = 20_000
 """Maximum number of equilibria of a proof."""
 
+# Shorter intervals hardly help a bound of the turn between samples along the arm; without a limit the proof of a robot
+# without one would use all of its equilibria.
 MOST_HALVINGS = 4
 """Maximum number of bisections of an interval without a bound on the rotation between arm samples."""
 
+# Joint values so close differ by little more than round-off.
 SHORTEST = 1e-9
 """Share of the time below which nothing is put between two equilibria."""
 
+# Margins are reported to four digits.
 DIP = 1e-7
 """Depth of a least margin between equilibria that does not matter."""
 
 AT_A_MEETING = 1e-6
 """Fraction of the way between waypoints from a meeting within which no step is needed for the length of links."""
 
+# The bounds have arrays of sections times tubes squared per interval.
 BATCH = 2000
 """Intervals at once: bounds the memory."""
 

@@ -42,10 +42,12 @@ from .trajectory import PlanStatistics, Trajectory
 
 Faults = tuple[str, ...]
 
+# The rest is left to rounding corners and to the proof.
 SMOOTHING_SHARE, LEAST_SMOOTHING = 0.5, 1.0
 """Maximum share of the remaining time for smoothing, since the proof needs the rest; and time, s, below which it is
 skipped."""
 
+# Distances are tables there. Rounded corners are rarely longer than the answer of the program.
 SCANNED_SECONDS = 2.5
 """Maximum duration of smoothing for length among scanned obstacles, s."""
 
@@ -53,21 +55,28 @@ WORTH, WORTH_AMONG_BODIES = 0.02, 0.1
 """Relative excess of a path over the straight line that justifies smoothing for length, in free space and among
 obstacles, where it takes twice as long."""
 
+# Lengths are sums over samples, which cut corners.
 SAME_LENGTH = 2e-3
 """Largest relative difference of equal lengths and durations."""
 
+# Every spacing that is tried is followed by forward kinematics from end to end.
 ROUNDING_SECONDS, ROUNDING_SHARE = 5.0, 0.3
 """Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
 
+# The first is as round as a turn of a joint by 0.4 rad, the last all but the path itself. Each is about half of the
+# one before, and so is what it cuts off the corners.
 SPACINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
 """Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
 
+# Between the points of its grid the tip can be a little too fast. A motion that is faster than this has another fault.
 MAX_OVERSPEED = 1.1
 """Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
 
+# A motion without its end is of no use.
 LATE_SECONDS = 0.25
 """Largest overrun of the time limit for following an unproved motion to its end, s."""
 
+# Round-off: start and goal are the same joint values.
 SHORT = 1e-9
 """Length of a way (joints' scales) on which nothing is smoothed."""
 
@@ -212,25 +221,33 @@ def no_time(clock: Clock) -> str:
     return f"the time limit of {clock.limit:g} s left no time to follow the path found"
 
 
+# Each attempt triples the reserve of the margin. Where the third fails, what is missing lies between checked points of
+# any path there.
 ATTEMPTS = 3
 """Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
 
+# A search that uses up all of the time leaves none to follow the path that it has found.
 SEARCH_SHARE = 0.9
 """Share of the time limit after which the search ends, so that the result can be reported in time."""
 
+# The partial path is timed and followed, and why the search failed is looked into.
 REPORT_SECONDS, REPORT_SHARE = 2.0, 0.35
 """Time reserved for the report: so many seconds, at most a share of the time limit."""
 
+# All configurations of a target take inverse kinematics seconds, which a short search needs itself.
 POSTURES_SECONDS, NEAREST_SHARE = 15.0, 0.4
 """Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
 follow."""
 
+# The rest is left to a search from scratch.
 ROADMAP_SHARE = 0.3
 """Share of the search time for a roadmap, which comes first."""
 
+# Up to sixty random cuts are tried, each of which checks one motion.
 SHORTEN_SECONDS, SHORTEN_SHARE = 2.0, 0.3
 """Maximum duration of cutting corners of the path, s, and share of the remaining time."""
 
+# A motion whose proof would take longer than the time that is left is cut short.
 PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
 """Typical upper limits of the time of a proof, s: in any case, and per sample of the motion."""
 

@@ -59,15 +59,18 @@ HERMITE = 0.03231
 """The derivative of a function differs at most by this, times a bound of its third derivative and the square of the
 length, from that of the cubic with the same values and slopes at both ends."""
 
+# The rest of the cubic's speed between them is bounded by 12 |bow| / (8 SAMPLES^2), 2 % of it.
 SAMPLES = 8
 """Parts of a link at the ends of which the speed along that cubic is evaluated."""
 
 STEADY = 1e-9
 """Share of the largest joint rate by which directions of motion may differ where they are the same."""
 
+# More at once would halve links that the first halving had already made sharp.
 MOST_HALVINGS = 2
 """At a time."""
 
+# 4096 parts of a link; beyond a fold the bound stays loose however short the links are.
 FINEST = 12
 """Times that links are halved for that at most."""
 
@@ -276,6 +279,7 @@ ACCURACY = 1.2e-5
 MOST_CELLS = 3_000_000
 """Maximum number of space-time cells of the arm. With too few the bound is less sharp, but still valid."""
 
+# A wrong mesh, or numbers of another robot, show at any equilibrium.
 VERIFIED, AGREEMENT = 5, 1e-6
 """Equilibria that are integrated once more, and the largest difference of a tip from its re-integration, over the
 length of the robot."""

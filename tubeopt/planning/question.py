@@ -89,6 +89,8 @@ def _widened(table: Array, width: int) -> Array:
     return np.pad(table, more, mode="edge")[:, :width].copy()
 
 
+# The deflection between both ends is bounded by the proof; the search reserves a little more than at its ends, so that
+# the proof does not fail by a hair.
 FORCE_ROOM = 1.05
 """Safety factor on the displacement of the arm by a force, known at the ends of a motion."""
 

@@ -30,9 +30,11 @@ from ..typing import Array, Index
 from .motion import DEFAULT_RATES
 from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 
+# Fewer leave maps in parts; more are more motions to check.
 NEIGHBOURS = 10
 """Nearest points that each point is joined with; start and goals with twice as many."""
 
+# Points are integrated in one call, and many of them are refused.
 DRAWN = 512
 """Points that are drawn at once."""
 

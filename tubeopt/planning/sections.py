@@ -269,15 +269,18 @@ class Drift:
         return self.pairs.d if self.still else np.asarray((self.pairs.d * pair).sum(-1))
 
 
+# Breakpoints are sums of lengths, exact to round-off of these.
 SWAPPED = 1e-9
 """Breakpoints (m) may be so much out of order at the ends of an interval, which is round-off."""
 
+# Stiffness and torsion jump where a piece of a tube ends, and values are wanted on either side.
 JUMP = 1e-9
 """So far (m) to either side of a point one looks for what jumps there."""
 
 PARTS = 4
 """Stretches into which every section is cut to begin with."""
 
+# Torques jump at the ends of sections where moments act.
 EDGE = 1e-6
 """Share of a section by which samples at its ends lie inside: there torques may jump. Less than half of a stretch."""
 

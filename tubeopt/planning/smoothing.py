@@ -45,18 +45,22 @@ from .motion import Motion
 from .question import WEIGHTS, PlanTask
 from .timing import Limits, violated
 
+# Distances come out a few millimetres too small on an arm of 200 mm, for all knots alike, which `_to_keep` takes out.
+# Sharper ones bend faster than the steps of IPOPT, whose Hessian leaves obstacles out.
 SHARPNESS = 400.0
 """Sharpness of the smooth minimum distance, over the length of the robot: it is at most log(points) / 400 too small."""
 
 SPLITS = 4
 """Points per step of the arm at which its distance from bodies is measured."""
 
+# Where joints hardly turn the tips may: without a weight they would wander.
 TIP_WEIGHT = 0.05
 """Weight of the motion of the tip rotations relative to that of the joints, in the length."""
 
 MOST_NODES = 1_000_000
 """Of a table of distances: its splines and their derivatives take 32 bytes for each."""
 
+# Steps of voxels would be corners for Newton's method.
 BLUR = 1.5
 """Nodes by which a table of distances is blurred."""
 
@@ -343,18 +347,24 @@ def _places(kind: Kind, count: int) -> ca.Function:
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
+# Each halves the intervals that fail. What fails after three is no matter of knots.
 REFINEMENTS = 3
 """Times that knots are added where the motion between them is not allowed."""
 
+# Joint values alone could jump between knots to another branch, whose tip rotations differ by more.
 TWIST = 0.3
 """Change of a tip rotation between knots that is always allowed, rad."""
 
+# The margin between knots sags by the square of their distance; after a failure as much is added as was missing, and
+# half.
 MARGIN_RESERVE = 3e-3
 """Margin beyond that of the search that knots keep at first, for what is between them."""
 
+# The smoothed motion stays close to the path, and every body adds rows for all knots.
 BODY_REACH = 0.1
 """Distance of knots from obstacles, as a share of the longest tube, within which these count."""
 
+# Every column of a knot's Jacobian costs about as much as the arm.
 MOST_OPERATIONS = 150_000
 """Operations of one equilibrium, about those of six tubes, beyond which derivatives take too long."""
 
@@ -362,6 +372,7 @@ BUILD_PER_OPERATION, BUILD_PER_BODY, BUILD_PER_NODE = 5e-5, 5e-2, 1e-6
 """Upper limits on most machines, s, of the time to build the program, which nothing can cut short, and to begin to
 solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
 
+# A determinant of 0 is the fold itself, where IPOPT would converge to equilibria beyond it.
 LEAST_FIELDS = 1e-3
 """Least determinant of the Jacobi fields, which begin as 1."""
 

@@ -34,19 +34,26 @@ from ..typing import Array, Index, Mask
 from .motion import INSTANT, MIN_SAMPLES_OF_TIP, SAMPLE_STEP, Motion
 from .question import PlanTask
 
+# The first grid finds where the motion is slow, and the second has its cells there. Measured on six plans: with half
+# or twice as many cells durations differ by less than 1e-4. TOPP-RA of the package toppra (500 cells) takes 1.000 to
+# 1.005 times as long on the same curves, but its accelerations exceed their limits by up to 38 % between grid points.
 CELLS, FINE_CELLS = 100, 500
 """Cells of the first grid of a curve, evenly spaced, and of the second, of equal durations."""
 
+# `motion.too_fast` allows rates 1e-6 and accelerations 1e-3 beyond their limits. The price is 0.05 % of the duration.
 RATE_SAFETY_FACTOR = 0.9995
 """Safety factor on the rate limits: tip speed is only checked on a grid, and the ends of a motion are made exact."""
 
+# Near a fold joint values run fast along a straight motion in tip rotations.
 MOST_HALVINGS, MOST_BEND = 4, 0.02
 """Times that points of a path are set twice as close at most, and the second difference of joint values, in units of
 their scales, at which rounded curves stay close enough to the points."""
 
+# It exceeds the error between samples, and falls with the square of their distance.
 RESERVE = 1e-5
 """Reserve of the margin (and of the clearance, m) at the largest sample distance."""
 
+# Samples lie up to 0.04 apart.
 OTHER_BRANCH = 0.1
 """Distance from a point of the chart, in units of the scales, beyond which an equilibrium is on another branch."""
 

@@ -48,17 +48,21 @@ from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
 from .timing import track
 from .trajectory import Trajectory
 
+# A curve of 200 m is one in mm.
 LONGEST = 1000
 """Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
 
 
+# 1.6 mm on an arm of 200 mm: between points the tip leaves a smooth curve by the square of that.
 SPACING, REFINEMENTS = 0.008, 3
 """Initial spacing of the solved points, as a share of the robot's length, and times that it is halved where the tip
 leaves the curve in between."""
 
+# The polyline is then off the spline by a 1600th of what the points are.
 DENSE = 40
 """Points per piece of a spline at which it is sampled."""
 
+# Different configurations reach different parts of a curve.
 STARTS, STARTS_SHARE = 8, 0.3
 """Maximum number of starting configurations, and share of the remaining time for finding them."""
 
@@ -221,15 +225,18 @@ def distance_from(curve: Array, points: Array) -> Array:
     return out
 
 
+# The arm moves by its 75th part from one to the next, so that the last fit starts the next one well.
 LENGTHS = 60
 """Number of arm lengths at which the arm is fitted to the one at the goal."""
 
+# Each fit begins at the one before.
 ITERATIONS, LAST_STEP = 6, 1e-3
 """Maximum number of Gauss-Newton steps per length, and the step, in units of the scales, that ends them."""
 
 DIFFERENCE = 1e-5
 """Step of the differences, in units of the scales of the joints."""
 
+# A straight section can turn as it likes, and what the shape does not decide must not drift.
 DAMPING = 2e-3
 """Weight of a change of the joints relative to the distance over the robot's length: what the shape does not decide."""
 

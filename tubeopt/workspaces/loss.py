@@ -23,6 +23,7 @@ from ..typing import Array, Mask, Progress
 from .sampling import JointSamples, Workspace, held
 from .voxels import Keys, Store, default_size, size_for
 
+# One unstable equilibrium says little, since many voxels have both kinds.
 SURE = 5
 """Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
 

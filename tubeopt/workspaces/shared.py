@@ -17,6 +17,7 @@ from ..typing import Array
 from .sampling import Workspace, held, require_samples
 from .voxels import cells, default_size, index_of, keys_of
 
+# Differential evolution from 25 points of five unknowns; the overlap of voxels has steps, so that no gradient helps.
 SEARCHED, EACH = 25, 5
 """Generations of differential evolution at most, and how many of each there are per unknown."""
 

@@ -17,6 +17,7 @@ from .sampling import Workspace, held, require_samples
 Words = NDArray[np.uint64]
 Keys = NDArray[np.int64]
 
+# They are bits of one word of 64.
 PATCHES = 64
 """Patches of equal area into which directions are sorted: 8 bands of height by 8 sectors."""
 
@@ -26,6 +27,7 @@ PATCHES = 64
 PER_VOXEL = 15
 """Samples per voxel of the bounding box, on average, at the default edge."""
 
+# Three indices of 21 bits are one key of 63: a million voxels to either side of the plate along each axis.
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
 
