@@ -30,7 +30,7 @@ import numpy as np
 import tubeopt
 import tubeopt.control.server
 from tubeopt.control.c_binding import servo_of
-from tubeopt.control.crtk import CrtkRobot, Led
+from tubeopt.control.crtk import AnyServo, CrtkRobot
 from tubeopt.control.server import Pace, RobotServer, ServerOptions
 
 WATCHDOG, PERIOD, TOKEN = 0.1, 1e-3, "benchmark"
@@ -67,7 +67,7 @@ CLOCK = Jumping()
 class Watched(CrtkRobot):
     """A robot whose motion is looked at by a clock that does not jump."""
 
-    def __init__(self, servo: Led) -> None:
+    def __init__(self, servo: AnyServo) -> None:
         super().__init__(servo, watchdog=WATCHDOG)
         self.taken = -np.inf
         self.moved, self.dropped, self.too_fast = 0, 0, 0

@@ -18,11 +18,11 @@ from ..typing import Array, Index, Mask
 from .corridors import Corridor
 from .distance_field import DistanceField
 
+# Nodes that are looked at, at most; else every second, third, ... along each axis.
 MOST = 400_000
-"""Nodes that are looked at, at most; else every second, third, ... along each axis."""
 
+# Of the distance from the wall by which a step is divided.
 POWER = 2
-"""Of the distance from the wall by which a step is divided."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,11 +30,11 @@ from .triangles import Triangles, oriented
 LOGGER = logging.getLogger(__name__)
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks, which Python prints without one
 
+# Cells along the longest side of a mesh in the lattice on which its distance is known beforehand.
 CELLS = 24
-"""Cells along the longest side of a mesh in the lattice on which its distance is known beforehand."""
 
+# By how much the lattice is larger than the mesh, to each side, as a share of its longest side.
 AROUND = 0.25
-"""By how much the lattice is larger than the mesh, to each side, as a share of its longest side."""
 
 
 @dataclass(frozen=True)
@@ -311,8 +311,8 @@ def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObst
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 
+# Sizes (m) between which bodies are.
 SMALLEST, LARGEST = 2e-4, 5.0
-"""Sizes (m) between which bodies are."""
 
 
 def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:

@@ -28,11 +28,11 @@ from ..typing import Array
 from .frames import Frame
 from .obstacles import as_points, distance_of_numbers, unit_vectors
 
+# Length (m) by which the table is lowered, for the rounding of its numbers.
 ROUND_OFF = 1e-9
-"""Length (m) by which the table is lowered, for the rounding of its numbers."""
 
+# Sizes of a cell from the surface up to which gradients are those of distances, beyond it of their squares.
 NEAR = 1.5
-"""Sizes of a cell from the surface up to which gradients are those of distances, beyond it of their squares."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -189,8 +189,8 @@ class DistanceField:
         return out
 
 
+# Cells along the longest side at most.
 MOST = 72
-"""Cells along the longest side at most."""
 
 
 def surface_net(field: DistanceField, *, most: int = MOST) -> tuple[Array, NDArray[np.intp]]:

@@ -33,21 +33,21 @@ from ..files.field_metadata import unit
 from ..files.files import read_bytes
 from ..typing import Array
 
+# Ways of writing positions in a patient.
 AXES = ("RAS", "LPS")
-"""Ways of writing positions in a patient."""
 
+# Landmarks that fix a frame.
 FEWEST = 3
-"""Landmarks that fix a frame."""
 
+# Share of their size by which landmarks must lie off a line.
 FLAT = 1e-3
-"""Share of their size by which landmarks must lie off a line."""
 
 
+# Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it.
 DOUBT = 0.5e-3
-"""Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it."""
 
+# Uncertainty of a place (m) that no clearance need cover.
 NEGLIGIBLE = 1e-6
-"""Uncertainty of a place (m) that no clearance need cover."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,20 +199,20 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
     return found
 
 
+# Standard error of the turn beyond which a registration is refused.
 MOST = math.radians(5.0)
-"""Standard error of the turn beyond which a registration is refused."""
 
+# Spread across over spread along, below which points are taken as near to a line.
 NARROW = 0.1
-"""Spread across over spread along, below which points are taken as near to a line."""
 
+# A mirror image whose residual is below this part of the registration's is worth a remark.
 MIRRORED = 0.7
-"""A mirror image whose residual is below this part of the registration's is worth a remark."""
 
+# Residual over the spread of the points, below which it is round-off, and tells nothing about a mirror image.
 EXACT = 1e-6
-"""Residual over the spread of the points, below which it is round-off, and tells nothing about a mirror image."""
 
+# Least eigenvalue of H over its trace, below which the turn is open.
 OPEN = 1e-9
-"""Least eigenvalue of H over its trace, below which the turn is open."""
 
 
 @dataclass(frozen=True)
@@ -298,26 +298,26 @@ def landmark_error(here: Array, there: Array, noise: float | None = None) -> Reg
     return RegistrationError(turn, reach, narrow, mirrored(here, there, rms), doubtful)
 
 
+# A statement, and its word; of other spellings of SPACE only the words that are known, since "space" is common.
 STATED = re.compile(
     rb"""\bSPACE=([A-Za-z0-9-]+)|(?i:\bCoordinateSystem)["']?\s*[=:]\s*["']?([A-Za-z0-9-]+)|"""
     rb"""(?i:\bspace\s*[=:]\s*(ras|lps|right-anterior-superior|left-posterior-superior)\b)"""
 )
-"""A statement, and its word; of other spellings of SPACE only the words that are known, since "space" is common."""
 
+# What files call the axes that are known.
 WORDS = {
     "ras": "RAS", "right-anterior-superior": "RAS", "0": "RAS",
     "lps": "LPS", "left-posterior-superior": "LPS", "1": "LPS",
 }  # fmt: skip
-"""What files call the axes that are known."""
 
+# Bytes at the beginning of a file in which it is stated.
 HEAD = 4096
-"""Bytes at the beginning of a file in which it is stated."""
 
+# Bytes of the header of a binary STL file.
 STL_HEADER = 80
-"""Bytes of the header of a binary STL file."""
 
+# How lines that are comments begin, by the kind of file.
 COMMENTS = {".ply": b"comment obj_info", ".obj": b"#", ".off": b"#", ".csv": b"#", ".fcsv": b"#", ".txt": b"#"}
-"""How lines that are comments begin, by the kind of file."""
 
 
 def stated_axes(path: str | PathLike[str]) -> str | None:
@@ -377,8 +377,8 @@ def needed(path: str | PathLike[str], axes: str | None) -> str:
     return known
 
 
+# Sine of the angle between two ways from which on they span a plane.
 COLLINEAR = 1e-6
-"""Sine of the angle between two ways from which on they span a plane."""
 
 
 @dataclass(frozen=True, eq=False)

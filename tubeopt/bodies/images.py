@@ -28,29 +28,29 @@ from .frames import AXES, Frame
 
 LOGGER = logging.getLogger(__name__)
 
+# Bytes of the voxels of an image at most: what a machine with 4 GB can read.
 MOST_BYTES = 1_200_000_000
-"""Bytes of the voxels of an image at most: what a machine with 4 GB can read."""
 
+# Sizes (m) that voxels of scans have.
 USUAL = 1e-5, 2e-2
-"""Sizes (m) that voxels of scans have."""
 
+# Cosine between axes of an image up to which they count as square to each other.
 SKEW = 1e-3
-"""Cosine between axes of an image up to which they count as square to each other."""
 
+# Share of a voxel by which two headers may differ.
 AGREE = 0.1
-"""Share of a voxel by which two headers may differ."""
 
+# Distinct values beyond which an image is not one of labels.
 MOST_LABELS = 4096
-"""Distinct values beyond which an image is not one of labels."""
 
+# Of a voxel, by what is in the names that NRRD has for its kinds of numbers; the first that fits.
 BYTES = {("64", "long", "double"): 8, ("16", "short"): 2, ("8", "char"): 1, ("32", "int", "float"): 4}
-"""Of a voxel, by what is in the names that NRRD has for its kinds of numbers; the first that fits."""
 
+# Directions of the axes of a NRRD file, by those of RAS.
 SIGNS = {"left": -1.0, "l": -1.0, "right": 1.0, "r": 1.0, "posterior": -1.0, "p": -1.0, "anterior": 1.0, "a": 1.0}
-"""Directions of the axes of a NRRD file, by those of RAS."""
 
+# Names of units in headers, in m; where none is given it is mm.
 UNITS = {"mm": 1e-3, "meter": 1.0, "micron": 1e-6, "m": 1.0, "um": 1e-6, "unknown": 1e-3}
-"""Names of units in headers, in m; where none is given it is mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,14 +382,14 @@ def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float, dict[int, tu
     return values, affine, UNITS.get(str(units[0]).strip('"'), 1e-3), segments
 
 
+# Nodes of a distance field at most, which take a few seconds and half a gigabyte; else voxels are taken together.
 MOST_NODES = 12_000_000
-"""Nodes of a distance field at most, which take a few seconds and half a gigabyte; else voxels are taken together."""
 
+# Voxels around the body, or the way within it, that the lattice has beside them.
 ROUND = 2
-"""Voxels around the body, or the way within it, that the lattice has beside them."""
 
+# Length (m) by which a way that meets the border of the image goes on beyond it.
 BEYOND = 0.02
-"""Length (m) by which a way that meets the border of the image goes on beyond it."""
 
 
 def field_of_image(

@@ -23,16 +23,16 @@ from ..files.field_metadata import POSITIVE, Typical, check_usual, unit
 from ..typing import Array
 from .scene import scene_of
 
+# Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that.
 SMOOTH = 1e-7
-"""Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that."""
 
+# Balls at most that cover a long body.
 PIECES = 16
-"""Balls at most that cover a long body."""
 
 Point3 = tuple[float, float, float]
 
+# Of positions and radii of bodies, m.
 AWAY, THICK = Typical(1e-6, 10.0), Typical(1e-5, 2.0)
-"""Of positions and radii of bodies, m."""
 
 Balls = tuple[Array, Array]
 """Centres (k, 3) and radii (k,) of balls that cover a body; m."""

@@ -19,11 +19,11 @@ from .frames import Frame
 from .images import LabelImage
 from .obstacles import RoundCone, as_points, nearest_distance
 
+# Labels of the images.
 LUMEN, TARGET = 1, 2
-"""Labels of the images."""
 
+# Length (m) by which images are larger than the way.
 BESIDE = 2e-3
-"""Length (m) by which images are larger than the way."""
 
 Stretch = tuple[tuple[float, float, float], tuple[float, float, float], float, float]
 """From, to, radius at either end; mm."""
@@ -129,5 +129,5 @@ def kidney() -> Phantom:
     )
 
 
+# All of them, by name.
 PHANTOMS = {"bronchial tree": bronchial_tree, "ventricle": ventricle, "kidney": kidney}
-"""All of them, by name."""

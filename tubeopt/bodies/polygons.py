@@ -18,14 +18,14 @@ from ..errors import InputError, extra
 from ..files.files import read_bytes
 from ..typing import Array, Index, Mask
 
+# Distance (m) of corners from their plane that rounding explains: two decimals of a mm, or six digits of a metre.
 FLAT = 1e-5
-"""Distance (m) of corners from their plane that rounding explains: two decimals of a mm, or six digits of a metre."""
 
+# A turn (rad) to the other side, and the excess over a full turn, up to which a polygon is convex.
 ROUND = 1e-6
-"""A turn (rad) to the other side, and the excess over a full turn, up to which a polygon is convex."""
 
+# Pairs of sides that are compared at once: bounds the memory.
 PAIRS = 1 << 22
-"""Pairs of sides that are compared at once: bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +142,7 @@ def _cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
+# What files of surfaces may have besides: lines have no thickness, and nothing is left out without a word.
 UNREAD = {
     ".obj": ((rb"(?m)^\s*l\s+-?\d", "lines between points"), (rb"(?m)^\s*(?:curv2?|surf)\s", "curves with knots")),
     ".ply": (
@@ -149,20 +150,19 @@ UNREAD = {
         (rb"(?m)^element tristrips\s+[1-9]", "strips of triangles"),
     ),
 }
-"""What files of surfaces may have besides: lines have no thickness, and nothing is left out without a word."""
 
+# Kinds of numbers in PLY files.
 NUMBERS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
     "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "int64": "i8", "uint64": "u8", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""Kinds of numbers in PLY files."""
 
+# Order of bytes of binary PLY files.
 ORDER = {"binary_little_endian": "<", "binary_big_endian": ">"}
-"""Order of bytes of binary PLY files."""
 
+# Below which whole numbers are exact.
 LARGEST = 2.0**53
-"""Below which whole numbers are exact."""
 
 
 def read_polygons(path: str | PathLike[str]) -> Polygons:
@@ -304,11 +304,11 @@ def _row(body: bytes, at: int, properties: Properties) -> tuple[dict[str, Array]
     return row, at
 
 
+# Kinds of numbers, and how a binary file writes them.
 VTK_NUMBERS = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint32": ">i4", "vtktypeint64": ">i8"}
-"""Kinds of numbers, and how a binary file writes them."""
 
+# What a surface may be made of.
 CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
-"""What a surface may be made of."""
 
 
 def read_vtk(path: str | PathLike[str]) -> Polygons:

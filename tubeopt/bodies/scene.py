@@ -18,14 +18,14 @@ import scipy
 
 from ..typing import Array, Index
 
+# Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do.
 BRUTE_FORCE_LIMIT = 16
-"""Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do."""
 
+# Balls in one tree differ in radius by no more than this factor, so that few of them are asked in vain.
 SIZES = 2.0
-"""Balls in one tree differ in radius by no more than this factor, so that few of them are asked in vain."""
 
+# Points at once: bounds the memory.
 CHUNK = 16384
-"""Points at once: bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +236,8 @@ class Scene:
         return out
 
 
+# How much farther than it must a lookout sees, m.
 AHEAD = 10e-3
-"""How much farther than it must a lookout sees, m."""
 
 
 class Lookout:

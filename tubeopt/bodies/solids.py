@@ -29,33 +29,33 @@ from .triangles import Triangles, bisected
 
 LOGGER = logging.getLogger(__name__)
 
+# Ways to keep to a closed surface.
 KEEP = ("out", "in")
-"""Ways to keep to a closed surface."""
 
+# Nodes of a field by default, which take some seconds.
 MOST_NODES = 400_000
-"""Nodes of a field by default, which take some seconds."""
 
+# Size (m) of cells by default where that does not take too many nodes.
 FINEST = 5e-4
-"""Size (m) of cells by default where that does not take too many nodes."""
 
+# Nodes beside the body, or beside the way within it.
 AROUND = {"out": 10, "in": 2}
-"""Nodes beside the body, or beside the way within it."""
 
+# Sizes of a cell from the surface up to which distances at nodes are exact.
 BAND = 2.0
-"""Sizes of a cell from the surface up to which distances at nodes are exact."""
 
+# Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a
+# cell.
 COVERED = ((1.0, 8.0), (0.5, 0.0))
-"""Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a cell.
-"""
 
+# Share of the size of bodies by which the surface of their union may be off: distances are less by it.
 ROUND_OFF = 1e-9
-"""Share of the size of bodies by which the surface of their union may be off: distances are less by it."""
 
+# Samples of a surface at most.
 MOST_SAMPLES = 2_000_000
-"""Samples of a surface at most."""
 
+# Cells along a side at most.
 LARGEST = 1_000
-"""Cells along a side at most."""
 
 
 def field_of_mesh(
@@ -241,11 +241,11 @@ def _samples(corners: Array, gap: float) -> tuple[Array, float]:
     return points[new], float(side / np.sqrt(3))
 
 
+# Of each point, from which the tree is made first.
 NEIGHBOURS = 8
-"""Of each point, from which the tree is made first."""
 
+# Distances that are computed at most to join what the nearest neighbours leave apart.
 MOST = 200_000_000
-"""Distances that are computed at most to join what the nearest neighbours leave apart."""
 
 
 def largest_gap(points: Array) -> float | None:

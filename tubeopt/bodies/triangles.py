@@ -25,14 +25,14 @@ from .distance_field import UP
 from .obstacles import unit_vectors
 
 _ANGLES = [0.7, 0.4, 1.1], [2.3, 0.5, 0.2], [1.2, 2.9, 0.8]
+# (3, 3, 3) axes of rays, asked one after the other: none are those along which many surfaces have edges.
 DIRECTIONS = scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matrix()
-"""(3, 3, 3) axes of rays, asked one after the other: none are those along which many surfaces have edges."""
 
+# Share of the square of the size below which round-off may decide on which side of an edge a ray passes.
 ROUND_OFF = 1e-13
-"""Share of the square of the size below which round-off may decide on which side of an edge a ray passes."""
 
+# Columns in which triangles are looked up, along either side.
 MOST_COLUMNS = 512
-"""Columns in which triangles are looked up, along either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,23 +121,23 @@ def _turned(points: Array, axes: Array) -> Array:
     return np.stack([x * axis[0] + y * axis[1] + z * axis[2] for axis in axes], axis=-1)
 
 
+# Edges are cut to the longest side of the body over this, so that triangles are of similar size.
 FINEST = 6
-"""Edges are cut to the longest side of the body over this, so that triangles are of similar size."""
 
+# Triangles that are asked first; their distance tells which others can be nearer.
 FIRST = 3
-"""Triangles that are asked first; their distance tells which others can be nearer."""
 
+# Points at once: bounds the memory.
 CHUNK = 4096
-"""Points at once: bounds the memory."""
 
+# Triangles are equally near to within this share of the size of the body.
 TIE = 1e-9
-"""Triangles are equally near to within this share of the size of the body."""
 
+# Distance (m) up to which a point is on the surface.
 ON = 1e-12
-"""Distance (m) up to which a point is on the surface."""
 
+# Height of a triangle over its longest side up to which it counts as its longest side.
 THIN = 1e-12
-"""Height of a triangle over its longest side up to which it counts as its longest side."""
 
 
 def bisected(corners: Array, longest: float) -> Array:

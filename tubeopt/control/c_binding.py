@@ -34,16 +34,15 @@ REFUSED = {
     4: "the branch does not lead there: the robot would snap",
     5: "the motion is longer than one call may be",
 }
+# What the functions return when they do not answer; 2 is bad input.
 TOO_LARGE = (
     f"a number is too large. Limits: rotations {MOST_TURN:g} rad, other numbers {MOST_NUMBER:g} in SI units. A tube "
     f"may be withdrawn by {FAR:g} of its lengths. Positions may be {FAR:g} lengths of the longest tube away"
 )
 
-"""What the functions return when they do not answer; 2 is bad input."""
 
-
+# Of the centreline of a pose.
 POINTS = 40
-"""Of the centreline of a pose."""
 
 
 @dataclass(frozen=True, eq=False)

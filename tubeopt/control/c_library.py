@@ -47,6 +47,7 @@ from .command import MOST_NUMBER
 C_FOLDER = Path(__file__).parent / "c"
 
 
+# Warnings that what is generated, and the kernel's vectors, give rise to without need.
 HUSHED = """/* CasADi writes for every function more than is used here; vectors are handed on within this file alone. */
 #if defined(__GNUC__) || defined(__clang__)
 #pragma GCC diagnostic ignored "-Wunused-function"
@@ -57,13 +58,13 @@ HUSHED = """/* CasADi writes for every function more than is used here; vectors 
 #endif
 #define CASADI_SYMBOL_EXPORT static
 """
-"""Warnings that what is generated, and the kernel's vectors, give rise to without need."""
 
 
+# Configurations whose answers the test of the library knows.
 CASES = 24
-"""Configurations whose answers the test of the library knows."""
 
 
+# By which steps along a branch are judged, as C.
 FOLLOWING = defined(
     {
         "LARGEST_RATIO": LARGEST_RATIO,
@@ -73,7 +74,6 @@ FOLLOWING = defined(
         "LARGEST_SHIFT": LARGEST_SHIFT,
     }
 )
-"""By which steps along a branch are judged, as C."""
 
 
 @dataclass(frozen=True)
@@ -271,13 +271,13 @@ def pieces_text(robot: Robot) -> str:
     return f"{c_tables(tables)}static const Pieces PIECES = {{{', '.join(entries)}}};\n"
 
 
+# What the kernel shows to Python.
 SEEN = re.compile(r"^(size_t (?:workspace|answer)_size|int solve_loaded|void solve_many_loaded)", re.MULTILINE)
-"""What the kernel shows to Python."""
 
 
+# Forces up to this times the stiffness of the tip over the square of the length have room on meshes of tubes made of
+# pieces: they bend arms by more than half a circle; and by how much more room there is than some configurations need.
 BEARABLE, SPARE = 10.0, 1.25
-"""Forces up to this times the stiffness of the tip over the square of the length have room on meshes of tubes made of
-pieces: they bend arms by more than half a circle; and by how much more room there is than some configurations need."""
 
 
 def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:

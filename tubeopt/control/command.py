@@ -23,8 +23,8 @@ Vector = Any
 
 T = TypeVar("T")
 
+# Largest number of a command, in SI units: beyond, squares and products would no longer be numbers.
 MOST_NUMBER = 1e6
-"""Largest number of a command, in SI units: beyond, squares and products would no longer be numbers."""
 
 
 def time_step(dt: float) -> float:

@@ -25,26 +25,27 @@ from .c_binding import CServo
 from .command import Command, Why
 from .servo import Servo
 
+# Distance (m) and angle (rad) at which a move ends.
 ARRIVED = 1e-6
-"""Distance (m) and angle (rad) at which a move ends."""
 
+# A move that comes no closer than by CLOSER (m or rad), or half of what is left where that is less, for so long (s)
+# ends.
 STUCK, CLOSER = 0.5, 1e-4
-"""A move that comes no closer than by CLOSER (m or rad), or half of what is left where that is less, for so long (s)
-ends."""
 
+# Margin above the floor below which a snap is warned of.
 WARNING = 0.1
-"""Margin above the floor below which a snap is warned of."""
 
+# Share of the time which the quicker of the last two steps took that the next one is sure to take as well. What is
+# missing to the truth a joint does not move, so that steps need not be taken back.
 SURE = 0.8
-"""Share of the time which the quicker of the last two steps took that the next one is sure to take as well. What is
-missing to the truth a joint does not move, so that steps need not be taken back."""
 
+# Length (m) and angle (rad) by which a target may be beyond what is allowed.
 ROUND_OFF = 1e-9
-"""Length (m) and angle (rad) by which a target may be beyond what is allowed."""
 
+# What is said where the watchdog bites.
 LATE = "no command has come in time: held"
-"""What is said where the watchdog bites."""
 
+# What a message may have besides its "op".
 KEYS = {
     "servo_cp": ("position", "direction"),
     "servo_cv": ("linear",),
@@ -53,19 +54,18 @@ KEYS = {
     "move_jp": ("rotations", "translations"),
     "state_command": ("command",),
 }
-"""What a message may have besides its "op"."""
 
+# What `state_command` may say, and the state that follows.
 TRANSITIONS = {
     "enable": "ENABLED",
     "disable": "DISABLED",
     "pause": "PAUSED",
     "resume": "ENABLED",
 }
-"""What `state_command` may say, and the state that follows."""
 
 
-Led = Servo | CServo
-"""What leads a robot."""
+AnyServo = Servo | CServo
+"""A servo, in Python or in C."""
 
 
 @dataclass
@@ -88,10 +88,10 @@ class CrtkRobot:
     """One robot, its state and its command.
 
     Args:
-        servo: what leads it.   watchdog: s after which a stream without a new command is held.
+        servo: moves the robot.   watchdog: s after which a stream without a new command is held.
     """
 
-    def __init__(self, servo: Led, *, watchdog: float = 0.1) -> None:
+    def __init__(self, servo: AnyServo, *, watchdog: float = 0.1) -> None:
         if not finite("watchdog", watchdog) > 0:
             raise InputError(f"watchdog is {watchdog:g} s; it must be more than 0")
         self.servo, self.watchdog = servo, watchdog

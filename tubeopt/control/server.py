@@ -31,8 +31,8 @@ from .crtk import CrtkRobot
 LOGGER = logging.getLogger("tubeopt")
 logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
 
+# Steps of the loop whose times are kept.
 REMEMBERED = 100_000
-"""Steps of the loop whose times are kept."""
 
 # The server is for programs of one machine: who reaches its port could move the robot.
 HOST = "127.0.0.1"
@@ -48,17 +48,17 @@ HELLO_SECONDS, LONGEST_MESSAGE = 5.0, 16_384
 # sockets.
 MOST_CLIENTS = 256
 
+# Seconds that a client has to close its connection once the server ends.
 CLOSING = 1.0
-"""Seconds that a client has to close its connection once the server ends."""
 
+# What a client may be.
 ROLES = ("commander", "watcher")
-"""What a client may be."""
 
+# Characters of an error that is reported.
 LONGEST_WORDS = 300
-"""Characters of an error that is reported."""
 
+# Seconds for which one thread of Python may keep the others waiting: a small part of a period.
 TURNS = 2e-4
-"""Seconds for which one thread of Python may keep the others waiting: a small part of a period."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import dist, hypot
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,8 @@ from ..solvers.quadratic import constrained_least_squares
 from ..typing import Array, Index
 from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 
+# Times that a step is halved which the guard rejects: a sixteenth of a step is not worth its equilibrium.
 HALVINGS = 4
-"""Times that a step is halved which the guard does not let pass."""
 
 
 class Guard:
@@ -93,25 +94,51 @@ class Guard:
         return away, np.nan if command.direction is None else angle(here.direction, command.direction)
 
 
+# Weight of joint motion over its scale against the tip's motion over the robot's length. It matters where the
+# Jacobian has a singular value below it: there joints would move far for nothing. Elsewhere the tip is off by its
+# square, 1e-6 of a step.
 DAMPING = 1e-3
-"""Of a joint's way over its scale against the tip's over the robot's length."""
 
+# Fraction of the remaining margin and clearance that one step may use. Both are linearised: with 1 the error of
+# second order would violate them; the distance still halves every step.
 APPROACH = 0.5
-"""Share of what is left of margin and clearance that one step may take."""
 
-ROOM, APART, RISE = 0.01, 1e-5, 0.3
-"""Margin above its floor, and distance (m) from bodies above the clearance, at which the arm slides along, as a
-straight step bends away from what it slides along; and the share of what the joints could do for these that a step
-must do at most."""
+# Margin above its lower bound, and distance (m) from bodies above the clearance, at which the arm moves along these: a
+# straight step bends away from what it moves along, and would violate it by the error of second order.
+ROOM, APART = 0.01, 1e-5
 
+# Largest required rise of margin or distance, as a fraction of what the joints can do within their rates. With 1 the
+# rows would leave no step but one, and no joint motion for the task.
+RISE = 0.3
+
+# Factor on the distance within which this step searched bodies: the next step searches again only beyond it.
 FARTHER = 1.2
-"""By how much farther than this step looks for bodies the next one may look."""
 
+# Longest step whatever the rates: rad, and fraction of the longest tube. Newton's method follows a branch over such
+# steps; the guard would reject most longer ones.
 TURN, SHIFT = 0.3, 0.05
-"""Longest step whatever the rates: rad, and share of the longest tube."""
 
+# Singular value of a task below which it leaves a motion free: above round-off of the Jacobian, below any motion that
+# counts.
 FREE = 1e-6
-"""Singular value of a task below which it leaves a motion free."""
+
+
+class Task(NamedTuple):
+    """One priority of a step as least squares over the joints' scales: matrix @ step = target."""
+
+    matrix: Array
+    target: Array
+    damped: bool
+    """False for the objective, which must not be slowed down by damping."""
+
+
+class Constraints(NamedTuple):
+    """rows @ step >= bounds, over the joints' scales."""
+
+    rows: Array
+    bounds: Array
+    kinds: list[tuple[int, Why]]
+    """First row of each kind. Rows before the first one are rates and ranges."""
 
 
 @typed
@@ -166,22 +193,22 @@ class Servo:
         dt = time_step(dt)
         check_places(command, self.space.robot)
         here = self.guard.before = self.guard.here
-        told = self.guard.left(command)
+        remaining = self.guard.left(command)
         groups = (self._task(group, command, here, dt) for group in self._groups)
         tasks = [task for task in groups if task is not None]
         if not tasks:
-            return ServoStep(here.equilibrium, Why(0), *told)
+            return ServoStep(here.equilibrium, Why(0), *remaining)
         rate = self._rate(dt)
-        rows, bounds, kinds = self._hedges(here, rate)
+        rows, bounds, kinds = self._constraints(here, rate)
         # Where the margin cannot be raised, it is at least not lowered: then to stay keeps all.
-        found = self._in_turn(tasks, rows, bounds) or self._in_turn(tasks, rows, np.minimum(bounds, 0.0))
-        if found is None:
-            return ServoStep(here.equilibrium, Why.HELD, *told)
-        step, held = found
+        solved = self._by_priority(tasks, rows, bounds) or self._by_priority(tasks, rows, np.minimum(bounds, 0.0))
+        if solved is None:
+            return ServoStep(here.equilibrium, Why.HELD, *remaining)
+        step, active = solved
         # The first rows are rates and ranges, which nothing exceeds, not by rounding either.
         m = len(here.q)
         change = np.minimum(np.maximum(step, bounds[:m]), -bounds[m : 2 * m]) * self.space.scale
-        return ServoStep(*self.guard.go(change, self._why(held, here, rate, kinds)), *told)
+        return ServoStep(*self.guard.go(change, self._why(active, here, rate, kinds)), *remaining)
 
     def undo(self) -> None:
         """Take the last step back, which was not sent."""
@@ -194,72 +221,69 @@ class Servo:
         rate[: space.robot.n_tubes] = min(options.turn_rate * dt, TURN)
         return rate
 
-    def _hedges(self, here: Posture, rate: Array) -> tuple[Array, Array, list[tuple[int, Why]]]:
-        """Rows and bounds of a step over the joints' scales, and from which row on they stand for what; what is missed
-        already must not get worse."""
+    def _constraints(self, here: Posture, rate: Array) -> Constraints:
+        """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""
         options, m = self.options, len(here.q)
         bounds = np.minimum(here.room, 0.0)
         bounds[: 2 * m] = np.maximum(bounds[: 2 * m].reshape(2, m), -rate).ravel() / self._twice
         rows, more, kinds = [self._sides], [bounds], [(2 * m, Why.ORDER)]
-        raised = here.margin_slope() * self.space.scale
-        if any(up := raised.tolist()):
+        slope = here.margin_slope() * self.space.scale
+        if any(up := slope.tolist()):
+            # The most that the margin can rise within rates and ranges: a required rise above it has no solution.
             ends = bounds.tolist()
-            rises = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
+            rise = RISE * sum(-by * ends[m + k] if by > 0 else by * ends[k] for k, by in enumerate(up))
             kinds.append((len(bounds), Why.MARGIN))
-            rows.append(raised[None])
-            more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rises)]))
+            rows.append(slope[None])
+            more.append(np.array([min(APPROACH * (options.min_margin + ROOM - here.margin), rise)]))
         if self.guard.scene.bodies:
-            near, least = self._bodies(here, rate)
+            near, least = self._body_rows(here, rate)
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
             rows.append(near)
             more.append(least)
-        return np.concatenate(rows), np.concatenate(more), kinds
+        return Constraints(np.concatenate(rows), np.concatenate(more), kinds)
 
-    def _why(self, held: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
-        """What rows that hold a step stand for."""
-        m, found = len(here.q), set[Why]()
-        for row in held.tolist():
+    def _why(self, active: Index, here: Posture, rate: Array, kinds: Sequence[tuple[int, Why]]) -> Why:
+        """Meaning of the active rows."""
+        m, reasons = len(here.q), set[Why]()
+        for row in active.tolist():
             if row < 2 * m:
-                found.add(Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE)
+                reasons.add(Why.RANGE if here.room[row] > -rate[row % m] else Why.RATE)
             else:
-                found.add(next(kind for first, kind in reversed(kinds) if row >= first))
-        return Why(sum(found))
+                reasons.add(next(kind for first, kind in reversed(kinds) if row >= first))
+        return Why(sum(reasons))
 
-    def _in_turn(
-        self, tasks: Sequence[tuple[Array, Array, bool]], rows: Array, bounds: Array
-    ) -> tuple[Array, Index] | None:
-        """A step that does one task after the other, each in what those before it leave free, and which rows hold it;
-        None where no step keeps them."""
-        found = self._closest(*tasks[0], rows, bounds)
-        if found is None or len(tasks) == 1:
-            return found
-        (wanted, held), used, free = found, tasks[0][0], np.eye(rows.shape[1])
-        for matrix, right, uses in tasks[1:]:
+    def _by_priority(self, tasks: Sequence[Task], rows: Array, bounds: Array) -> tuple[Array, Index] | None:
+        """Step and active rows of one task after the other, each in the null space of those before it; None where no
+        step satisfies the rows."""
+        solved = self._least_squares(tasks[0], rows, bounds)
+        if solved is None or len(tasks) == 1:
+            return solved
+        (step, active), used, null_space = solved, tasks[0].matrix, np.eye(rows.shape[1])
+        for task in tasks[1:]:
             _, size, basis = np.linalg.svd(used)
-            free = free @ basis[np.count_nonzero(size > FREE) :].T
-            if not free.shape[1]:
+            null_space = null_space @ basis[np.count_nonzero(size > FREE) :].T
+            if not null_space.shape[1]:
                 break
-            used = matrix @ free
-            # Less what rounding has taken from a step that keeps them all.
-            found = self._closest(used, right - matrix @ wanted, uses, rows @ free, bounds - rows @ wanted - 1e-12)
-            if found is None:  # with the tasks before, the step keeps all rows as it is
+            used = task.matrix @ null_space
+            rest = Task(used, task.target - task.matrix @ step, task.damped)
+            # 1e-12: the step satisfies all rows, but for rounding.
+            solved = self._least_squares(rest, rows @ null_space, bounds - rows @ step - 1e-12)
+            if solved is None:  # the step of the tasks before satisfies all rows as it is
                 break
-            wanted, held = wanted + free @ found[0], found[1]
-        return wanted, held
+            step, active = step + null_space @ solved[0], solved[1]
+        return step, active
 
-    def _closest(
-        self, matrix: Array, right: Array, damped: bool, rows: Array, bounds: Array
-    ) -> tuple[Array, Index] | None:
-        """The step of `constrained_least_squares`, which a task that uses up what it moves damps a little, and which
-        rows hold it."""
-        if damped:
+    def _least_squares(self, task: Task, rows: Array, bounds: Array) -> tuple[Array, Index] | None:
+        """Step and active rows of one task. Damping bounds the joint rates where the Jacobian is nearly singular."""
+        matrix, target = task.matrix, task.target
+        if task.damped:
             n = matrix.shape[1]
             matrix = np.concatenate([matrix, self._damping[:n, :n]])
-            right = np.concatenate([right, np.zeros(n)])
-        found = constrained_least_squares(matrix, right, rows, bounds)
-        return None if found is None else (found.x, found.active)
+            target = np.concatenate([target, np.zeros(n)])
+        solved = constrained_least_squares(matrix, target, rows, bounds)
+        return None if solved is None else (solved.x, solved.active)
 
-    def _bodies(self, at: Posture, rate: Array) -> tuple[Array, Array]:
+    def _body_rows(self, at: Posture, rate: Array) -> tuple[Array, Array]:
         """Rows (c, m), over the joints' scales, and bounds (c,), m, of the distances from bodies that a step within
         `rate` (m,) could make too small; the guard sees what is more."""
         scene, clearance = self.guard.scene, self.options.clearance
@@ -275,19 +299,25 @@ class Servo:
         counts = most >= -least
         return slope[counts] * self.space.scale, np.minimum(least, RISE * most)[counts]
 
-    def _task(self, group: Sequence[str], command: Command, at: Posture, dt: float) -> tuple[Array, Array, bool] | None:
-        """Rows and right-hand sides of a priority, over the joints' scales, and whether it uses up what it moves; None
-        where nothing of it is commanded. Of an empty one, the objective."""
+    def _task(self, group: Sequence[str], command: Command, at: Posture, dt: float) -> Task | None:
+        """The task of a priority; None where nothing of it is commanded. Of an empty one, the objective."""
         if not group:
-            pull = self._objective(at, dt)
-            return np.eye(len(pull)), pull, False
-        rows, right = [], []
+            step = self._objective(at, dt)
+            return Task(np.eye(len(step)), step, damped=False)
+        of_kind = {
+            "position": self._position,
+            "velocity": self._velocity,
+            "direction": self._direction,
+            "pivot": self._pivot,
+            "joints": self._joints,
+        }
+        rows, targets = [], []
         for name in group:
-            if (wanted := getattr(command, name)) is not None:
-                row, gap = getattr(self, f"_{name}")(wanted, at, dt)
+            if (target := getattr(command, name)) is not None:
+                row, gap = of_kind[name](target, at, dt)
                 rows.append(row * self.space.scale)
-                right.append(gap)
-        return (np.concatenate(rows), np.concatenate(right), True) if rows else None
+                targets.append(gap)
+        return Task(np.concatenate(rows), np.concatenate(targets), damped=True) if rows else None
 
     def _position(self, target: Array, at: Posture, dt: float) -> tuple[Array, Array]:
         length = self.space.length
@@ -303,12 +333,12 @@ class Servo:
         return np.cross(at.jacobian[1], here[:, None], axis=0), _at_most(most, direction - here)
 
     def _pivot(self, pivot: Array, at: Posture, dt: float) -> tuple[Array, Array]:
-        """The arm where it passes the point closest is to come to it, across its tangent."""
+        """The closest point of the arm moves onto the pivot, in the plane normal to the arm."""
         arm = at.equilibrium
-        start, way = arm.position[:-1], np.diff(arm.position, axis=0)
-        square = np.maximum((way**2).sum(1), 1e-300)
-        along = np.clip(((pivot - start) * way).sum(1) / square, 0, 1)
-        feet = start + along[:, None] * way
+        start, chord = arm.position[:-1], np.diff(arm.position, axis=0)
+        square = np.maximum((chord**2).sum(1), 1e-300)
+        along = np.clip(((pivot - start) * chord).sum(1) / square, 0, 1)
+        feet = start + along[:, None] * chord
         k = int(np.argmin(((pivot - feet) ** 2).sum(1)))
         moved = (1 - along[k]) * at.along[k] + along[k] * at.along[k + 1]
         across = arm.frame[k][:, :2].T / self.space.length
@@ -320,8 +350,8 @@ class Servo:
         space, n = self.space, self.space.robot.n_tubes
         gap = at_most(configuration(space, "joints", goal), "joints") - at.q
         rate = np.where(np.arange(len(gap)) < n, self.options.turn_rate, self.options.shift_rate) * dt
-        share = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
-        return np.diag(1 / space.scale), gap / max(share, 1.0) / space.scale
+        steps = float((np.abs(gap) / np.maximum(rate, 1e-300)).max())
+        return np.diag(1 / space.scale), gap / max(steps, 1.0) / space.scale
 
     def _objective(self, at: Posture, dt: float) -> Array:
         """(m,) the step over the joints' scales that is best for the objective, as long as `push` of the rates."""
@@ -338,9 +368,9 @@ class Servo:
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
 
 
-def _at_most(length: float, way: Array) -> Array:
-    """A way, shortened to a length where it is longer."""
-    return way * min(length / max(hypot(*way.tolist()), 1e-300), 1.0)
+def _at_most(length: float, vector: Array) -> Array:
+    """A vector, shortened to a length where it is longer."""
+    return vector * min(length / max(hypot(*vector.tolist()), 1e-300), 1.0)
 
 
 def _softness(at: Posture, turn: float = 1e-4) -> Array:

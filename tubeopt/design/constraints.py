@@ -173,6 +173,7 @@ def _unstrained(one: Strain, poses: Poses, tube: int, q: Quantities) -> Any:
     return one.limits[tube] - ca.vertcat(*straight, *(q.poses[k].strain(tube) for k in poses))
 
 
+# Requirements of one limit: the field that is it, and whether it rises (1) or falls (-1) to the easier side.
 LIMITS = {
     SnapFreeInUse: ("margin", -1),
     Nesting: ("clearance", -1),
@@ -182,7 +183,6 @@ LIMITS = {
     Coverage: ("tolerance", 1),
     Avoid: ("clearance", -1),
 }
-"""Requirements of one limit: the field that is it, and whether it rises (1) or falls (-1) to the easier side."""
 
 
 def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:

@@ -20,17 +20,17 @@ from .program import BOUNDED, Program, Reached, slack_name
 from .state import FreePose, State
 from .task import DesignTask, gaps_of, order_gaps
 
+# Part of a step by which limits are held inside, so that what a solver leaves open does not violate them.
 HELD = 5e-8
-"""Part of a step by which limits are held inside, so that what a solver leaves open does not violate them."""
 
+# The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off.
 ORDERED = 9e-8
-"""The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off."""
 
+# Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens.
 POSED = ("margin in use", "certified margin")
-"""Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens."""
 
+# How exactly (m) the pose of the objective reach_radius keeps its depth.
 DEPTH_TOLERANCE = 1e-6
-"""How exactly (m) the pose of the objective reach_radius keeps its depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,11 +157,11 @@ def cubed(group: Rows) -> Rows:
     return replace(group, values=values, jacobian=jacobian)
 
 
+# Largest violation, in steps of each limit, of what counts as kept.
 FEASIBLE = 1e-7
-"""Largest violation, in steps of each limit, of what counts as kept."""
 
+# Size (SI) of an objective that is next to 0, unless all unknowns together change it by less.
 LEAST_SIZE = 1e-3
-"""Size (SI) of an objective that is next to 0, unless all unknowns together change it by less."""
 
 
 Report = Callable[[str, float], object]
@@ -304,8 +304,8 @@ def attempt(program: Program, x: Array, optimum: Optimum | None = None) -> Attem
     return Attempt(program, x, found.objective[0], size, words if size > FEASIBLE else "", optimum)
 
 
+# What is violated where there is none.
 NO_EQUILIBRIUM = "an equilibrium at every pose"
-"""What is violated where there is none."""
 
 
 def violation(program: Program, x: Array) -> float:

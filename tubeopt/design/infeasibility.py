@@ -34,8 +34,8 @@ from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
 from .solve import LEAST_SLACK, NEARLY_FEASIBLE, best_from, improve, to_feasibility
 from .task import DesignTask, extreme_lengths
 
+# Steps of a limit, or part of a margin, by which a bound must miss it: far more than round-off.
 SURELY = 1e-6
-"""Steps of a limit, or part of a margin, by which a bound must miss it: far more than round-off."""
 
 
 def shown_infeasible(program: Program) -> str:

@@ -24,8 +24,8 @@ DESIGNS_PER_START = 32
 # Steps of their scale. Far above the tolerance to which starts reach one optimum, far below what can be made.
 SAME_DESIGN = 1e-3
 
+# Where no design was looked at.
 NOTHING = "a first design, which time did not suffice for"
-"""Where no design was looked at."""
 
 
 @dataclass(frozen=True, eq=False)

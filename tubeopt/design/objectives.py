@@ -51,6 +51,7 @@ KINDS = {
     "deployment": Kind("deviation of the deployment", "mm", 1e3, 1),
     "change": Kind("change of the robot", "", 1.0, 1),
 }
+# What is told of task poses.
 POSED = (
     "tip_deflection",
     "tip_stiffness",
@@ -60,19 +61,18 @@ POSED = (
     "workspace_volume",
     "deployment",
 )
-"""What is told of task poses."""
 
+# What is told under a force on the tip.
 PUSHED = ("tip_deflection", "tip_stiffness")
-"""What is told under a force on the tip."""
 
+# Translation (m) that counts as much as a rotation of 1 rad.
 PER_TURN = 0.05
-"""Translation (m) that counts as much as a rotation of 1 rad."""
 
+# Length (m) in which singular values are counted, and what is added to their squares, so that none is 0.
 UNIT, REGULAR = 0.01, 1e-8
-"""Length (m) in which singular values are counted, and what is added to their squares, so that none is 0."""
 
+# What is added to squares of singular values of a turn, rad^2.
 SLIGHT = 1e-7
-"""What is added to squares of singular values of a turn, rad^2."""
 
 
 @dataclass(frozen=True)

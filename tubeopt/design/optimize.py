@@ -116,8 +116,8 @@ class DesignSolution(Displayed):
         return self.ranking.designs[0]
 
 
+# Of the time limit, for the search; what was found is checked in the rest.
 SEARCH_SHARE = 0.8
-"""Of the time limit, for the search; what was found is checked in the rest."""
 
 # Rounds of exchange. The worst case moves with the design, by less each round; where it still moves after twelve, a
 # program with all cases so far is no better start than another task would be.
@@ -190,10 +190,10 @@ def optimize_design(
     began = time.perf_counter()
     search = partial(_searched, starts=starts, seed=seed, workers=workers, progress=progress)
     one = next((one for one in of_kind(task.requirements, SnapFree) if one.max_force), None)
-    share = SEARCH_SHARE * time_left()
+    search_time = SEARCH_SHARE * time_left()
     if one is not None:
-        return _bearing(task, one, search, turns, (began, share))
-    with within(share):
+        return _certified_for_force(task, one, search, turns, began=began, search_time=search_time)
+    with within(search_time):
         found = search(task, begin=start)
     try:
         return solution_of(task, found, turns, began)
@@ -228,24 +228,25 @@ def _searched(
     return replace(ranking, designs=(best, *(others or ranking.designs[1:])), late=late), rounds
 
 
-def _bearing(
+def _certified_for_force(
     task: DesignTask,
     one: SnapFree,
     search: Callable[[DesignTask], tuple[Ranking, int]],
     turns: int,
-    times: tuple[float, float],
+    *,
+    began: float,
+    search_time: float,
 ) -> DesignSolution:
-    """The design for a task that names a force; only the one that bears it is verified.
+    """The design for a task that names a force; only the one that withstands it is verified.
 
-    The certificate under force is at most that without, and falls with it. So the floor of that one is raised until the
-    design that is best above it keeps the other, which is computed anew for every such design (see
+    The certificate under force is at most that without, and falls with it. So the lower bound of that one is raised
+    until the best design above it satisfies the other, which is computed anew for every such design (see
     `stability.loaded_certificate`). The answer is the best among designs of that certificate without force; another
-    with a smaller one may bear the force too. `times`: when it began, and how long the search may take, s.
+    with a smaller one may withstand the force too.
     """
-    began, share = times
     known: dict[float, tuple[tuple[Ranking, int], Check]] = {}
 
-    def bears(floor: float) -> float:
+    def loaded_certificate(floor: float) -> float:
         """Certificate under the force of the best design with at least `floor` without force."""
         try:
             found = search(_without_force(task, one, floor))
@@ -259,8 +260,8 @@ def _bearing(
         return value
 
     try:
-        with within(share):
-            floor, late = _bisect_floor(one, bears), False
+        with within(search_time):
+            floor, late = _bisect_floor(one, loaded_certificate), False
     except LateError:
         kept = [floor for floor, (_, check) in known.items() if check.kept]
         if not kept:
@@ -288,17 +289,17 @@ def _under_force(program: Program, robot: ConcentricRobot, one: SnapFree) -> tup
     return value, Check(words, f"{value:.5f}", value >= one.margin)
 
 
-def _bisect_floor(one: SnapFree, bears: Callable[[float], float]) -> float:
-    """The least floor, to FORCE_ACCURACY, whose design bears the force; `bears` tells the certificate under it."""
+def _bisect_floor(one: SnapFree, loaded_certificate: Callable[[float], float]) -> float:
+    """The least certificate without force, to FORCE_ACCURACY, whose design has the required one under it."""
     low, high = one.margin, None
     floor = one.margin
     for _ in range(FORCE_ROUNDS):
-        short = one.margin - bears(floor)
+        short = one.margin - loaded_certificate(floor)
         if short <= 0:
             high = floor
             if high - low <= FORCE_ACCURACY:
                 return high
-            # What is in hand, but not all of it: the two certificates do not fall alike.
+            # Uses 90 % of the surplus: the two certificates fall at different rates.
             floor = max((low + high) / 2, high + 0.9 * short)
             continue
         low = floor

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from ..robots.pieces import Piece, Quantity, Series, Slots, times, turned, value
 from ..robots.tubes import STIFFNESSES, OfCrossSection, Tube, second_moment
 from ..typing import Array
 
+# Dimensions of pieces that may be free: in words, and how they are shown.
 PIECE_FIELDS = {
     "piece_curvature": ("curvature", "1/m", 1.0),
     "piece_shape": ("coefficient of the curvature", "1/m", 1.0),
@@ -27,10 +28,9 @@ PIECE_FIELDS = {
     "piece_bending_factor": ("bending factor", "", 1.0),
     "piece_torsion_factor": ("torsion factor", "", 1.0),
 }
-"""Dimensions of pieces that may be free: in words, and how they are shown."""
 
+# Curvature (1/m) of a piece that may be curved, in place of 0: it has a direction.
 LEAST_BEND = 1e-9
-"""Curvature (1/m) of a piece that may be curved, in place of 0: it has a direction."""
 
 Place = tuple[int, int]
 """A tube, and one of its pieces."""
@@ -53,7 +53,7 @@ class Unknown:
     other."""
 
 
-Given = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]
+PieceValues = Mapping[Place, Mapping[tuple[str, int], tuple[float, float | None]]]
 """Of every piece, the values of its unknowns by field and order, with the share of the torsion."""
 
 
@@ -130,7 +130,7 @@ def _coefficient(x: Quantity, length: float, order: int) -> float:
     return float(chebyshev.chebfit(nodes, x(length * (nodes + 1) / 2), 24)[order])
 
 
-def given_of(unknowns: Sequence[Unknown], values: Sequence[float]) -> Given:
+def piece_values(unknowns: Sequence[Unknown], values: Sequence[float]) -> PieceValues:
     """The values of unknowns, piece by piece."""
     out: dict[Place, dict[tuple[str, int], tuple[float, float | None]]] = {}
     for one, value in zip(unknowns, values, strict=True):
@@ -139,11 +139,11 @@ def given_of(unknowns: Sequence[Unknown], values: Sequence[float]) -> Given:
     return out
 
 
-def changed_tubes(tubes: Sequence[Tube], given: Given) -> tuple[Tube, ...]:
+def changed_tubes(tubes: Sequence[Tube], values: PieceValues) -> tuple[Tube, ...]:
     """The tubes with their pieces changed."""
     out = []
     for i, tube in enumerate(tubes):
-        pieces = [_changed_piece(tube, piece, given.get((i, j), {})) for j, piece in enumerate(tube.pieces)]
+        pieces = [_changed_piece(tube, piece, values.get((i, j), {})) for j, piece in enumerate(tube.pieces)]
         largest = max((piece.largest_curvature for piece in pieces), default=tube.curvature)
         out.append(replace(tube, curvature=largest, pieces=tuple(pieces)))
     return tuple(out)
@@ -192,7 +192,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
-def change_of(here: Directions, unknown: Unknown, given: Given) -> Change:
+def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change:
     """What an unknown changes along a solved arm."""
     (rate, stiffness, moment, phase), n = np.zeros((4, *here.here.phase.shape)), here.n
     out = Change(np.zeros(n), rate, stiffness, moment, phase, np.zeros(n))
@@ -204,7 +204,7 @@ def change_of(here: Directions, unknown: Unknown, given: Given) -> Change:
         kb, kt, x, y, _, _ = here.values[..., i]
         there = (here.here.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
-        dx, dy, dkb, dkt, wound = _rates(unknown, given[i, j], (local, length), (kb, kt, x, y))
+        dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, here.values[..., i])
         size = np.hypot(x, y)
         solid = np.where(size > 0, size, 1.0)
         bent = there * inside
@@ -212,60 +212,75 @@ def change_of(here: Directions, unknown: Unknown, given: Given) -> Change:
         out.moment[..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
         out.phase[..., i] += wound + inside * (x * dy - y * dx) / solid**2
         out.rate[..., i] += -(inside * dkt) / kt**2
-        out.transmission[i] += _softer(here, (i, low, length), dkt, kt)
+        out.transmission[i] += _compliance_change(here, i, (low, low + length), dkt / kt)
         if unknown.field == "piece_twist":
             out.wound[i] += length
     return out
 
 
-def _rates(
+class PieceRates(NamedTuple):
+    """Change of a piece's cross-sections with one unknown."""
+
+    x: Any
+    """Of the precurvature u*_x."""
+    y: Any
+    """Of u*_y."""
+    bending: Any
+    """Of the bending stiffness."""
+    torsional: Any
+    """Of the torsional stiffness, in proportion to it."""
+    twist: Any
+    """Of the natural rotation."""
+
+
+def _piece_rates(
     unknown: Unknown,
     values: Mapping[tuple[str, int], tuple[float, float | None]],
-    along: tuple[Array, float],
-    now: tuple[Array, Array, Array, Array],
-) -> tuple[Any, Any, Any, Any, Any]:
-    """Change of u*_x, u*_y, EI, GJ and of the natural turn; of GJ in proportion to it."""
-    (local, length), (kb, kt, x, y) = along, now
+    fraction: Array,
+    length: float,
+    now: Array,
+) -> PieceRates:
+    """Rates at fractions of a piece of a length, whose cross-sections there are `now` (6, ..)."""
+    kb, kt, x, y, _, _ = now
     plane = values.get(("piece_plane", 0), (0.0, None))[0]
     bending, torsion = factors(values)
     match unknown.field:
         case "piece_curvature":
             bend = values["piece_curvature", 0][0]
             bend = bend if abs(bend) > LEAST_BEND else LEAST_BEND
-            return x / bend, y / bend, 0.0, 0.0, 0.0
+            return PieceRates(x / bend, y / bend, 0.0, 0.0, 0.0)
         case "piece_shape":
-            order = np.cos(unknown.order * np.arccos(np.clip(2 * local / length - 1, -1, 1)))
-            return order * np.cos(plane), order * np.sin(plane), 0.0, 0.0, 0.0
+            order = np.cos(unknown.order * np.arccos(np.clip(2 * fraction - 1, -1, 1)))
+            return PieceRates(order * np.cos(plane), order * np.sin(plane), 0.0, 0.0, 0.0)
         case "piece_plane":
-            return -y, x, 0.0, 0.0, 0.0
+            return PieceRates(-y, x, 0.0, 0.0, 0.0)
         case "piece_twist":
-            return 0.0, 0.0, 0.0, 0.0, np.clip(local, 0.0, length)
+            return PieceRates(0.0, 0.0, 0.0, 0.0, length * np.clip(fraction, 0.0, 1.0))
         case "piece_bending_factor":
             share = 0.0 if unknown.torsion_share is None else unknown.torsion_share
-            return 0.0, 0.0, kb / bending, kt * share / (1 - share * (1 - bending)), 0.0
+            return PieceRates(0.0, 0.0, kb / bending, kt * share / (1 - share * (1 - bending)), 0.0)
         case _:
             untwisted = {**values, ("piece_torsion_factor", 0): (1.0, None)}
-            return 0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0
+            return PieceRates(0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0)
 
 
-def _softer(here: Directions, piece: tuple[int, float, float], dkt: Any, kt: Array) -> float:
-    """Change of int ds / GJ from the held end to the plate, with GJ of a piece in proportion to it."""
-    tube, low, length = piece
-    if np.ndim(dkt) == 0:
+def _compliance_change(here: Directions, tube: int, ends: tuple[float, float], relative: Any) -> float:
+    """Change of int ds / GJ from the clamped end to the plate, as GJ changes by a relative amount between two ends."""
+    if not np.any(relative):
         return 0.0
-    held = here.assembly.transmission
-    ends = []
-    for end in (low, low + length):
-        place = held.copy()
-        place[tube] = min(end, held[tube])
-        ends.append(float(here.table.compliant(place)[tube]))
-    return -(ends[1] - ends[0]) * float((dkt / kt).flat[0])
+    clamped = here.assembly.transmission
+    compliance = []
+    for end in ends:
+        place = clamped.copy()
+        place[tube] = min(end, clamped[tube])
+        compliance.append(float(here.table.compliant(place)[tube]))
+    return -(compliance[1] - compliance[0]) * float(relative.flat[0])
 
 
 TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter", "inner_diameter")
 
+# Dimensions of a tube, or of its pieces, that may be free.
 FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS)
-"""Dimensions of a tube, or of its pieces, that may be free."""
 
 DIAMETERS = ("outer_diameter", "inner_diameter")
 
@@ -276,21 +291,21 @@ NAMES = {
     **{field: words for field, (words, _, _) in PIECE_FIELDS.items()},
 }
 
+# How a dimension is shown: its unit, and what turns SI into it.
 UNITS = {
     "curvature": ("1/m", 1.0),
     **dict.fromkeys(TUBE_FIELDS[1:], ("mm", 1000.0)),
     **{field: (unit, factor) for field, (_, unit, factor) in PIECE_FIELDS.items()},
 }
-"""How a dimension is shown: its unit, and what turns SI into it."""
 
+# Dimensions of whole tubes that may be free where tubes are made of pieces.
 WHOLE = ("straight_length", "curved_length", *DIAMETERS)
-"""Dimensions of whole tubes that may be free where tubes are made of pieces."""
 
+# Of the curvature along a piece.
 MOST_COEFFICIENTS = 12
-"""Of the curvature along a piece."""
 
+# What a design is differentiated into, n each.
 GRADED = (*TUBE_FIELDS, *STIFFNESSES)
-"""What a design is differentiated into, n each."""
 
 
 @dataclass(frozen=True)
@@ -412,7 +427,7 @@ class DesignSpace:
             for i in one.tubes if one.field in TUBE_FIELDS else ():
                 values[i][one.field] = float(value) * (getattr(self.robot_tubes[i], one.field) if one.scaled else 1.0)
         whole = tuple(_changed(tube, changes) for tube, changes in zip(self.robot_tubes, values, strict=True))
-        return changed_tubes(whole, given_of(self.unknowns, x.tolist())) if self.pieced else whole
+        return changed_tubes(whole, piece_values(self.unknowns, x.tolist())) if self.pieced else whole
 
     def expressions(self, x: Any) -> dict[str, Any]:
         """Every one of GRADED (n,) as an expression of x (D,); what x does not move are numbers."""

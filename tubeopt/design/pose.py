@@ -29,14 +29,14 @@ from ..robots.tubes import Tube
 from ..stability.certificate import worst_case, worst_of_pair
 from ..typing import Array, Index
 
+# Places at which the arm is looked at within each of its CLEARANCES parts.
 WITHIN = 16
-"""Places at which the arm is looked at within each of its CLEARANCES parts."""
 
+# How far (m) the arm is held off its anatomy at these places, for what lies between them.
 HELD_OFF = 2e-5
-"""How far (m) the arm is held off its anatomy at these places, for what lies between them."""
 
+# Length (m) over which a tube's radius runs out beyond its end, for the arm's distance to its anatomy.
 RAMP = 3e-3
-"""Length (m) over which a tube's radius runs out beyond its end, for the arm's distance to its anatomy."""
 
 
 def _cubic(x: Array) -> tuple[Array, Array]:

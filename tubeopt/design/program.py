@@ -22,9 +22,10 @@ from .requirements import Coverage, Poses, Reach, Requirement, SnapFree, SnapFre
 from .state import FixedPose, FreePose, Layout, PoseKind, State, Via
 from .task import DesignTask, extreme_lengths
 
+# What task poses must keep where nothing else speaks of snapping.
 STABLE = SnapFreeInUse(0.05, paths=False)
-"""What task poses must keep where nothing else speaks of snapping."""
 
+# Objectives whose worst number is bounded by an unknown of its own: its bounds and its size.
 BOUNDED = {
     "strain": (0.0, 1.0, 1e-2),
     "margin": (-100.0, 1.0, 0.1),
@@ -32,7 +33,6 @@ BOUNDED = {
     "tip_stiffness": (0.0, 1e6, 1.0),
     "stroke_force": (0.0, 10.0, 1e-2),
 }
-"""Objectives whose worst number is bounded by an unknown of its own: its bounds and its size."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -25,25 +25,35 @@ from ..robots.order import last_tube
 from ..robots.tubes import Tube
 from ..typing import Array, Mask
 
+# Of the arm's length, at which a deployment is looked at.
 SHARES = (0.25, 0.5, 0.75)
-"""Of the arm's length, at which a deployment is looked at."""
 
+# Of an arm that is drawn back, where its distance from the whole one counts.
 ALONG = (0.5, 0.75, 1.0)
-"""Of an arm that is drawn back, where its distance from the whole one counts."""
 
 
-def retracted(tubes: Sequence[Tube], translations: Array, share: float) -> tuple[Array, Mask, int]:
-    """Translations (n,), m, of an arm drawn back to a share of its length; which tubes (n,) are drawn back for that;
-    and the tube that ends last."""
+class Retracted(NamedTuple):
+    """An arm whose tubes are withdrawn so that it has a fraction of its length."""
+
+    translations: Array
+    """(n,) m."""
+    withdrawn: Mask
+    """(n,) which tubes are withdrawn for that: those that end beyond the fraction."""
+    last: int
+    """The tube that ends last."""
+
+
+def retracted(tubes: Sequence[Tube], translations: Array, fraction: float) -> Retracted:
+    """The arm at translations (n,), m, withdrawn to a fraction of its length."""
     ends = translations + np.array([tube.length - tube.straight_length for tube in tubes])
     last = int(last_tube(ends))
-    beyond = ends - share * ends[last]
-    return translations - np.maximum(beyond, 0.0), beyond > 0, last
+    beyond = ends - fraction * ends[last]
+    return Retracted(translations - np.maximum(beyond, 0.0), beyond > 0, last)
 
 
-def draw(robot: ConcentricRobot, whole: Equilibrium, share: float) -> Equilibrium:
-    """The arm of a pose drawn back to a share of its length, by forward kinematics."""
-    return forward_kinematics(robot, whole.rotations, retracted(robot.tubes, whole.translations, share)[0])
+def draw(robot: ConcentricRobot, whole: Equilibrium, fraction: float) -> Equilibrium:
+    """The arm of a pose withdrawn to a fraction of its length, by forward kinematics."""
+    return forward_kinematics(robot, whole.rotations, retracted(robot.tubes, whole.translations, fraction).translations)
 
 
 Rows = tuple[tuple[float, ...], ...]
@@ -342,8 +352,8 @@ class Deployment(Checked, CustomRequirement):
         return self.limit - ca.sqrt(ca.sum1(gaps**2).T + ROUNDED**2)
 
 
+# Length (m) within which what may be 0 is rounded off.
 ROUNDED = 1e-6
-"""Length (m) within which what may be 0 is rounded off."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy
@@ -124,8 +124,19 @@ class SearchedPair(Searched):
         return one if other is DesignStatus.KEPT else other
 
 
+class Budget(NamedTuple):
+    """Effort of a search without derivatives."""
+
+    seconds: float
+    """Search time, s, shared by all starts."""
+    starts: int
+    seed: int
+    turns: int
+    """Random full turns of the final check."""
+
+
 class _EndError(Exception):
-    """The time is over, or there is nothing better."""
+    """The time limit is reached, or no better score is possible."""
 
 
 @dataclass(eq=False)
@@ -149,15 +160,15 @@ class _Search:
         own = np.reshape(np.asarray(self.wanted.ranges, dtype=float), (-1, 2))
         return np.concatenate([*(np.column_stack([space.lower, space.upper]) for space in spaces), own])
 
-    def design(self, u: Array) -> tuple[list[Array], Array]:
-        """Dimensions of each robot, and own numbers."""
+    def from_unit(self, u: Array) -> tuple[list[Array], Array]:
+        """Dimensions of each robot, and own numbers, SI, at a point of the unit cube."""
         low, high = self.ranges.T
         x = low + np.clip(u, 0.0, 1.0) * (high - low)
         *designs, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
         return designs, own
 
-    def place(self, designs: Sequence[Array], own: Array) -> Array:
-        """The other way round."""
+    def to_unit(self, designs: Sequence[Array], own: Array) -> Array:
+        """Point of the unit cube of dimensions and own numbers, SI."""
         low, high = self.ranges.T
         return np.asarray((np.concatenate([*designs, own]) - low) / np.where(high > low, high - low, 1.0))
 
@@ -168,16 +179,16 @@ class _Search:
         self.tried += 1
         if self.progress is not None:
             self.progress(self.tried)
-        designs, own = self.design(u)
+        designs, own = self.from_unit(u)
         short = max(violation(program, x) for program, x in zip(self.programs, designs, strict=True))
         if short > FEASIBLE:
             return 1.0 + min(short, 1.0)
-        score, value = self.told(designs, own)
+        score, value = self.score_of(designs, own)
         if score < self.score:
             self.score, self.value, self.best = score, value, np.clip(u, 0.0, 1.0)
         return score
 
-    def told(self, designs: Sequence[Array], own: Array) -> tuple[float, float]:
+    def score_of(self, designs: Sequence[Array], own: Array) -> tuple[float, float]:
         """Score and value of designs that keep their requirements."""
         try:
             robots = [robot_at(program, x) for program, x in zip(self.programs, designs, strict=True)]
@@ -186,9 +197,9 @@ class _Search:
             return 1.0, 0.0
         return float(score), float(value)
 
-    def from_place(self, u: Array, until: float) -> None:
-        """Simplex searches, each from where the one before ended, as long as that is better than where it began: a
-        simplex that is pressed against a requirement is flat."""
+    def descend(self, u: Array, until: float) -> None:
+        """Simplex searches, each from the end of the one before, while they improve the score."""
+        # A simplex that is pressed against a requirement becomes flat, and cannot move along it: a new one can.
         self.until, before = until, np.inf
         options = {"xatol": SIMPLEX_SIZE, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
         bounds = [(0.0, 1.0)] * len(u)
@@ -243,9 +254,9 @@ def search_design(
         1.0
     """
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    settings = (time_limit, starts, seed, turns)
-    (solution,), told = without_derivatives((task,), wanted, settings, progress, time_limit=limit)
-    return SearchedDesign(*told, solution)
+    budget = Budget(time_limit, starts, seed, turns)
+    (solution,), result = without_derivatives((task,), wanted, budget, progress, time_limit=limit)
+    return SearchedDesign(**vars(result), solution=solution)
 
 
 @renamed(seconds="time_limit")
@@ -289,24 +300,23 @@ def search_pair(
     if not isinstance(tasks, (tuple, list)) or len(tasks) != 2:
         raise InputError(f"tasks are {tasks!r}; they must be two, one for each robot")
     limit = positive("time_limit", time_limit) + TIME_LIMIT
-    (one, other), told = without_derivatives(
-        tuple(tasks), wanted, (time_limit, starts, seed, turns), progress, time_limit=limit
-    )
-    return SearchedPair(*told, (one, other))
+    budget = Budget(time_limit, starts, seed, turns)
+    (one, other), result = without_derivatives(tuple(tasks), wanted, budget, progress, time_limit=limit)
+    return SearchedPair(**vars(result), solutions=(one, other))
 
 
 @limited
 def without_derivatives(
     tasks: tuple[DesignTask, ...],
     wanted: Wanted | WantedOfPair,
-    settings: tuple[float, int, int, int],
+    budget: Budget,
     progress: Progress | None,
     *,
     time_limit: float = TIME_LIMIT,
-) -> tuple[list[DesignSolution], tuple[str, float, float, Array, int, float]]:
-    """The best designs, one for each task, and the fields of `Searched`; `settings`: seconds, starts, seed, turns. Of
-    the `time_limit` what is more than these seconds is for the first design, and for the checks."""
-    seconds, starts, seed, turns = settings
+) -> tuple[list[DesignSolution], Searched]:
+    """The best designs, one for each task, and their value before and after. The time limit exceeds the search time by
+    the time for the first design and the checks."""
+    seconds, starts, seed, turns = budget
     for task in tasks:
         _check(task)
     for name, number, least in (("starts", starts, 1), ("seed", seed, 0), ("turns", turns, 0)):
@@ -320,20 +330,20 @@ def without_derivatives(
     search = _Search(programs, wanted, progress=note)
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
     with within(time_limit - seconds):
-        _, before = search.told([program.layout.space.start for program in programs], zero)
+        _, before = search.score_of([program.layout.space.start for program in programs], zero)
     drawn = [start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)]
     others = ([to_feasibility(*each) for each in zip(programs, some, strict=True)] for some in zip(*drawn, strict=True))
     begin = time.perf_counter()
     with within(seconds), suppress(LateError):
         for k, designs in enumerate([first, *others]):
-            search.from_place(search.place(designs, zero), begin + seconds * (k + 1) / starts)
-    if search.best is None:  # the time was over before anything could be told
-        search.best, (_, search.value) = search.place(first, zero), search.told(first, zero)
-    designs, own = search.design(search.best)
+            search.descend(search.to_unit(designs, zero), begin + seconds * (k + 1) / starts)
+    if search.best is None:  # the time limit came before the first score
+        search.best, (_, search.value) = search.to_unit(first, zero), search.score_of(first, zero)
+    designs, own = search.from_unit(search.best)
     found = [attempt(program, x) for program, x in zip(programs, designs, strict=True)]
     solutions = [solution_of(task, (rank([each]), 0), turns, began) for task, each in zip(plain, found, strict=True)]
     spent = time.perf_counter() - began
-    return solutions, (wanted.words, before, search.value, own, search.tried, spent)
+    return solutions, Searched(wanted.words, before, search.value, own, search.tried, spent)
 
 
 def _check(task: DesignTask) -> None:

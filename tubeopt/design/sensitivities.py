@@ -67,10 +67,10 @@ def _multipliers(found: Attempt) -> tuple[Array, Array] | None:
     values, jacobian = there.rows()
     sections = cell_rows(there.state, cell_of(there.state))
     near = np.flatnonzero(values < NEAR_LIMIT)
-    closed = np.flatnonzero(sections[0] < NEAR_LIMIT)
+    closed = np.flatnonzero(sections.lengths < NEAR_LIMIT)
     low, high = ((program.scale * NEAR_LIMIT > abs(x - bound)) for bound in (program.lower, program.upper))
     unit = np.eye(len(x))
-    columns = [jacobian[near], sections[1][closed], -sections[1][closed], unit[low], -unit[high]]
+    columns = [jacobian[near], sections.slopes[closed], -sections.slopes[closed], unit[low], -unit[high]]
     matrix = (np.concatenate(columns) * program.scale).T
     slope = there.objective[1] * program.scale
     if not matrix.size:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -422,9 +423,19 @@ def cell_of(state: State) -> Cell:
     return tuple(orders)
 
 
-def cell_rows(state: State, cell: Cell) -> tuple[Array, Array, list[tuple[int, int, int]]]:
-    """Lengths of the sections of a cell in steps of 10 mm, >= 0 in it, their change, and what each is: the pose, and
-    its breakpoints before and behind (-1 for the plate). Only those that can change."""
+class Sections(NamedTuple):
+    """Sections of a cell that can change."""
+
+    lengths: Array
+    """(K,) in steps of 10 mm, >= 0 in the cell."""
+    slopes: Array
+    """(K, X)."""
+    ends: list[tuple[int, int, int]]
+    """Pose, and breakpoints before and behind; -1 for the plate."""
+
+
+def cell_rows(state: State, cell: Cell) -> Sections:
+    """Sections of a cell as constraints: with a fixed order of breakpoints their lengths are >= 0."""
     values, slopes, what = [], [], []
     for k, order in enumerate(cell):
         places, moved = _breakpoints(state, k)
@@ -436,7 +447,7 @@ def cell_rows(state: State, cell: Cell) -> tuple[Array, Array, list[tuple[int, i
                 values.append((places[b] - places[a]) / 1e-2)
                 slopes.append(slope / 1e-2)
                 what.append((k, a, b))
-    return np.array(values), np.reshape(slopes, (len(values), state.layout.size)), what
+    return Sections(np.array(values), np.reshape(slopes, (len(values), state.layout.size)), what)
 
 
 def swapped(cell: Cell, pose: int, a: int, b: int) -> Cell:
@@ -458,18 +469,19 @@ def _through_cells(start: Attempt, report: Report | None) -> Attempt:
     best = _in_cell(program, start.x, cell, report)
     tried = {cell}
     for _ in range(program.task.solver.orders):
-        values, slopes, what = cell_rows(best.state, cell)
-        if not best.feasible or not what:
+        lengths, slopes, ends = cell_rows(best.state, cell)
+        if not best.feasible or not ends:
             break
-        prices = np.zeros(len(values)) if best.optimum is None else best.optimum.multipliers[-len(values) :]
-        closed = [k for k in np.argsort(-prices) if values[k] * 1e-2 < CLOSED_SECTION and prices[k] > 1e-8]
+        prices = np.zeros(len(lengths)) if best.optimum is None else best.optimum.multipliers[-len(lengths) :]
+        # Only a closed section whose constraint has a price would rather be passed.
+        closed = [k for k in np.argsort(-prices) if lengths[k] * 1e-2 < CLOSED_SECTION and prices[k] > 1e-8]
         better = None
         for k in closed:
-            other = swapped(cell, *what[k])
+            other = swapped(cell, *ends[k])
             if other in tried:
                 continue
             tried.add(other)
-            begin = _across(program, best.x, values[k], slopes[k])
+            begin = _across(program, best.x, lengths[k], slopes[k])
             found = _in_cell(program, begin, other, report)
             if found.feasible and found.objective < best.objective - ORDER_GAIN * max(abs(best.objective), 1e-3):
                 better = other, found

@@ -28,7 +28,7 @@ from ..robots.load import Load
 from ..robots.tubes import Tube
 from ..stability.stroke import Varied, stroke_slopes
 from ..typing import Array
-from .parameters import DesignSpace, change_of, given_of
+from .parameters import DesignSpace, change_of, piece_values
 from .pose import Pose, Twist, arm_clearance, moving, solve_pose, without_solving
 from .requirements import retracted
 
@@ -101,14 +101,14 @@ class Layout:
         return self.designs + 2 * self.n * self.free_poses + self.auxiliary.index(name)
 
 
+# What every pose is differentiated by first.
 JOINTS = ("rotations", "translations")
-"""What every pose is differentiated by first."""
 
+# N; a pose that bears more along its tip counts as one that bears this.
 STRONGEST = 10.0
-"""N; a pose that bears more along its tip counts as one that bears this."""
 
+# Of differences of the equations by what is free of pieces, as a share of its size.
 STEP = 1e-5
-"""Of differences of the equations by what is free of pieces, as a share of its size."""
 
 
 class State:
@@ -161,9 +161,9 @@ class State:
         if isinstance(index, tuple):
             number, share = index
             turned, (shift, moved) = self._joints(number)
-            drawn, back, last = retracted(self.tubes, shift, share)
+            drawn, withdrawn, last = retracted(self.tubes, shift, share)
             ended = moved + self.slopes["curved_length"]
-            return turned, (drawn, moved - back[:, None] * (ended - share * ended[last]))
+            return turned, (drawn, moved - withdrawn[:, None] * (ended - share * ended[last]))
         pose = self.layout.poses[index]
         if isinstance(pose, Via):
             t, first, second = pose.fraction, self._joints(pose.first), self._joints(pose.second)
@@ -203,8 +203,8 @@ class State:
     def piece_changes(self, here: Directions) -> list[Change]:
         """What every unknown of pieces changes along a solved arm."""
         unknowns = self.layout.space.unknowns
-        given = given_of(unknowns, self.x[: self.layout.designs].tolist())
-        return [change_of(here, unknowns[column], given) for column in self.free_pieces]
+        values = piece_values(unknowns, self.x[: self.layout.designs].tolist())
+        return [change_of(here, unknowns[column], values) for column in self.free_pieces]
 
     @cached_property
     def _reshaped(self) -> Array:

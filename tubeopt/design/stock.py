@@ -27,11 +27,11 @@ from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
 from .task import DesignTask
 
+# Requirements on dimensions alone, which bound a candidate without an equilibrium.
 CHEAP = (Length, Nesting, Wall)
-"""Requirements on dimensions alone, which bound a candidate without an equilibrium."""
 
+# Objectives that speak of dimensions alone.
 BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
-"""Objectives that speak of dimensions alone."""
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ from .requirements import (
     of_kind,
 )
 
+# Length (m) by which round-off may take tubes out of order: what inverse kinematics and planning allow.
 ORDER_SLACK = 1e-10
-"""Length (m) by which round-off may take tubes out of order: what inverse kinematics and planning allow."""
 
 
 @dataclass(frozen=True)

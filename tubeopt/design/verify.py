@@ -51,8 +51,8 @@ from .requirements import (
 from .state import STRONGEST
 from .task import ORDER_SLACK, pose_places, worst_order
 
+# Part of a limit, or of a step of a custom requirement, by which it may be missed.
 MISSED = 1e-6
-"""Part of a limit, or of a step of a custom requirement, by which it may be missed."""
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,8 @@ def check_own(one: CustomRequirement, robot: ConcentricRobot, equilibria: Sequen
     return Check(one.words, f"{value * one.factor:.6g} {one.unit}".strip(), least >= -MISSED * one.size)
 
 
+# By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design.
 SLACK = 1e-6
-"""By how much (m, rad, margin) a promise may be missed: the tolerance of the optimisation, not of the design."""
 
 # The search for the least margin takes seconds a translation; where the certificate is smallest it has most to find.
 SEARCHED_TRANSLATIONS = 3

@@ -20,8 +20,8 @@ from .lengthwise import CrossSections, Lengthwise, lengthwise
 from .limits import check_reach
 from .tubes import Tube
 
+# Breakpoints closer than this (m) are one: far below any tolerance of a tube, far above round-off of a length.
 ROUND_OFF = 1e-12
-"""Breakpoints closer than this (m) are one: far below any tolerance of a tube, far above round-off of a length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,8 +296,8 @@ def without_offsets(assembly: Assembly) -> Assembly:
     return replace(assembly, offset=zero, offset_angle=zero)
 
 
+# Dimensions of the tubes on which an equilibrium depends, (n,) each, SI.
 DIMENSIONS = ("curvature", "straight_length", "curved_length", "bending_stiffness", "torsional_stiffness")
-"""Dimensions of the tubes on which an equilibrium depends, (n,) each, SI."""
 
 
 @dataclass(frozen=True)

@@ -176,12 +176,12 @@ class Calibration(Displayed):
         return JointLimits(rotations=rotations, translations=translations)
 
 
+# Names of what a calibration holds for every tube.
 TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).startswith("Annotated[Numbers"))
-"""Names of what a calibration holds for every tube."""
 
 
+# Those that are 0 where they are not given.
 LATER = ("translation_play", "translation_compliance", "rotation_middles")
-"""Those that are 0 where they are not given."""
 
 
 def _number(name: str, tube: int, value: float) -> float:

@@ -18,8 +18,8 @@ from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube
 
+# What a friction holds for every pair of neighbours.
 PAIRWISE = ("torque", "plate", "jumps", "ends")
-"""What a friction holds for every pair of neighbours."""
 
 
 @typed

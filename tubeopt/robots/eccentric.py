@@ -21,8 +21,8 @@ from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain
 
+# Directions of the three tubes from the centreline, rad.
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
-"""Directions of the three tubes from the centreline, rad."""
 
 
 def sheath_inner_diameter(outer_diameter: float) -> float:

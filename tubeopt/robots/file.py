@@ -38,15 +38,15 @@ from .tubes import OfCrossSection, Tube, material_doubts
 
 DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 
+# Of a piece or a helix, and what a helix advances per turn, m.
 RADIUS = PITCH = Typical(5e-4, 10.0)
-"""Of a piece or a helix, and what a helix advances per turn, m."""
 
+# Of that of the cross-section: what is given outside has a wrong unit.
 LEAST_STIFFNESS, MOST_STIFFNESS = 1e-4, 10.0
-"""Of that of the cross-section: what is given outside has a wrong unit."""
 
 COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
+# Columns of a table of precurvature; the twist may be left out.
 TWIST = "twist_deg_per_mm"
-"""Columns of a table of precurvature; the twist may be left out."""
 
 
 class SeriesEntry(Entry):
@@ -451,12 +451,12 @@ class SegmentedEccentricEntry(RobotEntry):
 AnyRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot
 """Every robot that a file can describe."""
 
+# What the key `kind` of a robot file may say.
 ROBOT_KINDS: dict[str, type[ConcentricEntry] | type[EccentricEntry] | type[SegmentedEccentricEntry]] = {
     "concentric": ConcentricEntry,
     "eccentric": EccentricEntry,
     "segmented_eccentric": SegmentedEccentricEntry,
 }
-"""What the key `kind` of a robot file may say."""
 
 
 @typed

@@ -26,14 +26,14 @@ from ..typing import Array, Mask
 from .pieces import Piece, Quantity, Series, breaks_of, on_panels, part_of, values, vary, zeros
 from .tubes import Tube, stretches
 
+# What the table holds: EI, GJ, u*, and the integral of u*_z from the held end.
 QUANTITIES = ("bending_stiffness", "torsional_stiffness", "x", "y", "z", "wound")
-"""What the table holds: EI, GJ, u*, and the integral of u*_z from the held end."""
 
+# Gauss points of a panel for the torsional compliance: exact for what 64 coefficients resolve.
 QUADRATURE = 32
-"""Gauss points of a panel for the torsional compliance: exact for what 64 coefficients resolve."""
 
+# Of the largest coefficient: smaller ones do not ask for a finer mesh.
 DETAIL = 1e-9
-"""Of the largest coefficient: smaller ones do not ask for a finer mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,23 +295,23 @@ def _cuts(tube: Tube, panels: list[_Panel]) -> tuple[float, ...]:
     return tuple(sorted([*ends, *(side for panel in panels for side in panel.sides)]))
 
 
+# Of a piece along which something varies.
 MOST_CELLS = 8
-"""Of a piece along which something varies."""
 
+# Of stiffness or |kb u*_xy| along a cell, as a share of the largest on the piece, above which there are more.
 CHANGE = 0.2
-"""Of stiffness or |kb u*_xy| along a cell, as a share of the largest on the piece, above which there are more."""
 
+# So far (m) bounds hold beyond the ends of a cell, where the piece goes on.
 BEYOND = 1e-8
-"""So far (m) bounds hold beyond the ends of a cell, where the piece goes on."""
 
+# What a bound of a stiffness from below must be, as a share of the least that is found.
 CLOSE = 0.9
-"""What a bound of a stiffness from below must be, as a share of the least that is found."""
 
+# Of a part along which something varies, at most and at least.
 HALVINGS, LEAST_HALVINGS = 12, 2
-"""Of a part along which something varies, at most and at least."""
 
+# Numbers that are found of a cell.
 BOUNDS = 17
-"""Numbers that are found of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,11 +443,11 @@ def _sizes(coefficients: Array, half: float) -> Array:
     return np.array([np.abs(each).sum() for each in orders])
 
 
+# By which means along a step are taken.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
-"""By which means along a step are taken."""
 
+# Steps of a piece that varies; share of its length by which its curve may be off where fewer than the most do.
 LEAST_STEPS, MOST_STEPS, OFF = 4, 12, 5e-5
-"""Steps of a piece that varies; share of its length by which its curve may be off where fewer than the most do."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,15 +21,15 @@ Ranges = tuple[tuple[float, float], ...]
 """Least and greatest value, one pair per tube."""
 
 
+# Lengths of itself by which nobody draws a tube back, and of the longest tube beyond which no target is one.
 FAR = 10.0
-"""Lengths of itself by which nobody draws a tube back, and of the longest tube beyond which no target is one."""
 
+# Rotation (rad) of tubes against one another, three turns, beyond which degrees were probably meant: 20 deg taken for
+# radians are 3.2 turns. The limits of shipped robots allow two turns.
 USUAL_TURN = 6 * np.pi
-"""Rotation (rad) of tubes against one another, three turns, beyond which degrees were probably meant: 20 deg taken for
-radians are 3.2 turns. The limits of shipped robots allow two turns."""
 
+# Largest rotation (rad), 159 turns: beyond, their round-off would show and the path from home have no end.
 MOST_TURN = 1e3
-"""Largest rotation (rad), 159 turns: beyond, their round-off would show and the path from home have no end."""
 
 
 @typed
@@ -111,8 +111,8 @@ def check_reach(tubes: Sequence[Tube], translations: Sequence[float]) -> None:
             )
 
 
+# mm, by which a translation may exceed what the tube allows: numbers of a file are rounded.
 ROUNDED = 1e-9
-"""mm, by which a translation may exceed what the tube allows: numbers of a file are rounded."""
 
 
 def reading_fault(tube: Tube, key: str, value: float) -> str:
@@ -127,9 +127,9 @@ def reading_fault(tube: Tube, key: str, value: float) -> str:
     return ""
 
 
+# Force times length squared over bending stiffness: beyond, it deflects the tip of a straight arm by more than 0.86
+# of the length, as no needle is used.
 MOST_BEND = 20.0
-"""Force times length squared over bending stiffness: beyond, it deflects the tip of a straight arm by more than 0.86 of
-the length, as no needle is used."""
 
 
 def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -> None:

@@ -20,8 +20,8 @@ Vector = tuple[float, float, float]
 
 FRAMES = ("world", "tip")
 
+# Parts of a load per length.
 FORCE, MOMENT = slice(0, 3), slice(3, 6)
-"""Parts of a load per length."""
 
 ZERO = (0.0, 0.0, 0.0)
 

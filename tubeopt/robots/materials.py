@@ -82,15 +82,15 @@ J/(kg K) from 0 to 100 degC, conductivity 16.2 W/(m K) at 100 and 21.5 at 500 de
 emissivity: assumed, calibrate."""
 
 
+# Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from half of martensite's
+# (20 to 50 GPa) to austenite's (up to 90 GPa), of steels by their handbooks.
 USUAL_MODULUS = {"nitinol": (10e9, 90e9), "niti": (10e9, 90e9), "steel": (150e9, 220e9)}
-"""Least and greatest Young's modulus, Pa, of metals by what is in their names: of nitinol from half of martensite's
-(20 to 50 GPa) to austenite's (up to 90 GPa), of steels by their handbooks."""
 
+# Of materials that are cycled, or spring back.
 STRAIN = Typical(5e-4, 0.5)
-"""Of materials that are cycled, or spring back."""
 
+# The same of a material of another name: from soft plastics on. What is stiffer may be a model's.
 SOLID = (1e7, math.inf)
-"""The same of a material of another name: from soft plastics on. What is stiffer may be a model's."""
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ The working strain of 1 % and the recoverable strain of 6 % are the usual figure
 and in a single loading (Pelton et al., J. Mech. Behav. Biomed. Mater. 1 (2008); Duerig et al., Mater. Sci. Eng. A
 273-275 (1999))."""
 
+# Materials that a file may name.
 MATERIALS = {NITINOL.name: NITINOL}
-"""Materials that a file may name."""
 
 
 def modulus_doubts(material: Material) -> Iterator[str]:

@@ -16,8 +16,8 @@ from .assembly import ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
 
+# Distance (m) of two ends that are at one place: round-off of lengths and translations.
 SAME_END = 1e-9
-"""Distance (m) of two ends that are at one place: round-off of lengths and translations."""
 
 
 class Nested(Protocol):

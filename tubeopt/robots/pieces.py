@@ -26,14 +26,14 @@ from ..files.field_metadata import POSITIVE, REQUIRED, Typical
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
 
+# Chebyshev points on a panel, and most coefficients of it.
 POINTS = 25
-"""Chebyshev points on a panel, and most coefficients of it."""
 
+# Of the largest value, what may be left out.
 TOLERANCE = 1e-13
-"""Of the largest value, what may be left out."""
 
+# How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused.
 HALVINGS = 10
-"""How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused."""
 
 _NODES = np.cos(np.pi * (np.arange(POINTS)[::-1] + 0.5) / POINTS)
 _FIT = np.linalg.inv(chebyshev.chebvander(_NODES, POINTS - 1))
@@ -307,8 +307,8 @@ def _trimmed(panels: list[tuple[float, float, Array]], column: int, scale: float
 Along = float | Series | Callable[[float], float]
 """What may be given for a stiffness: a number, a series, or a function of the piece's own arc length."""
 
+# Of a piece, m; its curvature, 1/m, and its natural twist, rad/m: a turn in 6 mm.
 LENGTH, BEND, TWIST = Typical(3e-4, 10.0), Typical(0.1, 2000.0), Typical(0.0, 1000.0)
-"""Of a piece, m; its curvature, 1/m, and its natural twist, rad/m: a turn in 6 mm."""
 
 
 @dataclass(frozen=True)

@@ -231,11 +231,11 @@ def is_general(robot: Robot) -> bool:
     return any(tube.general for tube in robot.tubes)
 
 
+# Radial clearance below which tubes bind: what drawn tubing and its ovality already use up.
 TIGHT_MM = 0.01
-"""Radial clearance below which tubes bind: what drawn tubing and its ovality already use up."""
 
+# Radial clearance above which the inner tube lies visibly off the centreline that the model gives both.
 LOOSE_MM = 0.1
-"""Radial clearance above which the inner tube lies visibly off the centreline that the model gives both."""
 
 
 def clearances(robot: Robot) -> dict[int, tuple[int, float]]:

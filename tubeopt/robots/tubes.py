@@ -16,8 +16,8 @@ from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
 from .pieces import TWIST, Piece, Quantity, Series, extremes
 
+# m: no tube is so thick, and the fourth power of one that is may be no number.
 LARGEST = 1e6
-"""m: no tube is so thick, and the fourth power of one that is may be no number."""
 
 STIFFNESSES = ("bending_stiffness", "torsional_stiffness")
 
@@ -264,13 +264,13 @@ class Tube(Displayed):
         return max(piece_strain(self, piece) for piece in self.pieces)
 
 
+# Pa; a modulus above that of diamond is a model's.
 HARDEST = 1.3e12
-"""Pa; a modulus above that of diamond is a model's."""
 
+# Strain of a tube held straight beyond which it was probably meant otherwise, where the material does not state more:
+# nitinol recovers 8 to 10 %, and published robots reach 3 %. `robots.fit` states what a robot's materials spring back
+# from, and may be cycled to.
 MOST_STRAIN = 0.10
-"""Strain of a tube held straight beyond which it was probably meant otherwise, where the material does not state more:
-nitinol recovers 8 to 10 %, and published robots reach 3 %. `robots.fit` states what a robot's materials spring back
-from, and may be cycled to."""
 
 
 def warn_of_units(tube: Tube) -> None:

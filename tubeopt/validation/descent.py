@@ -23,8 +23,8 @@ from ..solvers.robust_least_squares import (
 from ..typing import Array, Index
 from .model import ArmModel, State
 
+# How a large error counts: by its square, or in the end by its size.
 LOSSES = ("linear", "huber", "soft_l1")
-"""How a large error counts: by its square, or in the end by its size."""
 
 
 # How a fit descends, and one of many similar fits whose slopes are known from near by, as in fits to all folds but one:

@@ -150,11 +150,11 @@ class Setup:
         return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
+# What describes the tubes, how they rub, and how loose they are.
 TUBES = ("friction", "clearance", "piece_curvature", *DIMENSIONS)
-"""What describes the tubes, how they rub, and how loose they are."""
 
+# Where the plate and the tip's sensor stand off where they should be.
 MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
-"""Where the plate and the tip's sensor stand off where they should be."""
 
 
 def _between(robot: Robot) -> tuple[Array, Array]:
@@ -405,6 +405,10 @@ def _clearance_span(context: Context, index: int | None) -> Span:
 
 DEGREE = math.pi / 180
 
+# Every effect by the kind of its parameters, in the order in which they are applied; of those that act alike a
+# comparison prefers the first: drives, whose readings nothing checks, then what a drawing of tubes does not say or an
+# arm's shape depends on most (a shear modulus is seldom measured, and unlike Young's does not cancel between tubes of
+# one material), then what it does.
 EFFECTS: dict[str, Effect] = {
     "latency": Effect(
         "the measured tips come so much later than the joint readings", "s", "",
@@ -500,10 +504,6 @@ EFFECTS: dict[str, Effect] = {
         _mounted("sensor_tilt", 0.5, 0.1, 5 * DEGREE), _put("sensor_tilt"), needs="orientation",
     ),
 }  # fmt: skip
-"""Every effect by the kind of its parameters, in the order in which they are applied; of those that act alike a
-comparison prefers the first: drives, whose readings nothing checks, then what a drawing of tubes does not say or an
-arm's shape depends on most (a shear modulus is seldom measured, and unlike Young's does not cancel between tubes of one
-material), then what it does."""
 
 
 def _patterns(kind: str, effect: Effect) -> list[str]:
@@ -512,5 +512,5 @@ def _patterns(kind: str, effect: Effect) -> list[str]:
     return alone + ([kind + ("_I_J" if effect.each == "piece" else "_I")] if effect.each else [])
 
 
+# Names of parameters, I and J being numbers from 1, or I one of x, y, z, and what they mean.
 KINDS = {name: effect.meaning for kind, effect in EFFECTS.items() for name in _patterns(kind, effect)}
-"""Names of parameters, I and J being numbers from 1, or I one of x, y, z, and what they mean."""

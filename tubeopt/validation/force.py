@@ -44,11 +44,11 @@ from .measurements import Measurements, Timeline
 from .model import about_z
 from .registration import Registration
 
+# Distance from the tip, m, within which a measured point is the tip.
 ARRIVED = 1e-12
-"""Distance from the tip, m, within which a measured point is the tip."""
 
+# Directions in which a force moves the measured points so many times less than in the best one are not seen at all.
 UNSEEN = 1e-8
-"""Directions in which a force moves the measured points so many times less than in the best one are not seen at all."""
 
 
 class Effort(NamedTuple):
@@ -81,11 +81,11 @@ SURE = 1e-3
 # it.
 WITHIN = 4.0
 
+# Standard deviations by which measurements are moved.
 ROOT = np.sqrt(3.0)
-"""Standard deviations by which measurements are moved."""
 
+# (1024, 3) normal numbers, evenly spread.
 NORMAL = scipy.special.ndtri(scipy.stats.qmc.Halton(3, scramble=False).random(1025)[1:])
-"""(1024, 3) normal numbers, evenly spread."""
 
 EVERYWHERE = np.eye(3)
 

@@ -13,9 +13,9 @@ from .effects import EFFECTS
 from .model import ArmModel, State
 from .parameters import Parameter, choose_parameters, groups
 
+# A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
+# arm's length (root mean square), once the registration has followed.
 NO_EFFECT = 1e-4
-"""A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
-arm's length (root mean square), once the registration has followed."""
 
 
 def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float) -> tuple[list[int], list[str]]:

@@ -23,8 +23,8 @@ from ..files.field_metadata import unit
 from ..robots.calibration import Calibration
 from ..typing import Array, Index
 
+# Sensors whose distances behind the tip differ by less (m) sit at one station.
 SAME_PLACE = 1e-6
-"""Sensors whose distances behind the tip differ by less (m) sit at one station."""
 
 Z = (0.0, 0.0, 1.0)
 
@@ -205,8 +205,8 @@ class Measurements(Displayed):
         return replace(self, rotations=self.rotations + offsets)
 
 
+# What a configuration has of its own.
 BY_ROW = ("rotations", "translations", "sensors", "direction", "separation", "time", "orientation")
-"""What a configuration has of its own."""
 
 
 def _sensors(value: ArrayLike, count: int) -> Array:
@@ -233,8 +233,8 @@ def _mean(sensors: Array) -> Array:
     return np.asarray(np.ma.masked_invalid(sensors).mean(1).filled(np.nan))
 
 
+# rad.
 TURN = 2 * math.pi
-"""rad."""
 
 
 def runs_of(time: Array) -> list[Index]:
@@ -342,8 +342,8 @@ def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibra
     return replace(drives, rotation_middles=tuple(known.tolist())), turns
 
 
+# rad: joint values that are nearer than this are the same.
 STILL = 2e-4
-"""rad: joint values that are nearer than this are the same."""
 
 
 @dataclass(frozen=True, eq=False)

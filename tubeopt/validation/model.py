@@ -235,21 +235,21 @@ def _by_row(robot: Robot, rotations: Array, translations: Array, error: InputErr
     return error
 
 
+# Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
+# 1e-6, and equilibria are solved a thousand times as sharply.
 STEP = 2e-6
-"""Step, in units of a parameter's scale, of the difference quotients: the quotients are as exact as it is small, a few
-1e-6, and equilibria are solved a thousand times as sharply."""
 
+# Errors below this share of others, and by more than so many m, are clearly smaller: no noise of a fit by turns.
 CLEARLY, SEEN = 0.9, 1e-9
-"""Errors below this share of others, and by more than so many m, are clearly smaller: no noise of a fit by turns."""
 
+# The same of joint values, rad and m.
 JOINT_STEP = 1e-6
-"""The same of joint values, rad and m."""
 
+# Turns to each side of the calibrated motion in which the begin of a recording is searched.
 TURNS = 3
-"""Turns to each side of the calibrated motion in which the begin of a recording is searched."""
 
+# Directions along which a sensor may lie in its own frame.
 AXES = np.vstack([np.eye(3), -np.eye(3)])
-"""Directions along which a sensor may lie in its own frame."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,8 @@ from .registration import FITS_PLATE
 
 AXES = "xyz"
 
+# What the numbers of parameters count, where that is not tubes.
 COUNTED = {"carriage": "carriages", "spring": "carriages that yield", "pair": "pairs of tubes that rub"}
-"""What the numbers of parameters count, where that is not tubes."""
 
 
 @dataclass(frozen=True)

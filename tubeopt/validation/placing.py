@@ -31,8 +31,8 @@ from .measurements import Measurements
 from .model import ArmModel, solve_poses
 from .parameters import Parameter, choose_parameters
 
+# Registrations of measurements that are planned; "saved" is of a calibration, which comes after them.
 PLANNED_REGISTRATIONS = ("rigid", "base-axis", "none")
-"""Registrations of measurements that are planned; "saved" is of a calibration, which comes after them."""
 
 
 # Random configurations that are chosen from. The exchange picks the best of them: with twice as many the standard

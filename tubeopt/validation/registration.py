@@ -16,14 +16,14 @@ from ..files.field_metadata import unit
 from ..robots.calibration import SavedRegistration
 from ..typing import Array
 
+# Methods, and how many numbers each takes from the measured tips.
 FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0, "saved": 0}
-"""Methods, and how many numbers each takes from the measured tips."""
 
+# Methods that leave nothing of the plate's pose to be found otherwise.
 FITS_PLATE = tuple(name for name, count in FREEDOMS.items() if count == 6)
-"""Methods that leave nothing of the plate's pose to be found otherwise."""
 
+# Tips that lie within this distance (m, root mean square) of a line do not tell how the frame is turned about it.
 IN_LINE = 1e-6
-"""Tips that lie within this distance (m, root mean square) of a line do not tell how the frame is turned about it."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class BasePose:
         object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
 
 
+# Standard deviations of positions (m) and directions (rad) before they are estimated.
 FIRST_GUESS = 1e-3, math.radians(1.0)
-"""Standard deviations of positions (m) and directions (rad) before they are estimated."""
 
+# At most, until the noise that weighs directions against positions has settled.
 ROUNDS = 200
-"""At most, until the noise that weighs directions against positions has settled."""
 
+# Base at the origin of the device, axis along its z: data that were brought into place before.
 SENSOR_FRAME = BasePose()
-"""Base at the origin of the device, axis along its z: data that were brought into place before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -422,8 +422,8 @@ def _rms(axis: Array | None) -> float | None:
     return None if axis is None else float(np.sqrt(np.nanmean(axis**2)))
 
 
+# A parameter must gain so much at least, in squares of its standard error: two standard errors.
 LEAST = 4.0
-"""A parameter must gain so much at least, in squares of its standard error: two standard errors."""
 
 
 Effects = frozenset[str]
