@@ -66,7 +66,7 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
             (" ahead", n * n * (pieces + 1), 1.0),
         )
     ]
-    start = float(floor) if not symbolic(margin) else min(max(block.near.margin - 0.1, 0.0), 0.9)
+    start = float(floor) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
     for column, value in zip(columns, fields_of(block.begin, start), strict=True):
         block.program.set_guess(column, value)
     ratio, points, ahead = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
@@ -76,19 +76,19 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
     held = y[:, :n] - ca.repmat(model.held_at_the_plate, 1, n) * v[0]
     begins = ca.horzsplit(ahead, n)
     gaps = [own @ begins[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
-    words = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
+    labels = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
-    block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=words)
-    words = [
+    block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=labels)
+    labels = [
         f"Jacobi field {c + 1}, row {i + 1}, piece {k + 1}, point {x + 1}"
         for k, c, x, i in np.ndindex(pieces, n, degree, rows)
     ]
-    block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, scale=inside, entries=words)
+    block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, scale=inside, entries=labels)
     places = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
-    words = [
+    labels = [
         f"Jacobi field {c + 1}, row {i + 1}, where {place} begins" for place in places for c, i in np.ndindex(n, n)
     ]
-    block.demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=words)
+    block.demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=labels)
     det = functions.determinant_function(n)
     places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
     block.demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
@@ -164,7 +164,7 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
     model = block.model
     n, pieces = block.robot.n_tubes, model.n_pieces
     own = _tubes(model, block.chain)
-    given = {
+    inputs = {
         "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
         "transmission": ca.SX.sym("l", n),
         "length": ca.SX.sym("h", pieces),
@@ -172,8 +172,8 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
         "moment": ca.SX.sym("m", n, pieces),
     }
     symbol = ca.SX.sym("lambda")
-    determinant = base_determinant(symbol, given, ONCE)
-    function = ca.Function("certificate", [symbol, *given.values()], [determinant], {"cse": True})
+    determinant = base_determinant(symbol, inputs, ONCE)
+    function = ca.Function("certificate", [symbol, *inputs.values()], [determinant], {"cse": True})
     return function(eigenvalue, *own[:2], model.lengths, *own[2:])
 
 
@@ -197,11 +197,11 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     block.bounds.append(Bound(floor, force, pairs, eigenvalue, flat))
     # What the force may do from the end of each piece to the tip.
     lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
-    given = [ca.repmat(ca.DM(each), 1, pieces) for each in (np.array(pairs), force)]
+    inputs = [ca.repmat(ca.DM(each), 1, pieces) for each in (np.array(pairs), force)]
     across = crossing_function(n, 1, *ONCE).map(pieces)(
         states[:, 1:],
         ca.repmat(1 / eigenvalue, 1, pieces),
-        *given,
+        *inputs,
         model.lengths.T,
         lever.T,
         ca.sum1(model.stiffness),

@@ -106,7 +106,7 @@ class ComposedBlock(Generic[N]):
     def __init__(  # noqa: PLR0913
         self,
         opti: Any,
-        near: N,
+        initial: N,
         *,
         rotations: Any = None,
         translations: Any = None,
@@ -116,15 +116,15 @@ class ComposedBlock(Generic[N]):
         refinement: int | None = None,
         name: str = "",
     ) -> None:
-        if not hasattr(near, "robot"):
+        if not hasattr(initial, "robot"):
             raise InputError(
-                f"near is a {type(near).__name__}; it must be an Equilibrium, solved by forward_kinematics"
+                f"initial is a {type(initial).__name__}; it must be an Equilibrium, solved by forward_kinematics"
             )
-        self.near, self.robot, self.program = near, near.robot, as_program(opti)
-        self._given = given_of(near, rotations, translations, tubes or {})
+        self.initial, self.robot, self.program = initial, initial.robot, as_program(opti)
+        self._given = given_of(initial, rotations, translations, tubes or {})
         self.rotations, self.translations = (self._given.values[key] for key in ("rotations", "translations"))
         self.dimensions = {key: part for key, part in self._given.values.items() if key not in JOINTS}
-        self._set_up(near.load if load is None else load)
+        self._set_up(initial.load if load is None else load)
         self._side, self.layout = side, self._lay_out(side, refinement)
         # Length of the arm where the solve begins, m: what everything is scaled by.
         self.reach = max(float(self.layout.length.sum(0) @ where_of(self._bundle)), 1e-3)
@@ -145,9 +145,9 @@ class ComposedBlock(Generic[N]):
 
     def _set_up(self, load: Load | None) -> None:
         """What is known of the arm before its sections are."""
-        self._bundle = assembly_at(self.robot, self.robot.assembly(self.near.translations), self._given.start)
+        self._bundle = assembly_at(self.robot, self.robot.assembly(self.initial.translations), self._given.start)
         self.chain, self.load = self._given.chain, load
-        push = push_of(self.near, self._bundle, load)
+        push = push_of(self.initial, self._bundle, load)
         self._grid = Grid(
             self.robot.n_tubes,
             eccentric=self._bundle.eccentric,
@@ -192,7 +192,7 @@ class ComposedBlock(Generic[N]):
         values = {**self._given.values, **self.fittings}
         self.model = external_load.arm_of(self._grid, numbers_of(self.layout, self.numbers), unknowns, values)
         begin = self._start_model(self._given.start)
-        self._set_guess(begin, shape_at_start(self.near, begin))
+        self._set_guess(begin, shape_at_start(self.initial, begin))
 
     def matrices(self, columns: Sequence[Any]) -> tuple[Any, ...]:
         """The unknowns of the arm as matrices."""
@@ -228,10 +228,10 @@ class ComposedBlock(Generic[N]):
 
         What does not hold of it `violations` tells, whatever the program; `scale` is its typical size.
         """
-        name, words = self.label + name, [self.label + entry for entry in (entries or (name,))]
-        self.program.subject_to(name, expression, upper=upper, scale=scale, entries=words)
+        name, labels = self.label + name, [self.label + entry for entry in (entries or (name,))]
+        self.program.subject_to(name, expression, upper=upper, scale=scale, entries=labels)
         size = expression.numel()
-        self._words[name] = words
+        self._words[name] = labels
         self._checked.append((name, expression, *(np.broadcast_to(v, size).astype(float) for v in (upper, scale))))
 
     def _add_equations(self) -> None:

@@ -62,8 +62,8 @@ class CustomRequirement(Custom):
         """The requirement eased by `amount` > 0, SI; None where it cannot be eased: where `limit` is no field."""
         if "limit" not in getattr(self, "__dataclass_fields__", ()):
             return None
-        given: Any = self
-        eased: Self = replace(given, limit=self.limit + (amount if self.most else -amount))
+        inputs: Any = self
+        eased: Self = replace(inputs, limit=self.limit + (amount if self.most else -amount))
         return eased
 
     def checked(self) -> None:

@@ -25,7 +25,7 @@ from ..typing import Array
 from .certificate import add_certificate, add_margin
 from .composed import CLOSED, JOINTS, ComposedBlock
 from .given import LENGTHS, assembly_at, numbers_at, symbolic
-from .guess import N, Near, Shape, fields_of, points_of, sample, shape_at_start
+from .guess import InitialEquilibrium, N, Shape, fields_of, points_of, sample, shape_at_start
 from .transcription.chain import OF_TUBE, chain_of, remade, tubes_at
 from .transcription.external_load import arm_of
 from .transcription.model import Layout, Model, gap_names, layout, may_swap, numbers_of, sides, swapped
@@ -50,23 +50,23 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
     translations = np.minimum(translations, numbers["straight_length"])
     model = block.model.at(value)
-    found = _solved_again(block, (robot, rotations, translations), model)
+    result = _solved_again(block, (robot, rotations, translations), model)
     tip = np.array(value(block.tip_position)).ravel()
-    apart = float(np.linalg.norm(tip - found.tip_position))
-    if apart > AGREEMENT * float(found.arm.arc_length[-1]):
+    apart = float(np.linalg.norm(tip - result.tip_position))
+    if apart > AGREEMENT * float(result.arm.arc_length[-1]):
         raise SolveError(
             f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium: "
             "the mesh is too coarse (increase refinement), or the program was not solved",
-            found,
+            result,
         )
     for _, floor in block.margins:
         least = float(np.array(value(floor)).item())
-        if found.margin < least - MISSED:
+        if result.margin < least - MISSED:
             raise SolveError(
-                f"the margin is {found.margin:.4g}; it must be at least {least:.4g}: the "
+                f"the margin is {result.margin:.4g}; it must be at least {least:.4g}: the "
                 "program has left the branch where its margin constraint is valid; start it "
                 "closer to its solution",
-                found,
+                result,
             )
     for bound in block.bounds:
         least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
@@ -75,16 +75,16 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
                 f"the {bound.words} is {value_there:.4g}; it must be at least {least:.4g}: "
                 "the program has left the branch of the largest eigenvalue; start it closer "
                 "to its solution",
-                found,
+                result,
             )
-    return found
+    return result
 
 
 def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model: Model) -> N:
     """On a mesh of its own, verified by re-integration."""
     curvature_at = None if block.load is None else lambda s: sample(model, s)[2]
-    near = block.near.at(*at, lambda s: sample(model, s)[0], load=block.load, curvature_at=curvature_at)
-    return near.verified()
+    initial = block.initial.at(*at, lambda s: sample(model, s)[0], load=block.load, curvature_at=curvature_at)
+    return initial.verified()
 
 
 @undoubted()
@@ -95,8 +95,8 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     """
     if is_general(robot):
         return _of_pieces(robot, numbers)
-    given = dimensions_of(robot.tubes)
-    if all(np.array_equal(numbers[name], given[name]) for name in DIMENSIONS):
+    inputs = dimensions_of(robot.tubes)
+    if all(np.array_equal(numbers[name], inputs[name]) for name in DIMENSIONS):
         return robot
     tubes = tuple(
         remade(tube, **{name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
@@ -135,7 +135,7 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     if not names:
         raise InputError(f"wrt is empty; it must have at least one of {', '.join(own)}")
     seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
-    equations, scale, words = _equations(block)
+    equations, scale, labels = _equations(block)
     count = seeds["rotations"].shape[1]
     sizes = [rows * columns for rows, columns in block.shapes.values()]
     unit = np.concatenate([np.full(size, typical) for size, typical in zip(sizes, block.typical, strict=True)])
@@ -150,7 +150,7 @@ def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
     change = [lifted, *(ca.DM(seed) for seed in seeds.values()), ca.DM.zeros(where[-1].shape[0], count)]
     out = equations(*where)
     residual, tip = equations.forward(count)(*where, *out, *change)
-    entries = [f"answer to input {q + 1}: {word}" for q in range(count) for word in words]
+    entries = [f"answer to input {q + 1}: {word}" for q in range(count) for word in labels]
     size = np.outer(scale, per).ravel(order="F")
     block.demand("equations of the answer to the inputs", ca.vec(residual), upper=0.0, scale=size, entries=entries)
     return tip
@@ -201,9 +201,9 @@ def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
     model = arm_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
     table = model.equations(symbols["rotations"], block.reach)
     scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
-    words = [word for each in table for word in each.entries]
+    labels = [word for each in table for word in each.entries]
     outputs = [ca.vertcat(*(each.expression for each in table)), model.pose_ends[1][:, -1]]
-    return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, words
+    return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, labels
 
 
 def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
@@ -227,8 +227,8 @@ class EquilibriumBlock(ComposedBlock[N]):
 
     Args:
         opti: a `casadi.Opti` or a `tubeopt.Problem`; receives the unknowns and equations.
-        near: a solved equilibrium of the robot; the start, and the order of the breakpoints.
-        rotations, translations: (n,) rad and m, numbers or expressions of the program; None keeps those of `near`.
+        initial: a solved equilibrium of the robot; the start, and the order of the breakpoints.
+        rotations, translations: (n,) rad and m, numbers or expressions of the program; None keeps those of `initial`.
             Tubes of one segment move together and share one entry of an expression for their translation.
         tubes: dimensions of the tubes by name, (n,) each, numbers or expressions: any of `curvature`,
             `straight_length`, `curved_length`, `bending_stiffness`, `torsional_stiffness`. Omitted dimensions stay. For
@@ -236,7 +236,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             entry per piece: `piece_length`, `piece_curvature`, `piece_plane`, `piece_twist`, `piece_bending_factor`,
             `piece_torsion_factor`.
         load: external load on concentric tubes: force and moment at the tip, weight, a constant force per length; None
-            takes that of `near`. Moments and follower loads have no energy, so no margin.
+            takes that of `initial`. Moments and follower loads have no energy, so no margin.
         side: direction in which a transition at the plate may move: -1 behind the plate, 1 in front.
         refinement: number of times that the mesh is halved; None halves it once if lengths, curvatures or stiffnesses
             are free.
@@ -247,7 +247,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         tip_position (3,) m, tip_rotation (3, 3): pose of the tip in the plate frame.
         tip_rotations: (n,) rad, theta of the tubes at the end of the arm.
         energy: elastic energy, J.  length: arc length of the arm in front of the plate, m.
-        rotations, translations, dimensions: as passed, or taken from `near`.
+        rotations, translations, dimensions: as passed, or taken from `initial`.
 
     Raises:
         InputError: an unknown name, a vector of the wrong length, or breakpoints in another order than those of the
@@ -347,12 +347,12 @@ class EquilibriumBlock(ComposedBlock[N]):
 
         At most `count` of them. After a failed solve of `casadi.Opti` pass `opti.debug`.
         """
-        found: list[Violation] = []
+        result: list[Violation] = []
         for name, expression, upper, scale in self._checked:
-            words = self._words[name]
+            labels = self._words[name]
             values = np.array(solution.value(expression)).ravel(order="F")
-            found += violations_of(words, values, (np.zeros(len(words)), upper), scale, tolerance)
-        return worst(found, count)
+            result += violations_of(labels, values, (np.zeros(len(labels)), upper), scale, tolerance)
+        return worst(result, count)
 
     def meetings(self, solution: Any) -> list[str]:
         """Names of the free breakpoints that meet at a solution."""
@@ -407,7 +407,7 @@ class EquilibriumBlock(ComposedBlock[N]):
             shape = (*sample(solved, start)[:2], sample(solved, inside)[0])
         self._begin_with(begin, shape, floors)
 
-    def start(self, equilibrium: Near) -> None:
+    def start(self, equilibrium: InitialEquilibrium) -> None:
         """Start the next solve at another equilibrium of the robot; its dimensions may differ.
 
         Set the start of your own variables yourself.
@@ -435,7 +435,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         """
         numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
         robot = rebuilt(self.robot, numbers)
-        self.start(self.near.at(robot, numbers["rotations"], numbers["translations"], load=self.load))
+        self.start(self.initial.at(robot, numbers["rotations"], numbers["translations"], load=self.load))
 
     def owns(self, name: str) -> bool:
         """True if the variable with this name belongs to the block."""
@@ -457,6 +457,6 @@ class EquilibriumBlock(ComposedBlock[N]):
         self.layout = laid
         self.program.set_value(self.numbers, laid.numbers())
         name = self.label + "order of breakpoints"
-        words = [self.label + entry for entry in gap_names(laid.order)]
-        self.program.rename(name, words)
-        self._words[name] = words
+        labels = [self.label + entry for entry in gap_names(laid.order)]
+        self.program.rename(name, labels)
+        self._words[name] = labels

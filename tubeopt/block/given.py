@@ -16,7 +16,7 @@ from ..robots.load import Load, masses
 from ..robots.order import last_tube
 from ..robots.robot import Robot, is_general
 from ..typing import Array
-from .guess import Near
+from .guess import InitialEquilibrium
 from .transcription.chain import OF_TUBE, PIECES, Chain, chain_of, piece_numbers, tubes_at
 from .transcription.external_load import Push
 
@@ -43,9 +43,9 @@ def symbolic(value: Any) -> bool:
     return isinstance(value, (ca.SX, ca.MX))
 
 
-def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, Any]) -> Given:
-    """What a block is given; None stands for that of `near`."""
-    robot = near.robot
+def given_of(initial: InitialEquilibrium, rotations: Any, translations: Any, tubes: Mapping[str, Any]) -> Given:
+    """What a block is given; None stands for that of `initial`."""
+    robot = initial.robot
     chain = chain_of(tuple(robot.tubes)) if is_general(robot) else None
     names = DIMENSIONS if chain is None else (*DIMENSIONS, *PIECES)
     for name in tubes:
@@ -53,13 +53,13 @@ def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, 
             raise InputError(
                 f"tubes has the key {name!r}; allowed keys are {', '.join(names)}{nearest(str(name), names)}"
             )
-    start = numbers_at(near, chain)
-    wanted = {"rotations": rotations, "translations": translations, **tubes}
+    start = numbers_at(initial, chain)
+    target = {"rotations": rotations, "translations": translations, **tubes}
     alone = tuple((i,) for i in range(robot.n_tubes))
     groups = {"rotations": alone} | {name: tuple((k,) for k in range(len(start[name]))) for name in names[5:]}
     values: dict[str, Any] = {}
     for name, otherwise in start.items():
-        values[name] = _column(name, wanted.get(name), otherwise, groups.get(name, robot.moving_together))
+        values[name] = _column(name, target.get(name), otherwise, groups.get(name, robot.moving_together))
         if not symbolic(values[name]):
             start[name] = np.array(values[name]).ravel()
     if chain is not None:
@@ -67,11 +67,11 @@ def given_of(near: Near, rotations: Any, translations: Any, tubes: Mapping[str, 
     return Given(values, start, chain)
 
 
-def numbers_at(near: Near, like: Chain | None) -> dict[str, Array]:
+def numbers_at(initial: InitialEquilibrium, like: Chain | None) -> dict[str, Array]:
     """Joint values and dimensions of an equilibrium."""
-    tubes = near.robot.tubes
-    given = {"rotations": near.rotations, "translations": near.translations, **dimensions_of(tubes)}
-    return given if like is None else {**given, **piece_numbers(tubes, like)}
+    tubes = initial.robot.tubes
+    inputs = {"rotations": initial.rotations, "translations": initial.translations, **dimensions_of(tubes)}
+    return inputs if like is None else {**inputs, **piece_numbers(tubes, like)}
 
 
 def _in_proportion(
@@ -116,7 +116,7 @@ def _column(name: str, value: Any, otherwise: Array, carriages: tuple[tuple[int,
     return ca.DM(numbers)
 
 
-def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
+def push_of(initial: InitialEquilibrium, bundle: Assembly, load: Load | None) -> Push | None:
     """The load on a block near an equilibrium, None where nothing pushes."""
     if load is None:
         return None
@@ -136,9 +136,9 @@ def push_of(near: Near, bundle: Assembly, load: Load | None) -> Push | None:
         moment=np.array(load.moment),
         turning=load.frame == "tip",
         along=np.array(along, dtype=float),
-        weight=masses(near.robot.tubes, load)[:, None] * gravity,
+        weight=masses(initial.robot.tubes, load)[:, None] * gravity,
         tip_tube=int(last_tube(bundle.end)),
-        typical=float(sum(tube.bending_stiffness for tube in near.robot.tubes)),
+        typical=float(sum(tube.bending_stiffness for tube in initial.robot.tubes)),
     )
 
 

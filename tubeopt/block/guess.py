@@ -24,7 +24,7 @@ from .transcription.reduced import ReducedProblem
 # A block knows how the solved equilibrium is used that it begins from, not how one is found.
 
 
-class Near(Protocol):
+class InitialEquilibrium(Protocol):
     """A solved equilibrium; `tubeopt.Equilibrium` is one."""
 
     @property
@@ -79,7 +79,7 @@ class Near(Protocol):
         """The same, verified by adaptive re-integration."""
 
 
-N = TypeVar("N", bound=Near)
+N = TypeVar("N", bound=InitialEquilibrium)
 
 
 Shape = tuple[Array, ...]
@@ -93,27 +93,27 @@ def points_of(model: Model) -> tuple[Array, Array]:
     return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
 
 
-def shape_at_start(near: Near, model: Model) -> Shape:
+def shape_at_start(initial: InitialEquilibrium, model: Model) -> Shape:
     """An equilibrium at the places of the pieces of a model; beyond its tip, as at the tip."""
     places = points_of(model)
-    torsion = _torsion_under_load(near, *places) if near.load is not None else _torsion(near, *places)
-    return (*torsion, *_bending_of(near, *places)) if model.grid.loaded else torsion
+    torsion = _torsion_under_load(initial, *places) if initial.load is not None else _torsion(initial, *places)
+    return (*torsion, *_bending_of(initial, *places)) if model.grid.loaded else torsion
 
 
-def _torsion(near: Near, start: Array, inside: Array) -> Shape:
-    problem, arm = near.collocated()
+def _torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> Shape:
+    problem, arm = initial.collocated()
     last = float(problem.assembly.total_length)
     start, inside = np.minimum(start, last), np.minimum(inside, last)
     theta = arms.interpolate(problem, arm, start).T
-    twist = arms.torque_at(problem, arm, start) / [tube.torsional_stiffness for tube in near.robot.tubes]
+    twist = arms.torque_at(problem, arm, start) / [tube.torsional_stiffness for tube in initial.robot.tubes]
     return theta, twist.T, arms.interpolate(problem, arm, inside).T
 
 
-def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array, Array, Array]:
+def _torsion_under_load(initial: InitialEquilibrium, start: Array, inside: Array) -> tuple[Array, Array, Array]:
     """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
-    s = near.arm.arc_length
-    theta, w = near.arm.rotation - near.robot.assembly(near.translations).wound(s).T, near.arm.torsion
-    if is_general(near.robot):
+    s = initial.arm.arc_length
+    theta, w = initial.arm.rotation - initial.robot.assembly(initial.translations).wound(s).T, initial.arm.torsion
+    if is_general(initial.robot):
         # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
         w = np.gradient(theta, s, axis=1)
     between = scipy.interpolate.CubicHermiteSpline(s, theta, w, axis=1)(np.clip(inside, s[0], s[-1]))
@@ -121,12 +121,12 @@ def _torsion_under_load(near: Near, start: Array, inside: Array) -> tuple[Array,
     return at_start[0], at_start[1], between
 
 
-def _bending_of(near: Near, start: Array, inside: Array) -> tuple[Array, Array]:
+def _bending_of(initial: InitialEquilibrium, start: Array, inside: Array) -> tuple[Array, Array]:
     """Bending moments (2, P) and (2, N), N m, that a load makes, at arc lengths (P,) and (N,)."""
-    if near.load is None:
+    if initial.load is None:
         return np.zeros((2, len(start))), np.zeros((2, len(inside)))
-    assembly = near.robot.assembly(near.translations)
-    known, at = near.points, near.points.point
+    assembly = initial.robot.assembly(initial.translations)
+    known, at = initial.points, initial.points.point
     here = assembly.cross_sections(at, at)
     theta, kb = known.point_rotation - here.wound + here.phase, here.stiffness
     unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, here.moment)[0]
@@ -176,12 +176,12 @@ def fields_of(model: Model, margin: float) -> tuple[Array, Array, Array]:
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
     out, points, ahead = [], [], []
     for k in reversed(range(model.n_pieces)):
-        given = [model.lengths[k], *(part[k] for part in softness)]
-        forced = np.array(step(fields, np.zeros((m, degree * n)), *given)[1])
+        inputs = [model.lengths[k], *(part[k] for part in softness)]
+        forced = np.array(step(fields, np.zeros((m, degree * n)), *inputs)[1])
         columns = forced.reshape(m, n, degree).transpose(2, 0, 1).reshape(degree * m, n)
-        own = -np.linalg.solve(np.array(matrix(*given)), columns)
+        own = -np.linalg.solve(np.array(matrix(*inputs)), columns)
         inner = own.reshape(degree, m, n).transpose(1, 2, 0).reshape(m, n * degree)
-        y, v = np.split(np.array(step(fields, inner, *given)[0]), 2)
+        y, v = np.split(np.array(step(fields, inner, *inputs)[0]), 2)
         ahead.append(y.ravel(order="F"))
         ratio = v @ np.linalg.pinv(y)
         fields = np.concatenate([np.eye(n), ratio])

@@ -182,10 +182,10 @@ class PoseQuantities:
         return PoseQuantities(self._look, (self._number, float(share)), self._n_tubes)
 
 
-def _load(given: Any) -> Load:
-    if isinstance(given, Load):
-        return given
-    return Load(tuple(vector("force", given, 3, "x, y, z").tolist()))
+def _load(inputs: Any) -> Load:
+    if isinstance(inputs, Load):
+        return inputs
+    return Load(tuple(vector("force", inputs, 3, "x, y, z").tolist()))
 
 
 def _fraction(value: float) -> float:
@@ -208,10 +208,10 @@ class Quantities:
 
     def certificate(self, translations: Any = None) -> Any:
         """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is all 0."""
-        given = np.zeros(self.n_tubes) if translations is None else translations
-        if isinstance(given, (ca.SX, ca.MX)):
+        inputs = np.zeros(self.n_tubes) if translations is None else translations
+        if isinstance(inputs, (ca.SX, ca.MX)):
             raise InputError("translations of a certificate must be numbers")
-        row = vector("translations of a certificate", given, self.n_tubes)
+        row = vector("translations of a certificate", inputs, self.n_tubes)
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
 
     def straightened_strain(self, tube: int) -> Any:
@@ -241,10 +241,10 @@ class Expression:
         Raises:
             FloatingPointError: it is not finite at these numbers.
         """
-        given = [look(one) for one in self.quantities]
-        if any(isinstance(one, (ca.SX, ca.MX)) for one in given):
-            return self.value(ca.vertcat(*given))
-        return _checked(self.value(np.concatenate([np.ravel(one) for one in given])))[:, 0]
+        inputs = [look(one) for one in self.quantities]
+        if any(isinstance(one, (ca.SX, ca.MX)) for one in inputs):
+            return self.value(ca.vertcat(*inputs))
+        return _checked(self.value(np.concatenate([np.ravel(one) for one in inputs])))[:, 0]
 
     def linear(self, look: Callable[[Quantity], tuple[Array, Array]]) -> tuple[Array, Array]:
         """Value (K,) and change (K, X), from the values and the change (.., X) of the quantities.
@@ -252,24 +252,24 @@ class Expression:
         Raises:
             FloatingPointError: one of them is not finite.
         """
-        given = [look(one) for one in self.quantities]
-        at = np.concatenate([np.ravel(value) for value, _ in given])
-        change = np.concatenate([np.atleast_2d(slope) for _, slope in given])
+        inputs = [look(one) for one in self.quantities]
+        at = np.concatenate([np.ravel(value) for value, _ in inputs])
+        change = np.concatenate([np.atleast_2d(slope) for _, slope in inputs])
         value, slope = map(_checked, self.both(at))
         return value[:, 0], slope @ change
 
 
 def _checked(value: Any) -> Array:
-    found = np.asarray(value.full(), dtype=float)
-    if not np.isfinite(found).all():
+    result = np.asarray(value.full(), dtype=float)
+    if not np.isfinite(result).all():
         raise FloatingPointError("an expression is not finite")
-    return found
+    return result
 
 
 def recorded(
-    function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, words: str, pieces: Sequence[int] = ()
+    function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, labels: str, pieces: Sequence[int] = ()
 ) -> Expression:
-    """An expression of quantities; `words` say whose it is where it makes no sense. `pieces` are those of every tube
+    """An expression of quantities; `labels` say whose it is where it makes no sense. `pieces` are those of every tube
     where it may speak of them.
 
     Raises:
@@ -284,13 +284,13 @@ def recorded(
         return symbols[one]
 
     try:
-        found = function(Quantities(look, n_tubes, n_poses, pieces))
-        column = ca.vertcat(*found) if isinstance(found, (list, tuple)) else found
+        result = function(Quantities(look, n_tubes, n_poses, pieces))
+        column = ca.vertcat(*result) if isinstance(result, (list, tuple)) else result
     except IndexError as error:
-        raise InputError(f"the expression of {words} refers to a pose or tube that does not exist ({error})") from None
+        raise InputError(f"the expression of {labels} refers to a pose or tube that does not exist ({error})") from None
     if not isinstance(column, ca.SX) or not symbols or not column.numel():
         raise InputError(
-            f"the expression of {words} is {found!r}; it must be an expression of the quantities it is given"
+            f"the expression of {labels} is {result!r}; it must be an expression of the quantities it is given"
         )
     column, x = ca.densify(ca.vec(column)), ca.vertcat(*symbols.values())
     slope = ca.densify(ca.jacobian(column, x))

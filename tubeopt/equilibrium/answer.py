@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..block.transcription import arm as arms
-from ..block.transcription.arm import Found, between
+from ..block.transcription.arm import ArmSolution, between
 from ..block.transcription.collocated import STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import LoadedProblem, monotonicity
 from ..block.transcription.reduced import ReducedProblem
@@ -41,12 +41,14 @@ def to_equilibrium(point: Place, start: str, began: float = 0.0) -> Equilibrium:
     return answered(point.member, point.member.found(point), start, began)
 
 
-def answered(member: Member[Any], found: Found, start: str, began: float = 0.0, method: str = "newton") -> Equilibrium:
+def answered(
+    member: Member[Any], result: ArmSolution, start: str, began: float = 0.0, method: str = "newton"
+) -> Equilibrium:
     """The equilibrium of a problem as a solver found it."""
     mesh = member.torsion.mesh
     statistics = Statistics(
         method=method,
-        iterations=found.iterations,
+        iterations=result.iterations,
         elements=int(mesh.collocated.sum()),
         degree=mesh.tableau.degree,
         start=start,
@@ -54,13 +56,13 @@ def answered(member: Member[Any], found: Found, start: str, began: float = 0.0, 
         family=mesh.tableau.family,
         refinement=member.discretisation.refinement,
     )
-    return built(member.robot, (member.rotations, np.array(member.translations)), found, statistics, member.load)
+    return built(member.robot, (member.rotations, np.array(member.translations)), result, statistics, member.load)
 
 
 def built(
     robot: Robot,
     joints: tuple[Array, Array],
-    found: Found,
+    result: ArmSolution,
     statistics: Statistics,
     load: Load | None = None,
 ) -> Equilibrium:
@@ -69,24 +71,24 @@ def built(
         robot=robot,
         rotations=joints[0],
         translations=joints[1],
-        arm=found.arm,
-        tip_rotations=found.tip_rotations,
-        section_start=found.section_start,
-        tube_end=found.tube_end,
-        points=found.points,
-        margin=found.margin,
-        index=found.index,
-        energy=found.energy,
-        accuracy=Accuracy(found.residual, *found.errors[:2]),
-        status=Status.STABLE if found.margin > 0 else Status.UNSTABLE,
+        arm=result.arm,
+        tip_rotations=result.tip_rotations,
+        section_start=result.section_start,
+        tube_end=result.tube_end,
+        points=result.points,
+        margin=result.margin,
+        index=result.index,
+        energy=result.energy,
+        accuracy=Accuracy(result.residual, *result.errors[:2]),
+        status=Status.STABLE if result.margin > 0 else Status.UNSTABLE,
         statistics=statistics,
         load=load,
-        work=found.work,
+        work=result.work,
     )
-    if found.base_wrench is not None:
-        vars(equilibrium)["base_wrench"] = found.base_wrench
-    if found.compliance is not None:
-        vars(equilibrium)["compliance"] = found.compliance
+    if result.base_wrench is not None:
+        vars(equilibrium)["base_wrench"] = result.base_wrench
+    if result.compliance is not None:
+        vars(equilibrium)["compliance"] = result.compliance
     return equilibrium
 
 
@@ -223,8 +225,8 @@ def sample_arms(robot: Robot, translations: Array, s: Array, arms: Array, arc_le
         basis = np.vander(np.clip(x, 0.0, 1.0), STEPS + 1, increasing=True) @ THROUGH_ENDS
         around = phi[..., piece[:, None] * STEPS + np.arange(STEPS + 1), :]
         return np.asarray(np.einsum("ak,...aki->...ai", basis, around))
-    k, length, share = between(s, arc_length)
-    h, x = length[:, None], np.clip(share, 0.0, 1.0)[:, None]
+    k, length, fraction = between(s, arc_length)
+    h, x = length[:, None], np.clip(fraction, 0.0, 1.0)[:, None]
     value = rotation[..., k, :] * ((1 + 2 * x) * (1 - x) ** 2) + rotation[..., k + 1, :] * (x**2 * (3 - 2 * x))
     value += h * (torsion[..., k, :] * (x * (1 - x) ** 2) - torsion[..., k + 1, :] * (x**2 * (1 - x)))
     return np.asarray(value)

@@ -205,8 +205,8 @@ class ArmChange(Directions):
         each = [own for own in points.together if points.index[own[0]] > 0]
         knots = np.concatenate([[0.0], self.cuts[points.index[[own[0] for own in each]]]]) if each else np.zeros(1)
         speed = self.side * np.array([pace[[*own]].max(0) for own in each])
-        share = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
-        return np.stack(share, axis=1) @ speed if share else np.zeros((len(s), self.size))
+        fraction = [np.interp(s, knots, row) for row in np.eye(len(knots))[1:]]
+        return np.stack(fraction, axis=1) @ speed if fraction else np.zeros((len(s), self.size))
 
     @cached_property
     def turned(self) -> Array:
@@ -231,8 +231,8 @@ class ArmChange(Directions):
         here, n, (rate, table) = self.here, self.n, self._sections_along
         at = here.t.basis(PLACES, 0) @ table
         at[..., :n] += here.phi_ends[:-1, None] + here.h * (here.t.basis(PLACES, 1) @ rate)
-        found = sections_of(_parts(at.reshape(-1, 3 * n + 2)), here.offsets)
-        return at[..., : 3 * n], found.curvature.reshape(*at.shape[:2], 2)
+        result = sections_of(_parts(at.reshape(-1, 3 * n + 2)), here.offsets)
+        return at[..., : 3 * n], result.curvature.reshape(*at.shape[:2], 2)
 
     def section(self, k: int, x: float, moves: Array) -> Section:
         """The cross-section at a fraction x of piece k, while the place moves along the arm by (Q,)."""
@@ -247,10 +247,10 @@ class ArmChange(Directions):
         if here.load is not None:
             change[3 * n :] += _at(inside, response.bent[k])
         change[:n] += response.state[k, :n] + h * _at(whole, here.wound(response, forcing, k))
-        given = _parts(at[None])
-        found, own = sections_of(given, here.offsets), by_data_of(given, here.offsets)[1]
-        turned = found.by_curvature[0] @ np.concatenate([change[:n], change[3 * n :]]) + own[0] @ change[n : 3 * n]
-        return Section(found.curvature[0], change[: 3 * n], turned)
+        inputs = _parts(at[None])
+        result, own = sections_of(inputs, here.offsets), by_data_of(inputs, here.offsets)[1]
+        turned = result.by_curvature[0] @ np.concatenate([change[:n], change[3 * n :]]) + own[0] @ change[n : 3 * n]
+        return Section(result.curvature[0], change[: 3 * n], turned)
 
     @cached_property
     def position(self) -> Array:

@@ -277,18 +277,18 @@ def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Ar
     return left
 
 
-def _fine(robot: Robot, shift: Array, found: Array, tolerance: float) -> Mask:
+def _fine(robot: Robot, shift: Array, result: Array, tolerance: float) -> Mask:
     """(N,) which rows of the kernel hold the tolerance, as `forward_kinematics` asks for it."""
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     length, n = (np.minimum(shift, straight) + curved).max(1), robot.n_tubes
-    return np.asarray(largest_error(found[:, n + 14], found[:, n + 15], length, even=robot.even) <= tolerance)
+    return np.asarray(largest_error(result[:, n + 14], result[:, n + 15], length, even=robot.even) <= tolerance)
 
 
 def _grow_rows(
-    robot: Robot, given: tuple[Array, Array, Load], rows: slice, out: tuple[Array, Array], tolerance: float
+    robot: Robot, inputs: tuple[Array, Array, Load], rows: slice, out: tuple[Array, Array], tolerance: float
 ) -> Index:
     """Solve some rows under load into a table and compliances by the compiled kernels; returns those left over."""
-    (alpha, shift, load), (table, compliance), left = given, out, [np.arange(0)]
+    (alpha, shift, load), (table, compliance), left = inputs, out, [np.arange(0)]
     places, group = np.unique(shift[rows], axis=0, return_inverse=True)
     for k, place in enumerate(places):
         chosen = rows.start + np.flatnonzero(group.ravel() == k)
@@ -322,10 +322,10 @@ def _grow_many(
     length = problem.torsion.assembly.total_length
     theta = sample_arms(robot, translations, s, arms, problem.torsion.arc_length)
     ends = np.searchsorted(arc_lengths(problem.mesh), np.maximum(problem.torsion.assembly.end, 0.0) - 1e-12)
-    found = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
-    if found is None:
+    result = solve_many_loaded_compiled(rules, rotations, (theta, unloaded[0][:, n + 12]), ends.astype(np.int64))
+    if result is None:
         return None
-    table, compliance, declined = found
+    table, compliance, declined = result
     coarse = largest_error(table[:, n + 14], table[:, n + 15], length) > tolerance
     return table[:, :-1], compliance, ~(unloaded[1] | declined | coarse | (table[:, -1] > NEWTON.margin_tolerance))
 

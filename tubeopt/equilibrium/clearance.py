@@ -127,10 +127,10 @@ def clearance_correction(
     e, robot = equilibrium, equilibrium.robot
     if not isinstance(robot, ConcentricRobot):
         raise InputError("robot is eccentric; clearance between tubes is defined for concentric robots only")
-    given = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
-    room = clearances(given, robot.n_tubes)
+    inputs = clearance if clearance is not None else robot.clearance or drawn_clearance(robot.tubes)
+    room = clearances(inputs, robot.n_tubes)
     ends = sorted(range(1, robot.n_tubes), key=lambda o: e.tube_end[o])
-    leavings = tuple(found for o in ends if (found := _leaving(e, o, room[o - 1])) is not None)
+    leavings = tuple(result for o in ends if (result := _leaving(e, o, room[o - 1])) is not None)
     position, turn, radius = e.position.copy(), np.zeros(3), np.zeros(len(e.position))
     for leaving in leavings:
         beyond = np.maximum(e.arc_length - leaving.arc_length, 0.0)

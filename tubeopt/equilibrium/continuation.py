@@ -215,22 +215,22 @@ class Milestone:
     pose: Equilibrium
 
 
-def step_to(family: Family, t: float, near: P, before: P | None = None) -> P | None:
-    """The equilibrium at t on the branch of `near`, stable or not; None where Newton's method is not at ease.
+def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | None:
+    """The equilibrium at t on the branch of `point`, stable or not; None where Newton's method is not at ease.
 
-    The guess is that it goes on changing along the tangent, or else as it did from `before` to `near`.
+    The guess is that it goes on changing along the tangent, or else as it did from `before` to `point`.
     """
     there = family.member(t)
-    x = there.carried(near)
-    change = there.tangent(near)
+    x = there.carried(point)
+    change = there.tangent(point)
     if change is not None:
         x = x + change
-    elif before is not None and near.t > before.t:
-        x = x + (x - there.carried(before)) * ((t - near.t) / (near.t - before.t))
+    elif before is not None and point.t > before.t:
+        x = x + (x - there.carried(before)) * ((t - point.t) / (point.t - before.t))
     result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
-    if there.moved(near, result.state) > largest_twist(near.margin):
+    if there.moved(point, result.state) > largest_twist(point.margin):
         return None
     return Point.of(there, result, t)  # type: ignore[return-value]
 
@@ -291,10 +291,10 @@ def bifurcates(family: Family, last: Place) -> bool:
     """Whether what changes along a family does not push along the softest direction of a point close to the end of its
     branch."""
     by = 1e-6 * max(1.0, abs(last.t))
-    near = [there for t in (last.t - by, last.t + by, last.t) if (there := family.like(last.member, t)) is not None]
-    if len(near) < 2:
+    point = [there for t in (last.t - by, last.t + by, last.t) if (there := family.like(last.member, t)) is not None]
+    if len(point) < 2:
         return False
-    one, other = (there.at(last.state.x).gradient for there in near[:2])
+    one, other = (there.at(last.state.x).gradient for there in point[:2])
     pull = other - one
     soft = last.unresisted
     return bool(abs(soft @ pull) <= SYMMETRIC * np.linalg.norm(soft) * np.linalg.norm(pull))

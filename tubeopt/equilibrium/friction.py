@@ -14,7 +14,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import EXTRA_POINTS, CollocationPoints, Found
+from ..block.transcription.arm import EXTRA_POINTS, ArmSolution, CollocationPoints
 from ..block.transcription.buffered import section_function
 from ..block.transcription.contact import (
     DEGREE,
@@ -36,7 +36,7 @@ from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed, rub_compiled
-from ..solvers.friction_increment import HONEST, Increment, held_margin, imbalance, increment
+from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_margin, imbalance, increment
 from ..solvers.newton import full_steps
 from ..solvers.settings import NEWTON, ONWARD
 from ..typing import Array, Index
@@ -51,7 +51,7 @@ ROUND_OFF = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class FrictionEquilibrium:
     """A state of a robot whose tubes rub, at joint values (n,); heat (J) since its history began.
 
     tangent: how far the bases turned (n,), and x changed (X,), from the state before on the same contact.
@@ -112,7 +112,7 @@ def check_rubbing(robot: Robot, friction: Friction) -> None:
         raise InputError("friction is given for an eccentric robot; it is supported for concentric robots only")
 
 
-def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
+def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> FrictionEquilibrium:
     """An equilibrium as the start of a motion with friction: its own history goes on, or begins, where it has none.
 
     Raises:
@@ -135,11 +135,11 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Held:
         raise SolveError("start is not in balance with its friction: it belongs to another robot")
     slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
-    found = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
-    return Held(contact, equilibrium.rotations, shift, found, own.heat)
+    result = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
+    return FrictionEquilibrium(contact, equilibrium.rotations, shift, result, own.heat)
 
 
-def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
+def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     """An equilibrium without friction as a state of a contact in which nothing bears any.
 
     Raises:
@@ -160,8 +160,8 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> Held:
     if not relaxed.converged:
         raise SolveError("Newton's method does not converge from start on the friction mesh")
     nothing = np.zeros(len(contact.capacity))
-    found = Increment(relaxed.state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
-    return Held(contact, alpha, equilibrium.translations, found, 0.0)
+    result = Increment(relaxed.state, nothing, nothing.astype(np.int8), 0.0, True, 0.0, 0.0)
+    return FrictionEquilibrium(contact, alpha, equilibrium.translations, result, 0.0)
 
 
 def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array | None]:
@@ -177,26 +177,28 @@ def _sampled(contact: Contact, equilibrium: Equilibrium) -> tuple[Array, Array |
     return theta, bent_of(contact, x)
 
 
-def step(robot: Robot, held: Held, rotations: Array, translations: Array, load: Load | None = None) -> Held | None:
+def step(
+    robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
+) -> FrictionEquilibrium | None:
     """The state after an increment to other joint values (n,) and another load, by Newton's method; None where that is
     not at ease."""
-    contact, before, x = carried(robot, held, rotations, translations, load)
-    same = contact is held.contact
-    slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - held.translations)
-    turned = rotations - held.rotations
-    guess, signs = (x + _ahead(held, turned), held.found.signs) if same else (x, None)
-    found = increment(contact, rotations, guess, before, signs, slid)
-    if found is None or not found.converged:
+    contact, before, x = carried(robot, current, rotations, translations, load)
+    same = contact is current.contact
+    slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - current.translations)
+    turned = rotations - current.rotations
+    guess, signs = (x + _ahead(current, turned), current.found.signs) if same else (x, None)
+    result = increment(contact, rotations, guess, before, signs, slid)
+    if result is None or not result.converged:
         return None
-    tangent = (turned, found.state.x - x) if same else None
-    return Held(contact, rotations, translations, found, held.heat + found.heat, tangent)
+    tangent = (turned, result.state.x - x) if same else None
+    return FrictionEquilibrium(contact, rotations, translations, result, current.heat + result.heat, tangent)
 
 
-def _ahead(held: Held, turned: Array) -> Array | float:
+def _ahead(current: FrictionEquilibrium, turned: Array) -> Array | float:
     """By how much x changes when the bases turn on (n,) as they turned to a state; 0 where they turn another way."""
-    if held.tangent is None:
+    if current.tangent is None:
         return 0.0
-    last, change = held.tangent
+    last, change = current.tangent
     along, size = float(turned @ last), float(last @ last)
     straight = along > ONWARD * np.sqrt(size * float(turned @ turned)) > 0
     return change * (along / size) if straight else 0.0
@@ -206,77 +208,77 @@ def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
     """(R,) sliding of the tubes along each other, over the radius at which they rub, rad; 0 where it is round-off."""
     radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
     slid = np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair]
-    return np.where(slid > HONEST, slid, 0.0)
+    return np.where(slid > FRICTION_TOLERANCE, slid, 0.0)
 
 
 def carried(
-    robot: Robot, held: Held, rotations: Array, translations: Array, load: Load | None = None
+    robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> tuple[Contact, Array, Array]:
     """At other joint values, under another load: the contact, the relative rotations (R,) before the increment, and a
     first guess of x."""
-    moved = translations - held.translations
-    if not moved.any() and load == held.contact.load:
-        return held.contact, held.found.state.turned, held.found.state.x
-    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction, load)
+    moved = translations - current.translations
+    if not moved.any() and load == current.contact.load:
+        return current.contact, current.found.state.turned, current.found.state.x
+    contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
-    theta = held.theta(np.concatenate(where))
+    theta = current.theta(np.concatenate(where))
     at, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in where])[:-1])
     row, spot = np.arange(len(pair)), np.arange(len(contact.place))
     before = outer[row, pair + 1] - inner[row, pair]
-    turned = rotations - held.rotations
-    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube], bent_at(held, contact))
+    turned = rotations - current.rotations
+    x = unknowns_of(contact, rotations, at + turned, (between + turned)[spot, contact.tube], bent_at(current, contact))
     return contact, before, x
 
 
-def bent_at(held: Held, contact: Contact) -> Array | None:
+def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
     """(N, 2) curvature of a state beyond that without load, 1/m, at the points of a contact; None where that has no
     load."""
-    own = bent_of(held.contact, held.found.state.x)
-    if contact.loaded is None or held.contact is contact:
+    own = bent_of(current.contact, current.found.state.x)
+    if contact.loaded is None or current.contact is contact:
         return own if contact.loaded is not None else None
-    if own is None or held.contact.loaded is None:
+    if own is None or current.contact.loaded is None:
         return np.zeros((len(contact.loaded.softness), 2))
-    return held.contact.loaded.mesh.interpolated(own, contact.loaded.torsion.arc_length)
+    return current.contact.loaded.mesh.interpolated(own, contact.loaded.torsion.arc_length)
 
 
-def to_held_equilibrium(robot: Robot, held: Held, start: str) -> Equilibrium:
+def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) -> Equilibrium:
     """A state with friction as an equilibrium, with its shape, energy and error estimates."""
-    contact, state, problem = held.contact, held.found.state, held.contact.problem
-    shift, error = tuple(held.translations.tolist()), _smooth_error(held) + _front_error(held)
+    contact, state, problem = current.contact, current.found.state, current.contact.problem
+    shift, error = tuple(current.translations.tolist()), _smooth_error(current) + _front_error(current)
     if isinstance(state.elastic, LoadedState):
-        plain = _under_load(robot, held, state.elastic, start, error)
+        plain = _under_load(robot, current, state.elastic, start, error)
     else:
-        balance = (state.gradient + contact.rows.T @ held.found.torque)[: problem.size]
+        balance = (state.gradient + contact.rows.T @ current.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
-        member = Unloaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-        shape = member.found(Point(0.0, member, torsion, held.margin), (held.profile, error))
+        member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
+        shape = member.found(Point(0.0, member, torsion, current.margin), (current.profile, error))
         plain = answered(member, shape, start, method="increment")
     friction = FrictionState(
         friction=contact.friction,
         arc_length=tuple(contact.arc_length.tolist()),
         pair=tuple(contact.pair.tolist()),
-        torque=tuple(held.found.torque.tolist()),
+        torque=tuple(current.found.torque.tolist()),
         capacity=tuple(contact.capacity.tolist()),
-        held_margin=held.held_margin,
-        heat=held.heat,
-        violation=held.found.violation,
+        held_margin=current.held_margin,
+        heat=current.heat,
+        violation=current.found.violation,
     )
-    status = Status.STABLE if held.margin > 0 else (Status.HELD if held.held_margin > 0 else Status.UNSTABLE)
-    found = replace(plain, status=status, friction=friction)
+    status = Status.STABLE if current.margin > 0 else (Status.HELD if current.held_margin > 0 else Status.UNSTABLE)
+    result = replace(plain, status=status, friction=friction)
     if "base_wrench" in vars(plain):
         # Kept with the state: what recomputes it from the shape knows no friction.
-        vars(found)["base_wrench"] = plain.base_wrench
-    return found
+        vars(result)["base_wrench"] = plain.base_wrench
+    return result
 
 
-def _under_load(robot: Robot, held: Held, state: LoadedState, start: str, error: float) -> Equilibrium:
+def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, start: str, error: float) -> Equilibrium:
     """The equilibrium of a state under a load, whose rotations may be off by `error`, rad, over the margin."""
     problem = held.contact.loaded
     assert problem is not None
     off = error / max(min(1.0, abs(held.margin)), 1e-6)
     arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
-    found = Found.of(
+    result = ArmSolution.of(
         arm,
         problem.torsion.assembly,
         points=CollocationPoints(s, state.theta + problem.wound, state.curvature),
@@ -291,19 +293,19 @@ def _under_load(robot: Robot, held: Held, state: LoadedState, start: str, error:
     )
     shift = tuple(held.translations.tolist())
     member = Loaded(robot, problem, held.rotations, shift, Discretisation(degree=DEGREE))
-    return answered(member, found, start, method="increment")
+    return answered(member, result, start, method="increment")
 
 
-def _bending_error(held: Held) -> float:
+def _bending_error(current: FrictionEquilibrium) -> float:
     """How far the tip is off, m, by what the equations of bending miss at the points of a finer rule."""
-    contact, finer = held.contact, _finer(held.contact)
-    bent = bent_of(contact, held.found.state.x)
+    contact, finer = current.contact, _finer(current.contact)
+    bent = bent_of(contact, current.found.state.x)
     assert bent is not None
     assert contact.loaded is not None
     s = finer.torsion.arc_length
-    z = to_unknowns(finer.torsion, held.rotations, arms.interpolate(contact.problem, held.profile, s))
+    z = to_unknowns(finer.torsion, current.rotations, arms.interpolate(contact.problem, current.profile, s))
     q = contact.loaded.mesh.interpolated(bent, s) / finer.softness[:, None]
-    state = loaded.evaluate(finer, held.rotations, np.concatenate([z, q.ravel()]))
+    state = loaded.evaluate(finer, current.rotations, np.concatenate([z, q.ravel()]))
     missed = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
     return float((finer.torsion.weight * finer.softness * missed) @ (finer.torsion.assembly.total_length - s))
 
@@ -319,22 +321,22 @@ def _finer(contact: Contact) -> LoadedProblem:
     return load_problem(reduce(torsion.assembly, rule, unknown), loading.load, loading.density)
 
 
-def _smooth_error(held: Held) -> float:
+def _smooth_error(current: FrictionEquilibrium) -> float:
     """Bound of what the collocated moments of the tubes are off between the points, as an error of a rotation, rad."""
-    problem = held.contact.problem
+    problem = current.contact.problem
     mesh, n, t = problem.mesh, problem.assembly.n_tubes, problem.mesh.tableau
     if not problem.size:
         return 0.0
-    nodes, chosen, phase, arm = _between(held.contact)
-    theta = arms.rotations_at(problem, held.profile, nodes)[mesh.collocated]
+    nodes, chosen, phase, arm = _between(current.contact)
+    theta = arms.rotations_at(problem, current.profile, nodes)[mesh.collocated]
     direction = theta.reshape(-1, n) + phase
     moment = section_function("moment", len(direction), n, False)(direction, *chosen)[0].copy()
-    bent = bent_of(held.contact, held.found.state.x)
+    bent = bent_of(current.contact, current.found.state.x)
     if bent is not None:  # M_i = m_i (u_x sin theta_i - u_y cos theta_i) of the whole curvature u
         x, y = (t.basis(nodes, 0) @ bent.reshape(-1, t.degree, 2)).reshape(-1, 2).T[:, :, None]
         moment += chosen[1] * (x * np.sin(direction) - y * np.cos(direction))
     moment = moment.reshape(theta.shape)
-    own = held.found.state.elastic.torque.reshape(-1, t.degree, n)
+    own = current.found.state.elastic.torque.reshape(-1, t.degree, n)
     return float((np.abs(moment - t.basis(nodes, 0) @ own).max(1) * arm).sum(0).max())
 
 
@@ -352,10 +354,10 @@ def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], 
     return tuple(finer.tolist()), (stiffness, moment), phase, turn
 
 
-def _front_error(held: Held) -> float:
+def _front_error(current: FrictionEquilibrium) -> float:
     """Bound of what the ends of slip are off, which lie somewhere between two points, rad."""
-    signs = held.found.signs
-    return float(sum(wrong[np.diff(signs[rows]) != 0].sum() for rows, wrong in _fronts(held.contact)))
+    signs = current.found.signs
+    return float(sum(wrong[np.diff(signs[rows]) != 0].sum() for rows, wrong in _fronts(current.contact)))
 
 
 @lru_cache(maxsize=8)
@@ -373,8 +375,10 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
     return out
 
 
-def sweep(robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bool = True) -> Rubbed | None:
-    """States at rows of joint values (T, 2n), the first of which is that of `held`. Where they end sooner, the next
+def sweep(
+    robot: Robot, current: FrictionEquilibrium, joints: Array, behind: Array, *, margins: bool = True
+) -> Rubbed | None:
+    """States at rows of joint values (T, 2n), the first of which is that of `current`. Where they end sooner, the next
     step is too long, or a snap, and `rubbing_following` goes on from the last.
 
     Args:
@@ -382,24 +386,23 @@ def sweep(robot: Robot, held: Held, joints: Array, behind: Array, *, margins: bo
 
     None where there is no kernel for this robot and this friction.
     """
-    state = held.found.state.x, held.found.torque, held.found.signs
-    steps, given = steps_along(robot, joints)
-    many = rub_compiled(robot, held.contact.friction, steps, state, behind, margins=margins)
+    state = current.found.state.x, current.found.torque, current.found.signs
+    steps, inputs = steps_along(robot, joints)
+    many = rub_compiled(robot, current.contact.friction, steps, state, behind, margins=margins)
     if many is None or len(steps) == len(joints):
         return many
-    reached = given[(given > 0) & (given <= len(many.margin))] - 1
+    reached = inputs[(inputs > 0) & (inputs <= len(many.margin))] - 1
     return Rubbed(**{field.name: getattr(many, field.name)[reached] for field in fields(Rubbed)})
 
 
-def swept(robot: Robot, held: Held, joints: Array, many: Rubbed, k: int) -> Held:
-    """The state after the k-th of many increments from `held`, along the rows (T, 2n) given for them; `held` itself
-    after the 0-th."""
+def swept(robot: Robot, current: FrictionEquilibrium, joints: Array, many: Rubbed, k: int) -> FrictionEquilibrium:
+    """The state after the k-th of many steps from `current` along rows (T, 2n); `current` itself after the 0-th."""
     if not k:
-        return held
+        return current
     rotations, translations = np.split(joints[k], 2)
-    contact = contact_of(robot, tuple(translations.tolist()), held.contact.friction)
+    contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction)
     there = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
     rows, heat, violation = len(contact.capacity), float(many.heat[k - 1]), float(many.violation[k - 1])
     torque, signs = many.torque[k - 1, :rows], many.signs[k - 1, :rows]
-    found = Increment(there, torque, signs, heat, True, 0.0, violation)
-    return Held(contact, rotations, translations, found, held.heat + heat)
+    result = Increment(there, torque, signs, heat, True, 0.0, violation)
+    return FrictionEquilibrium(contact, rotations, translations, result, current.heat + heat)

@@ -48,12 +48,12 @@ def derivatives_of(
 
 
 def compiled_slopes(
-    at: Equilibrium, sides: tuple[int, ...] | None = None, carriages: Carriages | None = None, **asked: bool
+    at: Equilibrium, sides: tuple[int, ...] | None = None, carriages: Carriages | None = None, **request: bool
 ) -> Slopes | None:
     """Derivatives of an equilibrium by the compiled kernel; None where it has none, as of an arm of length zero.
 
     Translations move towards `sides` (n,), 1 where not given, and tubes of one of the `carriages` together; what is
-    `asked` are flags of `slopes_compiled`.
+    `request` are flags of `slopes_compiled`.
     """
     kernel = kernel_of(at.robot)
     if len(at.arc_length) < 2 or kernel is None or not kernel.differentiable:
@@ -63,7 +63,7 @@ def compiled_slopes(
     along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
     start = Start(*along, still, at.translations)
     moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
-    return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **asked)
+    return slopes_compiled(at.robot, at.rotations, at.translations, start, moved, **request)
 
 
 def _by_kernel(
@@ -74,10 +74,10 @@ def _by_kernel(
     if equilibrium.load is not None or not set(wrt) <= set(JOINTS) or side not in (1, -1):
         return None
     n = equilibrium.robot.n_tubes
-    found = compiled_slopes(equilibrium, (side,) * n, carriages, either=False)
-    if found is None or found.off > SAME_ARM:
+    result = compiled_slopes(equilibrium, (side,) * n, carriages, either=False)
+    if result is None or result.off > SAME_ARM:
         return None
-    tables = found.position, found.turn, found.tip_rotations, found.margin, found.energy
+    tables = result.position, result.turn, result.tip_rotations, result.margin, result.energy
     if tuple(wrt) == JOINTS:
         return Jacobian(JOINTS, *tables)
     columns = [JOINTS.index(name) * n + i for name in wrt for i in range(n)]
@@ -125,9 +125,9 @@ def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None
     Raises:
         SolveError: the equilibrium is a fold, where derivatives are infinite.
     """
-    found = _by_kernel(equilibrium, JOINTS, side, carriages)
-    if found is not None:
-        return found.position
+    result = _by_kernel(equilibrium, JOINTS, side, carriages)
+    if result is not None:
+        return result.position
     return derivatives_of(equilibrium, side=side, carriages=carriages).tip_position
 
 
@@ -200,10 +200,10 @@ def margin_slopes(
     sides += [sides_of(e, name, tube) for name in wrt for tube in range(len(e.rotations))]
     sides += [(step, [(robot, e.rotations, shift) for robot in robots]) for step, robots in varied]
     matrix = symmetric_part(point.member.problem, point.state) if sure else point.state.hessian
-    found = _modes(matrix, symmetric=sure)
-    if found is None:
+    result = _modes(matrix, symmetric=sure)
+    if result is None:
         return np.full(len(sides), np.nan)
-    return np.array([_slope(point, found, each, sure=sure) for each in sides])
+    return np.array([_slope(point, result, each, sure=sure) for each in sides])
 
 
 def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
@@ -211,8 +211,8 @@ def margin_slopes_of(e: Equilibrium, wrt: Sequence[str]) -> Array:
     if e.load is None or e.load.has_energy:
         return jacobian(e, wrt=wrt).margin
     check_wrt(wrt, 1)
-    shared, found = sharing(e.robot.moving_together, tuple(wrt)), margin_slopes(e, wrt)
-    return found if shared is None else np.asarray(found @ shared)
+    shared, result = sharing(e.robot.moving_together, tuple(wrt)), margin_slopes(e, wrt)
+    return result if shared is None else np.asarray(result @ shared)
 
 
 def _modes(matrix: Array, *, symmetric: bool) -> tuple[Array, Array] | None:
@@ -242,11 +242,11 @@ def _slope(point: LoadedPoint, modes: tuple[Array, Array], sides: tuple[float, l
     turned = [alpha for _, alpha, _ in both]
     one, other = (evaluate(each, alpha, x).gradient for each, alpha in zip(problems, turned, strict=True))
     change = -np.linalg.solve(point.state.hessian, one - other) / 2
-    found = [
+    result = [
         evaluate(each, alpha, x + sign * change) for each, alpha, sign in zip(problems, turned, (1, -1), strict=True)
     ]
     further, back = (
-        symmetric_part(each, state) if sure else state.hessian for each, state in zip(problems, found, strict=True)
+        symmetric_part(each, state) if sure else state.hessian for each, state in zip(problems, result, strict=True)
     )
     return float((np.vdot(left, (further - back) @ right) / np.vdot(left, right)).real) / (2 * step)
 
@@ -282,8 +282,8 @@ def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None)
     cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
     there = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
-    found: LoadedPoint = point.onto(there, failure)
-    return compliance_along(there.problem, found.state, min(arc_length, length), chosen)
+    result: LoadedPoint = point.onto(there, failure)
+    return compliance_along(there.problem, result.state, min(arc_length, length), chosen)
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import renamed, typed
-from ..block.transcription.arm import Found, profile
+from ..block.transcription.arm import ArmSolution, profile
 from ..block.transcription.loaded import LoadedProblem
 from ..block.transcription.reduced import evaluate, worst_equation
 from ..errors import InputError, SolveError, positive
@@ -49,9 +49,9 @@ from .problem import (
     METHODS,
     REFINEMENTS,
     TOLERANCE,
-    Asked,
     Discretisation,
     Method,
+    SolveRequest,
     check_load,
     loaded_rules,
     method_of,
@@ -73,7 +73,7 @@ SHORTEST_COMPILED = 1 / 128
 
 
 def unloaded(
-    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, asked: Asked
+    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, request: SolveRequest
 ) -> Equilibrium | None:
     """The stable equilibrium without a load at joint values: from tubes without torsion, or by a small motion from a
     guess; on the usual mesh or, where that is too coarse, on one twice as fine."""
@@ -93,21 +93,21 @@ def unloaded(
             return None
         if start is not None and solved.contraction > LARGEST_RATIO:
             return None
-        found = solved.found
-        length = float(found.arm.arc_length[-1])
-        if largest_error(*found.errors[:2], length, even=robot.even) > asked.tolerance:
+        result = solved.found
+        length = float(result.arm.arc_length[-1])
+        if largest_error(*result.errors[:2], length, even=robot.even) > request.tolerance:
             continue
         statistics = Statistics(
             method="newton",
-            iterations=found.iterations,
+            iterations=result.iterations,
             elements=solved.elements,
             degree=DEFAULT_DISCRETISATION.degree,
             start="tubes without torsion" if start is None else "guess",
-            seconds=time.perf_counter() - asked.began - solved.loading,
+            seconds=time.perf_counter() - request.began - solved.loading,
             refinement=refinement,
             loading=solved.loading,
         )
-        return built(robot, (rotations, translations), found, statistics)
+        return built(robot, (rotations, translations), result, statistics)
     return None
 
 
@@ -123,7 +123,7 @@ def _check_translations(robot: Robot, shift: tuple[float, ...]) -> None:
     robot.assembly(np.array(shift))
 
 
-def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | None:
+def loaded(start: Equilibrium, there: Loaded, request: SolveRequest) -> Equilibrium | None:
     """The stable equilibrium under a dead load: grown from `start`, which bears none, or a small change of it, which
     bears one."""
     robot, rotations, shift, load = there.robot, there.rotations, there.translations, there.load
@@ -136,41 +136,41 @@ def loaded(start: Equilibrium, there: Loaded, asked: Asked) -> Equilibrium | Non
         word, close = "guess", small_motion(turn, shift - start.translations, float(start.arc_length[-1]))
     if not close:
         return None
-    given = at_points(start, problem)
+    inputs = at_points(start, problem)
     margin = start.margin
-    coarse: Found | None = None
+    coarse: ArmSolution | None = None
     for refinement in range(LOADED_REFINEMENTS + 1):
         rules = loaded_rules(robot, shift, load, refinement)
         if coarse is not None:
             known = [coarse.points.point_rotation - problem.wound, coarse.points.point_curvature]
             table = problem.mesh.interpolated(np.concatenate(known, axis=1), rules.problem.torsion.arc_length)
-            given, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, coarse.margin
-        problem, coarse = rules.problem, solve_loaded_compiled(rules, (rotations, turn), given, margin)
+            inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, coarse.margin
+        problem, coarse = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
         if coarse is None:
             return None
-        if not _too_coarse(coarse, problem, asked):
+        if not _too_coarse(coarse, problem, request):
             d = replace(LOADED_DISCRETISATION, refinement=refinement)
-            return answered(Loaded(robot, problem, rotations, shift, d), coarse, word, asked.began)
+            return answered(Loaded(robot, problem, rotations, shift, d), coarse, word, request.began)
     return None
 
 
-def _too_coarse(found: Found, problem: LoadedProblem, asked: Asked) -> bool:
-    theta, tip, margin = found.errors
+def _too_coarse(result: ArmSolution, problem: LoadedProblem, request: SolveRequest) -> bool:
+    theta, tip, margin = result.errors
     error = float(largest_error(theta, tip, problem.torsion.assembly.total_length))
-    return margin > asked.method.newton.margin_tolerance or error > asked.tolerance
+    return margin > request.method.newton.margin_tolerance or error > request.tolerance
 
 
-def nearby(family: Family, guess: Equilibrium, t: float, asked: Asked) -> Equilibrium | None:
+def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:
     """The stable equilibrium at t of a family on the branch of `guess`, a small change away; None as well close to a
     fold."""
     if family.load is not None:
-        return loaded(guess, family.under_load(t), asked)
+        return loaded(guess, family.under_load(t), request)
     rotations, translations = family.path.at(t)
-    found = unloaded(family.path.robot, rotations, translations, guess, asked)
-    return found if found is not None and found.margin > 0 else None
+    result = unloaded(family.path.robot, rotations, translations, guess, request)
+    return result if result is not None and result.margin > 0 else None
 
 
-def along(family: Family, start: Milestone, asked: Asked | None = None) -> Iterator[Milestone]:
+def along(family: Family, start: Milestone, request: SolveRequest | None = None) -> Iterator[Milestone]:
     """Equilibria after `start` as far as t = 1, or to where the kernel declines even short steps."""
     longest = family.path.largest_step()
     if longest < 1.0:
@@ -178,13 +178,13 @@ def along(family: Family, start: Milestone, asked: Asked | None = None) -> Itera
     here, step = start, longest
     if family.load is not None and start.pose.load is None and family.path.moves:
         # Where joints move, the kernel goes on from an equilibrium under a load, if it is zero.
-        first = nearby(family, start.pose, start.t, asked or Asked())
+        first = nearby(family, start.pose, start.t, request or SolveRequest())
         if first is None:
             return
         here = Milestone(start.t, first)
     while here.t < 1.0:
         t = 1.0 if here.t + step >= 1 - 1e-12 else here.t + step
-        pose = nearby(family, here.pose, t, asked or Asked())
+        pose = nearby(family, here.pose, t, request or SolveRequest())
         if pose is not None:
             here, step = Milestone(t, pose), min(2 * step, longest)
             yield here
@@ -261,24 +261,24 @@ def forward_kinematics(  # noqa: PLR0913
     by = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     guess = None if start is None else _start_of(robot, start, tolerance)
-    asked, found = Asked(by, tolerance, began), None
+    request, result = SolveRequest(by, tolerance, began), None
     if load is not None:
         check_load(robot, load, shift)
         guess = guess if guess is not None else forward_kinematics(robot, alpha, shift, tolerance=tolerance)
         discretisation = LOADED_DISCRETISATION
     elif guess is not None and guess.load is not None:
         raise InputError("start has a load, but no load is given; give the load, or a start without load")
-    elif asked.of_kernel(None, discretisation):
-        found = unloaded(robot, alpha, place, guess, asked)
-    if found is None and guess is None:
+    elif request.of_kernel(None, discretisation):
+        result = unloaded(robot, alpha, place, guess, request)
+    if result is None and guess is None:
         point, home = _descended(Unloaded.of(robot, alpha, shift, discretisation), by)
-        found = _to_tolerance(point, home, asked)
-    elif found is None:
+        result = _to_tolerance(point, home, request)
+    elif result is None:
         assert guess is not None
         own = np.concatenate([guess.rotations, guess.translations])
         path = JointPath(robot, own, np.concatenate([alpha, place]), discretisation)
-        found = on_branch(Family(path, load, guess.load), guess, asked)
-    return verify_equilibrium(found) if verify else found
+        result = on_branch(Family(path, load, guess.load), guess, request)
+    return verify_equilibrium(result) if verify else result
 
 
 def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
@@ -300,25 +300,25 @@ def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
     return forward_kinematics(robot, *joints, load=load, start=equilibrium)
 
 
-def _to_tolerance(point: Place, start: str, asked: Asked) -> Equilibrium:
+def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibrium:
     """The equilibrium of a point that was reached from `start`, on the first mesh whose estimated error is small
     enough, as far as finer ones help.
 
     Raises:
         SolveError: none is fine enough; the error bears the equilibrium on the last one.
     """
-    by, first, before = asked.method, point.member.discretisation.refinement, np.inf
+    by, first, before = request.method, point.member.discretisation.refinement, np.inf
     finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
     for level in range(first, finest + 1):
         shape = point.member.found(point)
-        found = answered(point.member, shape, start, asked.began, by.name)
-        error = error_of(found)
-        if error <= asked.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
-            return found
-        if error > asked.tolerance and (level == finest or error > before / 2):
+        result = answered(point.member, shape, start, request.began, by.name)
+        error = error_of(result)
+        if error <= request.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
+            return result
+        if error > request.tolerance and (level == finest or error > before / 2):
             why = "" if level == finest else "; finer pieces no longer help"
-            wrong = f"the estimated error is {error:.1e} rad, wanted was {asked.tolerance:.1e} rad"
-            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", found)
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", result)
         there, before = point.member.on(refinement=level + 1), error
         failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
         point = point.onto(there, failure, by.newton.iterations)
@@ -371,8 +371,8 @@ def _resolved(member: Unloaded, x: Array, by: Method) -> PlainPoint:
 def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
     """The equilibrium after a small motion from `guess`, by one solve: `forward_kinematics` with a start that does not
     ask where the branch ends. None where Newton's method is not at ease, or the motion is not small."""
-    asked = Asked()
-    quick = unloaded(robot, rotations, np.array(translations), guess, asked)
+    request = SolveRequest()
+    quick = unloaded(robot, rotations, np.array(translations), guess, request)
     if quick is not None:
         return quick
     turn, shift = rotations - guess.rotations, translations - guess.translations
@@ -381,35 +381,35 @@ def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: t
     own = np.concatenate([guess.rotations, guess.translations])
     family = Family(JointPath(robot, own, np.concatenate([rotations, translations])))
     # Newton that goes far from the guess may have jumped past a fold: steps along the way would tell.
-    near = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
-    if near is None:
+    point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
+    if point is None:
         return None
-    found = to_equilibrium(near, "guess", asked.began)
-    if error_of(found) <= asked.tolerance:
-        return found
-    return forward_kinematics(robot, rotations, translations, start=found)
+    result = to_equilibrium(point, "guess", request.began)
+    if error_of(result) <= request.tolerance:
+        return result
+    return forward_kinematics(robot, rotations, translations, start=result)
 
 
 @small
-def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
+def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equilibrium:
     """The equilibrium at t = 1 of a family on the branch of `guess`, which is that at t = 0; raises SolveError as
     `forward_kinematics`."""
     d, grows = family.path.discretisation, family.load is not None and guess.load is None and not family.path.moves
     here = Milestone(0.0, guess)
-    if asked.of_kernel(family.load, d):
+    if request.of_kernel(family.load, d):
         if grows:
-            quick = nearby(family, guess, 1.0, asked)
+            quick = nearby(family, guess, 1.0, request)
             here = here if quick is None else Milestone(1.0, quick)
         else:
-            here = [here, *along(family, here, asked)][-1]
+            here = [here, *along(family, here, request)][-1]
         if here.t == 1.0:
             return here.pose
-    near, shortest = _start(family, here), SHORTEST_STEP if grows else SHARPEST_STEP
+    known, shortest = _start(family, here), SHORTEST_STEP if grows else SHARPEST_STEP
     if grows:
-        near = Point.near(near.member, near.state.x, FOLDED)
+        known = Point.near(known.member, known.state.x, FOLDED)
     # Without a load the branch of the start is followed whether it stays stable or not.
-    stable = grows or (family.load is not None and near.margin > 0)
-    point = reach(family, near, stable=stable, shortest=shortest)
+    stable = grows or (family.load is not None and known.margin > 0)
+    point = reach(family, known, stable=stable, shortest=shortest)
     if point.t < 1.0 and grows:
         why = f"{_ending(family, point)} at {100 * point.t:.4g} % of the load"
         raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", to_equilibrium(point, "the load before"))
@@ -417,7 +417,7 @@ def on_branch(family: Family, guess: Equilibrium, asked: Asked) -> Equilibrium:
         why = f"it ends {100 * point.t:.2f} % of the path from the start to the goal"
         raise SolveError(f"{Status.BRANCH_ENDED}: {why}", here.pose)
     start = "the load before, from none" if grows else "guess"
-    return _to_tolerance(_by_method(point, asked.method), start, asked)
+    return _to_tolerance(_by_method(point, request.method), start, request)
 
 
 def _start(family: Family, here: Milestone) -> Place:
@@ -457,4 +457,4 @@ def equilibrium_at(
     theta = rotation_at(s).T.reshape(-1, robot.n_tubes)
     curvature = None if load is None or curvature_at is None else curvature_at(s).T
     point = Point.near(member, member.unknowns(theta, curvature), FOLDED)
-    return _to_tolerance(point, "a program", Asked(began=began))
+    return _to_tolerance(point, "a program", SolveRequest(began=began))

@@ -211,17 +211,17 @@ class Linearised(ArmChange):
         return np.asarray(np.linalg.eigvalsh(np.tensordot(self.widths.T, symmetric, 1)).max(1, initial=0.0))
 
     def _form(
-        self, given: Sequence[Array], softness: float, *, worst: bool, data: bool = False
+        self, inputs: Sequence[Array], softness: float, *, worst: bool, data: bool = False
     ) -> tuple[Array, Array, Array]:
         """What a mode has of the second variation per length (X,) at theta, kb, m, b, with g and y, its gradient
         (X, n + 4) by theta, b, g and, where there are `data`, (X, 2 n) by kb and m; at the equilibrium or at the
         `worst` rotations."""
-        count, n = given[0].shape
+        count, n = inputs[0].shape
         if worst:
-            _, form, slope, _ = mapped(worst_function(n), count)(given[1], given[2], given[5])
+            _, form, slope, _ = mapped(worst_function(n), count)(inputs[1], inputs[2], inputs[5])
             return form[:, 0].copy(), np.zeros((count, n + 4)), slope.reshape(count, 2 * n).copy()
-        form, slope = (part.copy() for part in bent_function("mode", count, n)(*given, softness))
-        own = bent_function("mode_data", count, n)(*given, softness)[0].copy() if data else np.zeros((count, 2 * n))
+        form, slope = (part.copy() for part in bent_function("mode", count, n)(*inputs, softness))
+        own = bent_function("mode_data", count, n)(*inputs, softness)[0].copy() if data else np.zeros((count, 2 * n))
         return form[:, 0], slope.reshape(count, -1), own.reshape(count, -1)
 
     def _quotient(self, mode: Response, softness: float, *, worst: bool = False) -> Array:
@@ -272,9 +272,9 @@ class Linearised(ArmChange):
         turns, bends = hat(psi), (here.moment_plate_side if self.side < 0 else here.moment_tip_side)[index]
         whole = moment - (turns @ bends[..., None])[..., 0]
         felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
-        rate, given = points.rate, self.given_there
+        rate, inputs = points.rate, self.given_there
         both = (np.concatenate([part, part]) for part in (felt, y))
-        form = self._form([*given, *both], softness, worst=worst)[0]
+        form = self._form([*inputs, *both], softness, worst=worst)[0]
         lean = (self._force_there * (turns @ turns @ frame[..., 2:])[..., 0]).sum(1)
         twisted = torque**2
         density = form - softness * (rate * np.concatenate([twisted, twisted])).sum(1) - np.concatenate([lean, lean])
@@ -373,8 +373,8 @@ def curvature_at(of: Linearised, fraction: float) -> tuple[Array, Array]:
     if len(of.cuts) < 2:
         return np.zeros(2), np.zeros((2, of.size))
     k, x = _place(of, fraction)
-    found = of.section(k, x, fraction * _longer(of))
-    return found.curvature, found.by_curvature
+    result = of.section(k, x, fraction * _longer(of))
+    return result.curvature, result.by_curvature
 
 
 def _longer(of: Linearised) -> Array:

@@ -17,7 +17,7 @@ import scipy
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import CollocationPoints, Found, Profile, evaluate_arm
+from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, evaluate_arm
 from ..block.transcription.loaded import (
     LoadedProblem,
     LoadedState,
@@ -172,7 +172,7 @@ class Member(ABC, Generic[S]):
         """Torsion along the arm of a state."""
 
     @abstractmethod
-    def found(self, point: Place) -> Found:
+    def found(self, point: Place) -> ArmSolution:
         """Shape, energy and estimated errors of a solved point."""
 
     @abstractmethod
@@ -202,7 +202,7 @@ class Member(ABC, Generic[S]):
     def round_off(self, state: S) -> float:
         """Size (J) of the energies whose sum a state's is."""
 
-    def tangent(self, near: Place) -> Array | None:
+    def tangent(self, point: Place) -> Array | None:
         """(U,) change of the unknowns of a point along the branch, where that costs nothing; else None."""
         return None
 
@@ -339,14 +339,14 @@ class Unloaded(Member[Evaluation]):
         """Integrated from the points."""
         return arms.profile(self.problem, self.rotations, state)
 
-    def found(self, point: Place, rubbed: tuple[arms.Profile, float] | None = None) -> Found:
+    def found(self, point: Place, rubbed: tuple[arms.Profile, float] | None = None) -> ArmSolution:
         """`rubbed`: torsion along the arm and the error (rad) of the mesh, where friction shapes them too."""
         problem, state = self.problem, point.state
         torsion, defect = (point.torsion, None) if rubbed is None else rubbed
         arm = evaluate_arm(problem, self.rotations, state, torsion)
         # The inverse of the linearised equation amplifies a defect by at most one over the margin.
         error = (arm.defect if defect is None else defect) / max(min(1.0, abs(point.margin)), 1e-6)
-        return Found.of(
+        return ArmSolution.of(
             arm,
             problem.assembly,
             points=CollocationPoints(problem.arc_length, state.theta + problem.assembly.wound(problem.arc_length)),
@@ -495,10 +495,10 @@ class Loaded(Member[LoadedState]):
         """Integrated from the points and the torques at joints."""
         return loaded_profile(self.problem, self.rotations, state)
 
-    def found(self, point: Place) -> Found:
+    def found(self, point: Place) -> ArmSolution:
         """What follows from the solved state at once need not be solved for again."""
         state, problem, profile = point.state, self.problem, point.torsion
-        return Found.of(
+        return ArmSolution.of(
             loaded_arm(problem, profile, state),
             problem.torsion.assembly,
             points=CollocationPoints(problem.torsion.arc_length, state.theta + problem.wound, state.curvature),
@@ -594,12 +594,12 @@ class Loaded(Member[LoadedState]):
         twist = np.abs(turned).max(initial=0.0)
         return max(float(twist), 2 * float(np.linalg.norm(state.orientation.stage - frames, axis=1).max()))
 
-    def tangent(self, near: Place) -> Array | None:
+    def tangent(self, point: Place) -> Array | None:
         """Where only the factor changes, by what the load pulls."""
-        if near.member.problem is not self.problem or not np.array_equal(near.member.rotations, self.rotations):
+        if point.member.problem is not self.problem or not np.array_equal(point.member.rotations, self.rotations):
             return None
-        step = scipy.linalg.lapack.dgesv(near.state.hessian, -near.state.pull)[2]
-        return np.asarray(step * (self.factor - near.state.factor))
+        step = scipy.linalg.lapack.dgesv(point.state.hessian, -point.state.pull)[2]
+        return np.asarray(step * (self.factor - point.state.factor))
 
     def round_off(self, state: LoadedState) -> float:
         """Elastic energy and work may cancel."""

@@ -264,7 +264,7 @@ NAMED = {name: Method(name) for name in METHODS}
 
 
 @dataclass(frozen=True)
-class Asked:
+class SolveRequest:
     """By which method, to which tolerance (see TOLERANCE), and since when (s)."""
 
     method: Method = NAMED["newton"]
@@ -279,15 +279,15 @@ class Asked:
         return self.method is NAMED["newton"] and discretisation == DEFAULT_DISCRETISATION
 
 
-def method_of(given: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
+def method_of(method: str | Newton | Ipopt, load: Load | None, discretisation: Discretisation) -> Method:
     """Behind a name or the settings of a solver; raises InputError where it is neither, or cannot solve under the
     load."""
-    if isinstance(given, Newton):
-        by = Method("newton", newton=given)
-    elif isinstance(given, Ipopt):
-        by = Method("ipopt", ipopt=given)
+    if isinstance(method, Newton):
+        by = Method("newton", newton=method)
+    elif isinstance(method, Ipopt):
+        by = Method("ipopt", ipopt=method)
     else:
-        by = NAMED[choice("method", given, METHODS)]
+        by = NAMED[choice("method", method, METHODS)]
     if isinstance(load, Load):
         _must_bear(by, load, discretisation)
     return by

@@ -94,14 +94,14 @@ def yielded(
     if not compliance.any():
         return translations
     n = robot.n_tubes
-    alpha, wanted = rotations.reshape(-1, n), translations.reshape(-1, n)
-    most = np.maximum(wanted, [tube.straight_length for tube in robot.tubes])
-    here, rows = np.minimum(wanted if start is None else start.reshape(-1, n), most), np.arange(len(wanted))
+    alpha, target = rotations.reshape(-1, n), translations.reshape(-1, n)
+    most = np.maximum(target, [tube.straight_length for tube in robot.tubes])
+    here, rows = np.minimum(target if start is None else start.reshape(-1, n), most), np.arange(len(target))
 
     def gap(which: Index, at: Array) -> tuple[Array, Array]:
         """By how much (K, n) translations of rows are ahead of their springs, and its change (K, n, n) by them."""
         force, stiffness = push(robot, alpha[which], at)
-        return at - wanted[which] + compliance * force, np.eye(n) + compliance[:, None] * stiffness
+        return at - target[which] + compliance * force, np.eye(n) + compliance[:, None] * stiffness
 
     for _ in range(STEPS):
         ahead, slope = gap(rows, here[rows])

@@ -137,9 +137,9 @@ class Jacobian(Displayed):
     @classmethod
     def of(cls, derivatives: Callable[[], Derivatives]) -> Jacobian:
         """The Jacobian of `derivatives`, which are asked for again where more than the pose of the tip is read."""
-        found, jacobian = derivatives(), object.__new__(cls)
-        pose = {"position": found.tip_position.copy(), "rotation": found.tip_rotation.copy()}
-        jacobian.__dict__.update(wrt=found.wrt, **pose, _derivatives=derivatives)
+        result, jacobian = derivatives(), object.__new__(cls)
+        pose = {"position": result.tip_position.copy(), "rotation": result.tip_rotation.copy()}
+        jacobian.__dict__.update(wrt=result.wrt, **pose, _derivatives=derivatives)
         return jacobian
 
     if not TYPE_CHECKING:  # which would take any name for an attribute
@@ -294,16 +294,16 @@ class Equilibrium(Displayed):
     @cached_property
     def snap_distance(self) -> float:
         """Largest turn of every tube, either way, that is proved to cause no snap, rad; see `snap_distance`."""
-        found: float = lazy_import("tubeopt.stability.snap_distance.snap_distance")(self).turn
-        return found
+        result: float = lazy_import("tubeopt.stability.snap_distance.snap_distance")(self).turn
+        return result
 
     @cached_property
     def compliance(self) -> Array:
         """(6, 6) translation (m) and rotation (rad) of the tip by a small dead force (N) and moment (N m) there, in
         world axes; with or without load, concentric tubes only. The rotation is that of the tube that ends last, of
         several the innermost."""
-        found: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_of")(self)
-        return found
+        result: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_of")(self)
+        return result
 
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
         """(6, 6) compliance at an arc length (m): translation (m) and rotation (rad) per small dead force (N) and
@@ -318,25 +318,25 @@ class Equilibrium(Displayed):
         Raises:
             InputError: an arc length outside the arm, a tube that is not there, a load without an energy.
         """
-        found: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_at")(self, arc_length, tube)
-        return found
+        result: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_at")(self, arc_length, tube)
+        return result
 
     @cached_property
     def base_wrench(self) -> Array:
         """(6,) force (N) and moment about the plate's point (N m) that the load puts on the plate, world axes."""
-        found: Array = lazy_import("tubeopt.equilibrium.jacobian.base_wrench_of")(self)
-        return found
+        result: Array = lazy_import("tubeopt.equilibrium.jacobian.base_wrench_of")(self)
+        return result
 
     def jacobian(self, *, wrt: Sequence[str] = ("rotations", "translations"), side: int = 1) -> Jacobian:
         """Derivatives of tip pose, margin and energy by joint values and dimensions; see `equilibrium.jacobian`."""
-        found: Jacobian = lazy_import("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
-        return found
+        result: Jacobian = lazy_import("tubeopt.equilibrium.jacobian.jacobian")(self, wrt=wrt, side=side)
+        return result
 
     def margin_slopes(self, *, wrt: Sequence[str] = ("rotations", "translations")) -> Array:
         """(Q,) derivatives of the margin as those of `jacobian`, also under a load without an energy, where `jacobian`
         has NaN: they take a hundred times as long there. NaN where breakpoints meet, too."""
-        found: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
-        return found
+        result: Array = lazy_import("tubeopt.equilibrium.jacobian.margin_slopes_of")(self, wrt)
+        return result
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
         """The collocated problem of this equilibrium, and its torsion along the arm; not with a load or friction.
@@ -344,8 +344,8 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: Newton's method leaves the equilibrium: it is a fold.
         """
-        found: tuple[ReducedProblem, Profile] = lazy_import("tubeopt.equilibrium.answer.collocated")(self)
-        return found
+        result: tuple[ReducedProblem, Profile] = lazy_import("tubeopt.equilibrium.answer.collocated")(self)
+        return result
 
     def at(
         self,
@@ -367,15 +367,15 @@ class Equilibrium(Displayed):
         Raises:
             SolveError: no equilibrium was found.
         """
-        found: Equilibrium = lazy_import("tubeopt.equilibrium.kinematics.equilibrium_at")(
+        result: Equilibrium = lazy_import("tubeopt.equilibrium.kinematics.equilibrium_at")(
             robot, rotations, translations, rotation_at, load=load, curvature_at=curvature_at
         )
-        return found
+        return result
 
     def verified(self) -> Equilibrium:
         """This equilibrium with its `verification` by adaptive re-integration."""
-        found: Equilibrium = lazy_import("tubeopt.equilibrium.verification.verify_equilibrium")(self)
-        return found
+        result: Equilibrium = lazy_import("tubeopt.equilibrium.verification.verify_equilibrium")(self)
+        return result
 
     def save(self, directory: str | PathLike[str]) -> None:
         """Write `result.json` and `arrays.npz` into `directory`; `load_equilibrium` reads them back."""

@@ -118,7 +118,7 @@ def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
     return x, failed != 0
 
 
-HONEST = 1e-9
+FRICTION_TOLERANCE = 1e-9
 """Largest violation of what friction demands, as a slip (rad) or a part of the capacity, with which a state counts."""
 
 
@@ -173,8 +173,8 @@ def choose(model: Model, free: Array, capacity: Array, signs: Signs | None) -> t
     """Torques and signs of the rows for a model, from what they would slip without friction (R,); None where there are
     none, or where they make no minimum."""
     first = np.sign(free).astype(np.int8) if signs is None else signs
-    found = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)
-    return found if found is not None and (not model.negative or _minimum(model, found[1])) else None
+    result = stick_or_slip(model.compliance, free, capacity, first, convex=not model.negative)
+    return result if result is not None and (not model.negative or _minimum(model, result[1])) else None
 
 
 def _minimum(model: Model, signs: Signs) -> bool:
@@ -247,10 +247,10 @@ def increment(
         if model is None:
             return None
         free = slip[turned.sharp] + turned.rows @ model.step
-        found = choose(model, free, turned.capacity, signs if kept is None else kept)
-        if found is None:
+        result = choose(model, free, turned.capacity, signs if kept is None else kept)
+        if result is None:
             return None
-        torque, now = found
+        torque, now = result
         step = model.step - model.response @ torque
         size = contact.turn_of(step)
         if not np.isfinite(size) or size > np.pi:
@@ -272,11 +272,11 @@ def increment(
 def _told(
     contact: Contact,
     state: Rubbing,
-    found: tuple[Array, Signs, float],
+    result: tuple[Array, Signs, float],
     history: tuple[Array, Array | None],
     contraction: float,
 ) -> Increment:
-    (torque, signs, heat), (before, slid) = found, history
+    (torque, signs, heat), (before, slid) = result, history
     slip = state.turned - before
     wrong = np.where(signs == 0, np.abs(slip), np.maximum(0.0, -slip * signs))
     if slid is not None:
@@ -284,7 +284,7 @@ def _told(
         wrong = np.where(slid != 0, turns, wrong)
     wrong = np.maximum(wrong, np.maximum(0.0, np.abs(torque) / contact.capacity - 1))
     violation = float(wrong.max(initial=0.0))
-    return Increment(state, torque, signs, heat, violation <= HONEST, contraction, violation)
+    return Increment(state, torque, signs, heat, violation <= FRICTION_TOLERANCE, contraction, violation)
 
 
 def imbalance(contact: Contact, state: Rubbing, torque: Array) -> float:
@@ -342,15 +342,15 @@ def slide(
             if last is not None and last.converged and contact.turn_of(last.state.x - state.x) < NEAR:
                 return last, heat + last.heat
         model = model_of(contact.rows, state.gradient, state.hessian + np.eye(len(x)) / delay)
-        found = None
+        result = None
         # Where friction holds what the energy alone would not, from what stuck in the step before.
         if model is not None and (not model.negative or signs is not None):
             free = state.turned - before + contact.rows @ model.step
-            found = choose(model, free, contact.capacity, signs if model.negative else None)
-        if model is None or found is None:
+            result = choose(model, free, contact.capacity, signs if model.negative else None)
+        if model is None or result is None:
             delay *= 0.25
             continue
-        move = model.step - model.response @ found[0]
+        move = model.step - model.response @ result[0]
         turn = contact.turn_of(move)
         if turn > STRIDE:
             delay *= shortened(turn)
@@ -360,7 +360,7 @@ def slide(
         if trial.energy + spent > state.energy + owed + 1e-13 * _scale(contact, state):
             delay *= 0.25
             continue
-        state, before, heat, signs = trial, trial.turned, heat + spent, found[1]
+        state, before, heat, signs = trial, trial.turned, heat + spent, result[1]
         delay = grown(delay, turn)
     return None
 

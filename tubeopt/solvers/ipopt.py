@@ -62,15 +62,15 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
     """
     grid, pieces = structure.grid, len(structure.section)
     n, degree = grid.n_tubes, grid.degree
-    given = torsion_given(problem, structure, {})
+    inputs = torsion_given(problem, structure, {})
     base = problem.variable("torsion of the transmissions", n)
     theta = ca.reshape(problem.variable("rotation", n * pieces), n, pieces)
     inner, twist = (
         ca.reshape(problem.variable(f"{what} inside", n * pieces * degree), n, pieces * degree)
         for what in ("rotation", "torsion")
     )
-    kt, lengths, transmission = given["torsional_stiffness"], given["lengths"], given["transmission"]
-    row = [kt, lengths.T, given["along"]] if grid.detail else [given["stiffness"], given["moment"], kt, lengths.T]
+    kt, lengths, transmission = inputs["torsional_stiffness"], inputs["lengths"], inputs["transmission"]
+    row = [kt, lengths.T, inputs["along"]] if grid.detail else [inputs["stiffness"], inputs["moment"], kt, lengths.T]
     defect, end, energy = mapped("motion", grid, pieces)(theta, inner, twist, *row)
     tubes = [f"tube {i + 1}" for i in range(n)]
     after, points = places_in_words(pieces, degree, structure.section)
@@ -113,14 +113,14 @@ def solve_ipopt(
         start["torsion inside"] = (inside / problem.assembly.held_stiffness).ravel()
     for name, numbers in start.items():
         program.set_guess(name, numbers)
-    found = program.attempt(settings or (EQUATIONS if formulation == "equations" else EQUILIBRIUM))
-    if found.status is not ProblemStatus.SOLVED:
-        worst = "; ".join(map(str, found.violations[:3]))
-        verdict = found.statistics.verdict.replace("_", " ").lower()
+    result = program.attempt(settings or (EQUATIONS if formulation == "equations" else EQUILIBRIUM))
+    if result.status is not ProblemStatus.SOLVED:
+        worst = "; ".join(map(str, result.violations[:3]))
+        verdict = result.statistics.verdict.replace("_", " ").lower()
         raise SolveError(f"IPOPT found no equilibrium ({verdict}): {worst or 'all constraints are satisfied'}")
-    theta = inside_points(problem, found.values["rotation inside"])
+    theta = inside_points(problem, result.values["rotation inside"])
     state = evaluate(problem, rotations, to_unknowns(problem, rotations, theta))
-    return NewtonResult(state, True, found.statistics.iterations, 0.0)
+    return NewtonResult(state, True, result.statistics.iterations, 0.0)
 
 
 def inside_points(problem: ReducedProblem, inside: Array) -> Array:
@@ -155,11 +155,11 @@ def solve_loaded_ipopt(
     work = ca.dot(ca.DM((problem.torsion.weight[:, None] * problem.force).T), tangent)
     potential = (ca.sumsqr(z) + ca.sumsqr(q)) / 2 + stored - work
     program.minimize(potential * problem.tip_lever)
-    found = program.attempt(settings or EQUILIBRIUM)
-    if found.status is not ProblemStatus.SOLVED:
-        raise SolveError(program.failure(found))
-    x = np.concatenate([found.values["twist"], found.values["bending"]])
-    return NewtonResult(under_load.evaluate(problem, rotations, x), True, found.statistics.iterations, 0.0)
+    result = program.attempt(settings or EQUILIBRIUM)
+    if result.status is not ProblemStatus.SOLVED:
+        raise SolveError(program.failure(result))
+    x = np.concatenate([result.values["twist"], result.values["bending"]])
+    return NewtonResult(under_load.evaluate(problem, rotations, x), True, result.statistics.iterations, 0.0)
 
 
 def _section(problem: LoadedProblem, rotations: Array, z: Any, q: Any) -> tuple[Any, list[Any]]:
@@ -346,12 +346,12 @@ def minimise(
     solver = ca.nlpsol("design", "ipopt", {"x": x, "f": f, "g": g}, options)
     result = solver(x0=start, lbx=lower, ubx=upper, lbg=np.zeros(rows), ubg=np.full(rows, np.inf))
     stats = solver.stats()
-    found = np.clip(np.array(result["x"]).ravel(), lower, upper)
-    values = values_at(found.tobytes())
+    solution = np.clip(np.array(result["x"]).ravel(), lower, upper)
+    values = values_at(solution.tobytes())
     if late:
         raise late[0]
     return Optimum(
-        x=found,
+        x=solution,
         values=values,
         multipliers=-np.array(result["lam_g"]).ravel(),
         bound_multipliers=-np.array(result["lam_x"]).ravel(),

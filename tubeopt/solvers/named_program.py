@@ -419,10 +419,10 @@ class NamedProgram:
         numbers = {"scale": scale, "lower": lower, "upper": upper}
         table = {key: _table(f"{key} of {name!r}", value, size) for key, value in numbers.items()}
         _ordered(name, table)
-        words = entries or ([name] if size == 1 else [f"{name}, entry {k + 1}" for k in range(size)])
-        if len(words) != size:
-            raise InputError(f"entries of {name!r} are {len(words)} words; the constraint has {size} rows")
-        self._constraints[name] = _Constraint(ca.vec(expression), **table, entries=tuple(words))
+        labels = entries or ([name] if size == 1 else [f"{name}, entry {k + 1}" for k in range(size)])
+        if len(labels) != size:
+            raise InputError(f"entries of {name!r} are {len(labels)} words; the constraint has {size} rows")
+        self._constraints[name] = _Constraint(ca.vec(expression), **table, entries=tuple(labels))
         self._solvers.clear()
 
     def minimize(self, expression: Any) -> None:
@@ -450,8 +450,8 @@ class NamedProgram:
     def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
         """Give a variable, by its symbol or its name, other bounds."""
         name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
-        own, given = self.variables[name], {"lower": lower, "upper": upper}
-        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in given.items()}
+        own, inputs = self.variables[name], {"lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in inputs.items()}
         _ordered(name, {**table, "scale": own.scale})
         own.lower, own.upper = table["lower"], table["upper"]
 
@@ -497,26 +497,26 @@ class NamedProgram:
         variables, constraints = self.variables.values(), self._constraints.values()
         x, g = (Stacked(list(part)) for part in (variables, constraints))
         guess = {name: each.guess for name, each in self.variables.items()}
-        given: dict[str, Any] = {}
+        inputs: dict[str, Any] = {}
         if start is not None:
             guess |= {name: v for name, v in start.values.items() if name in guess and v.shape == guess[name].shape}
-            given["lam_x0"] = -self._known(start.bound_multipliers, self.variables) * x.scale
-            given["lam_g0"] = -self._known(start.multipliers, self._constraints) * g.scale
-        given["x0"] = np.concatenate([*guess.values(), np.zeros(0)]) / x.scale
+            inputs["lam_x0"] = -self._known(start.bound_multipliers, self.variables) * x.scale
+            inputs["lam_g0"] = -self._known(start.multipliers, self._constraints) * g.scale
+        inputs["x0"] = np.concatenate([*guess.values(), np.zeros(0)]) / x.scale
         p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
         bounds = {"lbx": x.lower, "ubx": x.upper, "lbg": g.lower, "ubg": g.upper}
         bounds = {key: value / (x if key.endswith("x") else g).scale for key, value in bounds.items()}
-        result = function(p=p, **given, **bounds)
+        result = function(p=p, **inputs, **bounds)
         stats = function.stats()
-        found = {key: np.array(result[key]).ravel() for key in ("x", "g", "lam_x", "lam_g")}
+        solution = {key: np.array(result[key]).ravel() for key in ("x", "g", "lam_x", "lam_g")}
         names = [word for each in constraints for word in each.entries]
-        missed = violations_of(names, found["g"] * g.scale, (g.lower, g.upper), g.scale, 10 * solver.tolerance)
+        missed = violations_of(names, solution["g"] * g.scale, (g.lower, g.upper), g.scale, 10 * solver.tolerance)
         return ProblemSolution(
             status=ProblemStatus.of(stats["return_status"]),
             objective=float(result["f"]),
-            values=self._split(found["x"] * x.scale, self.variables),
-            multipliers=self._split(-found["lam_g"] / g.scale, self._constraints),
-            bound_multipliers=self._split(-found["lam_x"] / x.scale, self.variables),
+            values=self._split(solution["x"] * x.scale, self.variables),
+            multipliers=self._split(-solution["lam_g"] / g.scale, self._constraints),
+            bound_multipliers=self._split(-solution["lam_x"] / x.scale, self.variables),
             parameters={name: numbers.copy() for name, (_, numbers) in self._parameters.items()},
             violations=worst(missed, 10),
             statistics=ProblemStatistics(

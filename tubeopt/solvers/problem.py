@@ -83,13 +83,13 @@ class Problem(NamedProgram):
                 astray += 1
                 continue
             try:
-                found = self.solve(solver)
+                result = self.solve(solver)
             except SolveError as error:
                 failed, missed = failed + 1, _nearer(missed, error.solution)
                 continue
-            objectives.append(found.objective)
-            if best is None or found.objective < best[0].objective:
-                best = found, _layouts(self)
+            objectives.append(result.objective)
+            if best is None or result.objective < best[0].objective:
+                best = result, _layouts(self)
         attempts = Attempts(count, len(objectives), astray, failed, tuple(sorted(objectives)))
         if best is None:
             worst = f"; nearest: {self.failure(missed)}" if missed else ""
@@ -118,13 +118,13 @@ def _improve(problem: NamedProgram, solver: Ipopt, solution: ProblemSolution, li
             break
         seen.add(_arrangement(problem))
         _begin_at(problem, best)
-        found = problem.attempt(solver)
-        seconds += found.statistics.seconds
+        result = problem.attempt(solver)
+        seconds += result.statistics.seconds
         slack = 1e-7 * max(1.0, abs(best.objective))
-        if found.status is not ProblemStatus.SOLVED or found.objective > best.objective + slack:
+        if result.status is not ProblemStatus.SOLVED or result.objective > best.objective + slack:
             _restore(problem, at)
             break
-        best, at, count = found, _layouts(problem), count + 1
+        best, at, count = result, _layouts(problem), count + 1
     return replace(best, statistics=replace(best.statistics, reorderings=count, seconds=seconds))
 
 

@@ -41,8 +41,8 @@ def constrained_least_squares(matrix: Array, right: Array, rows: Array, bounds: 
     compiled = compiled_least_squares() if matrix.shape[1] <= MOST_VARIABLES else None
     if compiled is None:
         return by_least_distance(matrix, right, rows, bounds)
-    found = compiled(matrix, right, rows, bounds)
-    return None if found is None else LeastSquares(*found)
+    result = compiled(matrix, right, rows, bounds)
+    return None if result is None else LeastSquares(*result)
 
 
 def by_least_distance(matrix: Array, right: Array, rows: Array, bounds: Array) -> LeastSquares | None:

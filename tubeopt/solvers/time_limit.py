@@ -39,8 +39,8 @@ class LateError(Exception):
     `best` is the best that was found before, or None.
     """
 
-    def __init__(self, *words: object, best: Any = None) -> None:
-        super().__init__(*words)
+    def __init__(self, *labels: object, best: Any = None) -> None:
+        super().__init__(*labels)
         self.best = best
 
 
@@ -87,22 +87,22 @@ def limited(question: F) -> F:
     default = (question.__kwdefaults__ or {})["time_limit"]
 
     @functools.wraps(question)
-    def asked(*args: Any, **given: Any) -> Any:
+    def asked(*args: Any, **inputs: Any) -> Any:
         outer = time_left()
-        if "time_limit" in given:
-            limit = positive("time_limit", given["time_limit"])
+        if "time_limit" in inputs:
+            limit = positive("time_limit", inputs["time_limit"])
         elif outer < math.inf:
-            return question(*args, **given)
+            return question(*args, **inputs)
         else:
             limit = default
         try:
             with within(limit):
-                return question(*args, **given)
+                return question(*args, **inputs)
         except LateError as late:
             if outer <= limit:  # of who asks, who knows what to do about it
                 raise
-            found = "" if late.best is None else " with an answer that it could not check"
-            raise late_error(question.__name__, limit, late.best, found) from None
+            result = "" if late.best is None else " with an answer that it could not check"
+            raise late_error(question.__name__, limit, late.best, result) from None
 
     return asked  # type: ignore[return-value]
 

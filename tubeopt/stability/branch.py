@@ -151,11 +151,11 @@ def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[Pla
 
 
 def _last(family: Family, inside: PlainPoint, outside: PlainPoint) -> PlainPoint:
-    """The point of the branch where it crosses the end of the way, between two points of it."""
+    """The point of the branch where it crosses the end of the path, between two points of it."""
     t = 0.0 if outside.t < 0 else 1.0
-    share = (t - inside.t) / (outside.t - inside.t)
+    fraction = (t - inside.t) / (outside.t - inside.t)
     there = replace(inside.member, rotations=family.path.at(t)[0])
-    result = there.solve(inside.state.x + share * (outside.state.x - inside.state.x))
+    result = there.solve(inside.state.x + fraction * (outside.state.x - inside.state.x))
     return Point.of(there, result, t) if result.converged else inside
 
 

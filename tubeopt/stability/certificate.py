@@ -290,8 +290,8 @@ def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple
     """(N, n, n) V'' at the collocation points at rotations that are worst for every pair of tubes, and |c_ij|; with
     `opposition` (N,) -c_ij times that of the one pair, and the V'' that it makes."""
     count, n = problem.moment.shape
-    found = mapped(worst_function(n), count)(problem.stiffness, problem.moment, np.zeros((count, n)))
-    second, pull = (found[k].reshape(count, n, n).copy() for k in (0, 3))
+    result = mapped(worst_function(n), count)(problem.stiffness, problem.moment, np.zeros((count, n)))
+    second, pull = (result[k].reshape(count, n, n).copy() for k in (0, 3))
     if opposition is None:
         return second, pull
     return second * -opposition[:, None, None], pull * -opposition[:, None, None]
@@ -344,8 +344,8 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         nothing = {name: np.zeros(n) for name in PARAMETERS}
         return Certificate(margin, shift, nothing, None, None, np.zeros((n, n)))
     work = _at_worst(problem, opposition)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
-    share = work.sum(0) / (1 - margin)
-    i, j = np.unravel_index(int(np.argmax(np.triu(share))), share.shape)
+    fraction = work.sum(0) / (1 - margin)
+    i, j = np.unravel_index(int(np.argmax(np.triu(fraction))), fraction.shape)
     mesh, assembly = problem.mesh, problem.assembly
     section = np.repeat(mesh.section[mesh.collocated], mesh.tableau.degree)
     each = np.bincount(section, weights=work.sum((1, 2)), minlength=assembly.n_sections)
@@ -356,7 +356,7 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     if opposition is not None:
         slope = _gradient_of_pair(robot, shift, worst_case(problem)[0])
     gradient = dict(zip(PARAMETERS, slope.reshape(-1, n), strict=True))
-    return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, share)
+    return Certificate(margin if proved is None else proved, shift, gradient, (int(i), int(j)), span, fraction)
 
 
 def _of_segments(robot: Robot, shift: Array) -> Certificate:
@@ -364,11 +364,11 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
     assembly = robot.assembly(shift)
     margin, segment = proof(assembly)
     gradient = proof_gradient(robot, shift)
-    share = np.zeros((robot.n_tubes, robot.n_tubes))
+    fraction = np.zeros((robot.n_tubes, robot.n_tubes))
     if segment is not None:
         mine = list(segment.tubes)
-        share[np.ix_(mine, mine)] = (1 - np.eye(3)) / 3
-    return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, share)
+        fraction[np.ix_(mine, mine)] = (1 - np.eye(3)) / 3
+    return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, fraction)
 
 
 def breakpoint_pattern(assembly: Assembly) -> Pattern:
@@ -416,5 +416,5 @@ def worst_of_pair(member: Unloaded, above: float) -> PlainPoint | None:
     tips = np.zeros((1, n))
     tips[0, pair.tubes[0]] = least.tip
     there = replace(member, rotations=to_base(problem, tips)[0])
-    found = there.solve(there.unknowns(profiles(problem, tips)[0]))
-    return Point(0.0, there, found.state, least.margin) if found.converged else None
+    result = there.solve(there.unknowns(profiles(problem, tips)[0]))
+    return Point(0.0, there, result.state, least.margin) if result.converged else None

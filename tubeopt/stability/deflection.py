@@ -42,7 +42,7 @@ GAUSS = np.polynomial.legendre.leggauss(3)
 """Exact for the polynomials of degree 4 that are integrated on every section."""
 
 BOX, MOST_BOXES = 2e-3, 16
-"""Length, m, of the boxes in which a way of translations is taken, and most of them."""
+"""Length, m, of the boxes in which a path of translations is taken, and most of them."""
 
 
 @typed
@@ -76,8 +76,8 @@ def deflection_bound(
     certificate = snap_free_certificate(robot, shift, max_force=max_force)
     length = robot.assembly(shift).total_length
     single = arc_length is not None and np.ndim(np.asarray(arc_length, dtype=object)) == 0
-    given: Any = [length] if arc_length is None else [arc_length] if single else arc_length
-    places = finite_array("arc_length", given, 1)
+    inputs: Any = [length] if arc_length is None else [arc_length] if single else arc_length
+    places = finite_array("arc_length", inputs, 1)
     if not np.isfinite(places).all() or places.min(initial=0.0) < 0 or places.max(initial=0.0) > length * (1 + 1e-12):
         raise InputError(f"arc_length is {places.tolist()} m; points must lie on the arm, between 0 and {length:g} m")
     return _moved(bundle_of(robot, shift), certificate, max_force, places)
@@ -113,7 +113,7 @@ def _reach(bundle: Bundle, s: float) -> float:
 
 @dataclass(frozen=True)
 class ForceBound(Displayed):
-    """What holds for all rotations, on a way of translations, and for all tip forces up to a size that keep their
+    """What holds for all rotations, on a path of translations, and for all tip forces up to a size that keep their
     direction, beside a load where there is one."""
 
     max_force: Annotated[
@@ -126,42 +126,42 @@ class ForceBound(Displayed):
 
 
 def under_any_force(robot: Robot, translations: ArrayLike, max_force: float, load: Load | None = None) -> ForceBound:
-    """What holds on a way of translations (T, n), straight in between, whatever pushes on the tip with up to
+    """What holds on a path of translations (T, n), straight in between, whatever pushes on the tip with up to
     `max_force`, beside a dead load.
-    The way is taken in boxes of translations, for each of which one bound holds.
+    The path is taken in boxes of translations, for each of which one bound holds.
 
     Raises:
         InputError: as `snap_free_certificate` under a force, and `most_borne`.
     """
-    way = np.atleast_2d(np.asarray(translations, dtype=float))
-    whole = max_force + (0.0 if load is None else most_borne(robot, way, load))
-    first, found = snap_free_certificate(robot, way[0], max_force=whole), []
-    for near, far in _boxes(way):
+    path = np.atleast_2d(np.asarray(translations, dtype=float))
+    whole = max_force + (0.0 if load is None else most_borne(robot, path, load))
+    first, result = snap_free_certificate(robot, path[0], max_force=whole), []
+    for near, far in _boxes(path):
         bundle, margin = bundle_of(robot, near, far), first
         if not np.array_equal(near, far):
             margin = 1 - bundle.softened(whole, pairs=True) if bundle.total_length else 1.0
         tip = np.array([bundle.total_length])
-        found.append((margin, float(_moved(bundle, margin, max_force, tip)[0])))
-    least, most = np.array(found).T
+        result.append((margin, float(_moved(bundle, margin, max_force, tip)[0])))
+    least, most = np.array(result).T
     return ForceBound(max_force, float(least.min()), float(most.max()))
 
 
-def _boxes(way: Array) -> list[tuple[Array, Array]]:
-    """Least and greatest translations (n,) in each box of a way (T, n); of one that rests one box without size."""
-    if (way == way[0]).all():
-        return [(way[0], way[0])]
-    along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(way, axis=0)).max(1))])
+def _boxes(path: Array) -> list[tuple[Array, Array]]:
+    """Least and greatest translations (n,) in each box of a path (T, n); of one that rests one box without size."""
+    if (path == path[0]).all():
+        return [(path[0], path[0])]
+    along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).max(1))])
     edges = np.linspace(0, along[-1], min(MOST_BOXES, math.ceil(along[-1] / BOX)) + 1)
-    corners = np.stack([np.interp(edges, along, column) for column in way.T], axis=1)
+    corners = np.stack([np.interp(edges, along, column) for column in path.T], axis=1)
     each = [
-        np.concatenate([corners[k : k + 2], way[(along >= a) & (along <= b)]])
+        np.concatenate([corners[k : k + 2], path[(along >= a) & (along <= b)]])
         for k, (a, b) in enumerate(pairwise(edges))
     ]
     return [(inside.min(0), inside.max(0)) for inside in each]
 
 
-def most_borne(robot: Robot, way: Array, load: Load) -> float:
-    """Bound of the force on any cross-section under a dead load, N, with translations on a way (T, n).
+def most_borne(robot: Robot, path: Array, load: Load) -> float:
+    """Bound of the force on any cross-section under a dead load, N, with translations on a path (T, n).
 
     Raises:
         InputError: a load with a moment, one that turns with the tip, or one per length that is a function: no number
@@ -173,7 +173,7 @@ def most_borne(robot: Robot, way: Array, load: Load) -> float:
             "distributed is a function; with max_force it must be a force (3,) or "
             "stretches, because samples of a function are no bound"
         )
-    ends = np.maximum(robot.assembly(way.max(0)).end, 0.0)
+    ends = np.maximum(robot.assembly(path.max(0)).end, 0.0)
     length, along = float(ends.max()), load.distributed or ZERO
     pushed = [load.force, *(point.force for point in load.points)]
     for part in along:

@@ -12,7 +12,7 @@ is enough, and necessary where c is 0.
 
 *Closed form.* Two tubes turned to c and the third to c + pi neither twist nor turn one another: an equilibrium at every
 length, whose linearisation has constant coefficients. Where one of these is unstable, with segments further out and in
-curving to one side, the joint rotations have more than one equilibrium, and the robot snaps on some way.
+curving to one side, the joint rotations have more than one equilibrium, and the robot snaps on some path.
 
 Both are told as a number that is positive where the robot is stable: the share of torsional stiffness that all tubes
 could lose before the proof fails, or the untwisted shape is a fold.
@@ -243,16 +243,16 @@ class Segment:
 def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
     """The segments of a robot, base to tip; None where it is not made of three equal tubes each, or curves too tightly
     for the table: then nothing is proved."""
-    found: list[Segment] = []
+    result: list[Segment] = []
     used: set[int] = set()
     for k in np.flatnonzero(assembly.curved.any(1) & (assembly.length > SHORT)):
         segment = _segment(assembly, int(k))
         if segment is None or used & set(segment.tubes):
             return None
         used |= set(segment.tubes)
-        outer = tuple((other.delta, other.length / other.rate * segment.rate) for other in found)
-        found.append(replace(segment, outer=outer))
-    return tuple(found)
+        outer = tuple((other.delta, other.length / other.rate * segment.rate) for other in result)
+        result.append(replace(segment, outer=outer))
+    return tuple(result)
 
 
 def _segment(assembly: Assembly, k: int) -> Segment | None:

@@ -81,8 +81,8 @@ def energy_map(
             raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
     if tubes[0] == tubes[1]:
         raise InputError(f"tubes is {tubes}; they must be two different tubes")
-    found = find_equilibria(robot, alpha, shift)
-    tips = np.array([e.tip_rotations for e in found])[:, list(tubes)]
+    result = find_equilibria(robot, alpha, shift)
+    tips = np.array([e.tip_rotations for e in result])[:, list(tubes)]
     first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
     holds = [_hold(problem, tube) for tube in tubes]
     # Held is the elastic rotation; what natural twist adds to it is known.
@@ -97,7 +97,7 @@ def energy_map(
             z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
             if j == 0:
                 row = z
-    return EnergyMap(tubes, first, second, energy, tuple(found))
+    return EnergyMap(tubes, first, second, energy, tuple(result))
 
 
 def _window(tips: Array, window: ArrayLike | None) -> Array:

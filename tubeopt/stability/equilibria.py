@@ -147,7 +147,7 @@ def _places(assembly: Assembly) -> Index:
 # det(d alpha / d theta_tip), is 1, as it must be: alpha - theta_tip is bounded, so that the map deforms into the
 # identity. For more than three tubes there is no table, and the starts are a Sobol sequence.
 #
-# There is one table for all joint rotations and transmissions. What the torsion adds on the way from the tips to the
+# There is one table for all joint rotations and transmissions. What the torsion adds on the path from the tips to the
 # base, theta(0) - theta_tip and t(0), is a periodic, analytic function of the tip angles: its Fourier series converges
 # geometrically, so that a grid fine enough for the series to end stands for every finer one. On the centreline it is a
 # function of the angles relative to the last tube's; off it the common angle is one more, in which the function is
@@ -247,24 +247,24 @@ def _tails(values: Array) -> list[float]:
     return out
 
 
-def starts(table: Table, transmission: Array, wanted: Array, size: int) -> Array:
+def starts(table: Table, transmission: Array, target: Array, size: int) -> Array:
     """Tip angles (B, k) in the middle of every cell of a grid that may lead to the wanted joints (k,).
 
     It has at least `size` points per turn of the relative angles.
     """
-    k, dimension = len(wanted), len(table.size)
+    k, dimension = len(target), len(table.size)
     values = table.turned - transmission * table.torque
     sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
         values = _resampled(values, n, axis)
     angles = np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in sizes], indexing="ij"), axis=-1)
-    gap = _tips(angles, k) + values - wanted
+    gap = _tips(angles, k) + values - target
     # Relative to the last tube, then that itself where it counts: continuous along the grid, in turns.
     parts = [(gap[..., i] - gap[..., -1]) / TURN for i in range(k - 1)] + [gap[..., -1] / TURN] * (dimension == k)
     hit = np.logical_and.reduce([_may_be_whole(part, axis) for axis, part in enumerate(parts)])
     chosen = angles[hit] + TURN / 2 / np.array(sizes)
     tips = _tips(chosen, k)
-    return tips if dimension == k else tips + wanted[-1]
+    return tips if dimension == k else tips + target[-1]
 
 
 def _resampled(values: Array, size: int, axis: int) -> Array:
@@ -321,37 +321,37 @@ def preimage(
     """Tip angles that lead to joint rotations (k,) of the first k tubes of a bundle, the others being straight, if its
     transmissions were (n,) `transmission`, 1/(N m)."""
     part = replace(bundle, transmission=transmission)
-    found = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))))
+    result = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))))
     if len(rotations) == 1:
         # Nothing turns a single tube.
-        return found
+        return result
     for near in _tip_starts(bundle, transmission, rotations, most_starts):
-        before = len(found.tips)
-        found = _finish(part, rotations, np.concatenate([found.tips, _approach(part, rotations, near)]))
-        if len(found.tips) == before and found.sign.sum() == 1:
-            return found
-    return replace(found, settled=False)
+        before = len(result.tips)
+        result = _finish(part, rotations, np.concatenate([result.tips, _approach(part, rotations, near)]))
+        if len(result.tips) == before and result.sign.sum() == 1:
+            return result
+    return replace(result, settled=False)
 
 
-def _tip_starts(bundle: Bundle, transmission: Array, wanted: Array, most: int) -> Iterator[Array]:
+def _tip_starts(bundle: Bundle, transmission: Array, target: Array, most: int) -> Iterator[Array]:
     """Tip angles (B, k) from which to solve, from ever finer grids."""
-    k = len(wanted)
+    k = len(target)
     if k <= 3:
         table = table_of(bundle, k)
         for size in GRIDS[len(table.size) - 1]:
-            yield starts(table, transmission[:k], wanted, size)
+            yield starts(table, transmission[:k], target, size)
         return
     # Twice as many each time, for as long as a new solution or the degree says that some are missing.
     count = FIRST_STARTS
     while count <= most:
         tips = np.pad(sobol(k - 1, count, count.bit_length() - 1) * TURN, ((0, 0), (0, 1)))
-        led = shoot(replace(bundle, transmission=transmission), tips, steps=TABLE_STEPS).rotations
-        yield tips + (wanted - led)[:, -1:]
+        reached = shoot(replace(bundle, transmission=transmission), tips, steps=TABLE_STEPS).rotations
+        yield tips + (target - reached)[:, -1:]
         count *= 2
 
 
 def _newton(
-    bundle: Bundle, wanted: Array, tips: Array, steps: int, iterations: int, enough: float
+    bundle: Bundle, target: Array, tips: Array, steps: int, iterations: int, enough: float
 ) -> tuple[Array, Array]:
     """Tip angles (B, k) of Newton's method where they left the least gap, and this gap (B,).
 
@@ -364,7 +364,7 @@ def _newton(
         if not len(going):
             break
         shot = shoot(bundle, here, steps=steps, slopes=True)
-        gap = shot.rotations - wanted
+        gap = shot.rotations - target
         gap -= TURN * np.round(gap / TURN)
         size = np.abs(gap).max(1)
         better = size < least[going]
@@ -377,26 +377,26 @@ def _newton(
     return best, least
 
 
-def _approach(bundle: Bundle, wanted: Array, starts: Array) -> Array:
+def _approach(bundle: Bundle, target: Array, starts: Array) -> Array:
     """Starts that got close, by rough integration, without doubles."""
     tips = starts
     # Most starts have met after a few steps.
     for iterations in (3, 10):
-        tips, gap = _newton(bundle, wanted, tips, TABLE_STEPS, iterations, HANDED_OVER)
+        tips, gap = _newton(bundle, target, tips, TABLE_STEPS, iterations, HANDED_OVER)
         tips = tips % TURN
         first = np.unique(np.round(tips / CLOSE), axis=0, return_index=True)[1]
         tips, gap = tips[first], gap[first]
     return np.asarray(tips[gap < CLOSE])
 
 
-def _finish(bundle: Bundle, wanted: Array, starts: Array) -> Preimage:
+def _finish(bundle: Bundle, target: Array, starts: Array) -> Preimage:
     """Tip angles that starts lead to, unwound so that their joints are the wanted ones without whole turns."""
-    tips, gap = _newton(bundle, wanted, starts, STEPS, 12, SOLVED)
+    tips, gap = _newton(bundle, target, starts, STEPS, 12, SOLVED)
     tips = tips[gap < SOLVED]
     if not len(tips):
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
     shot = shoot(bundle, tips, slopes=True)
-    tips = tips - TURN * np.round((shot.rotations - wanted) / TURN)
+    tips = tips - TURN * np.round((shot.rotations - target) / TURN)
     sign = np.sign(np.linalg.det(shot.by_tip))
     kept: list[int] = []
     for i in range(len(tips)):
@@ -441,23 +441,23 @@ def loaded_equilibria(
     bounded, force = load.tip_force_only, float(np.linalg.norm(load.force))
     if bounded and snap_free_certificate(robot, translations, max_force=force) > CERTAIN:
         return [forward_kinematics(robot, rotations, translations, load=load)]
-    found: list[LoadedPoint] = []
+    result: list[LoadedPoint] = []
     explored: set[int] = set()
     for equilibrium in plain:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
-        add(found, member, member.unknowns(theta))
+        add(result, member, member.unknowns(theta))
     sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), LOADED_STARTS
     while count <= search.most_loaded_starts:
         starts = _starts(member, sequence.random(count))
-        new = sum(add(found, member, x) for x in starts)
-        new += _descend(found, member, explored)
+        new = sum(add(result, member, x) for x in starts)
+        new += _descend(result, member, explored)
         # Where there is a least energy, a set without a stable equilibrium is not all.
-        if not new and degree(found) == 1 and (not member.descends or any(point.margin > 0 for point in found)):
-            points = sorted(found, key=lambda point: point.state.potential if member.descends else -point.margin)
+        if not new and degree(result) == 1 and (not member.descends or any(point.margin > 0 for point in result)):
+            points = sorted(result, key=lambda point: point.state.potential if member.descends else -point.margin)
             return [to_equilibrium(point, "search from many starts") for point in points]
         count *= 2
     raise SolveError(
-        f"{len(found)} equilibria were found with degree {degree(found)} instead of 1: one "
+        f"{len(result)} equilibria were found with degree {degree(result)} instead of 1: one "
         "is missing, or joint values and load are at a fold"
     )
 
@@ -483,22 +483,22 @@ def _starts(member: Loaded, samples: Array) -> list[Array]:
     return starts
 
 
-def add(found: list[Any], member: Member[Any], x: Array) -> bool:
+def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
     """Solve from x; whether that is an equilibrium which was not known."""
     result = member.solve(x, iterations=30)
     if not result.converged:
         return False
-    if any(member.turn(result.state, result.state.x - known.state.x) < SAME for known in found):
+    if any(member.turn(result.state, result.state.x - known.state.x) < SAME for known in equilibria):
         return False
-    found.append(Point.of(member, result, 1.0))
+    equilibria.append(Point.of(member, result, 1.0))
     return True
 
 
-def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int]) -> int:
+def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> int:
     """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds. Where one
     goes that flutters is not known."""
     new = 0
-    for k, point in enumerate(list(found)):
+    for k, point in enumerate(list(result)):
         if k in explored or point.margin >= 0:
             continue
         explored.add(k)
@@ -507,16 +507,16 @@ def _descend(found: list[LoadedPoint], member: Loaded, explored: set[int]) -> in
             push = NUDGE / member.turn(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
-                new += landed.converged and add(found, member, landed.state.x)
+                new += landed.converged and add(result, member, landed.state.x)
     return new
 
 
-def degree(found: Iterable[Place]) -> int:
+def degree(result: Iterable[Place]) -> int:
     """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index where there is an energy.
 
     It is 1 for a complete set, since the equations deform into those without coupling.
     """
-    return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in found))
+    return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in result))
 
 
 # --- The question -----------------------------------------------------------------------------------------------------
@@ -567,8 +567,8 @@ def find_equilibria(
     """
     alpha, place = joint_values(robot, rotations, translations)
     shift = tuple(place.tolist())
-    found = _without_load(Unloaded.of(robot, alpha, shift), search.most_starts)
-    equilibria = [to_equilibrium(point, "search over tip angles") for point in found]
+    result = _without_load(Unloaded.of(robot, alpha, shift), search.most_starts)
+    equilibria = [to_equilibrium(point, "search over tip angles") for point in result]
     if load is not None:
         return loaded_equilibria(robot, alpha, shift, load, equilibria, search)
     return sorted(equilibria, key=lambda e: e.energy)
@@ -582,13 +582,13 @@ def _without_load(member: Unloaded, most_starts: int) -> list[PlainPoint]:
         result = member.descend(np.zeros(problem.size))
         if result.converged:
             return [Point.of(member, result)]
-    found = list[PlainPoint]()
+    solution = list[PlainPoint]()
     for theta in profiles(problem, _all_tips(problem, rotations, most_starts)):
-        add(found, member, member.unknowns(theta))
-    whole = degree(found)
+        add(solution, member, member.unknowns(theta))
+    whole = degree(solution)
     if whole != 1:
-        raise SolveError(_incomplete(len(found), whole))
-    return found
+        raise SolveError(_incomplete(len(solution), whole))
+    return solution
 
 
 def _all_tips(problem: ReducedProblem, rotations: Array, most_starts: int) -> Array:
@@ -607,10 +607,10 @@ def _all_tips(problem: ReducedProblem, rotations: Array, most_starts: int) -> Ar
                 # Straight tubes that only keep a place have no torsion to transmit.
                 held[: len(group.tubes)] += (extra / problem.assembly.held_stiffness)[group.tubes]
                 known[key] = preimage(bundle, held, rotations[group.tubes], most_starts)
-            found = known[key]
-            if not found.settled:
-                raise SolveError(_incomplete(len(found.tips), int(found.sign.sum())))
-            for angles, travel in zip(found.tips, found.travel, strict=True):
+            result = known[key]
+            if not result.settled:
+                raise SolveError(_incomplete(len(result.tips), int(result.sign.sum())))
+            for angles, travel in zip(result.tips, result.travel, strict=True):
                 turned = tips.copy()
                 turned[group.tubes] = angles
                 more = travel[group.seat] - bundle.length.sum() if bundle.place else 0.0

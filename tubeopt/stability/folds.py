@@ -143,45 +143,45 @@ def _equations(family: Family, known: Member[Any]) -> Callable[[float], Callable
 
 def fold_ahead(family: Family, last: Place, far: float) -> Loss | None:
     """The fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
-    found = fold(family, last)
-    return found if found is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= found.t <= far else None
+    result = fold(family, last)
+    return result if result is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= result.t <= far else None
 
 
-def fold(family: Family, near: Place) -> Loss | None:
+def fold(family: Family, point: Place) -> Loss | None:
     """The fold of a branch close to a point of it; None where it is not found."""
-    known = near.member
+    known = point.member
 
     def turn(step: Array) -> float:
-        return float(known.turn(near.state, step))
+        return float(known.turn(point.state, step))
 
-    found = turning_point(_equations(family, known), turn, near.t, near.state.x, near.softest)
-    there = None if found is None else family.like(known, found.t)
-    if found is None or there is None:
+    result = turning_point(_equations(family, known), turn, point.t, point.state.x, point.softest)
+    there = None if result is None else family.like(known, result.t)
+    if result is None or there is None:
         return None
-    state = there.at(found.x)
-    return Loss(Point(found.t, there, state, there.margin(state), found.steps), "fold", found.direction)
+    state = there.at(result.x)
+    return Loss(Point(result.t, there, state, there.margin(state), result.steps), "fold", result.direction)
 
 
-def bifurcation(family: Family, near: Place, goal: float) -> Loss | None:
-    """The root of the margin on the branch of `near`, which goes on beyond it; None where it does not."""
+def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
+    """The root of the margin on the branch of `point`, which goes on beyond it; None where it does not."""
 
     def at(t: float) -> Place | None:
         there = family.member(t)
-        result = there.solve(there.carried(near))
+        result = there.solve(there.carried(point))
         return Point.of(there, result, t) if result.converged else None
 
     ahead = 1e-7
     while ahead < WIDEST:
-        t = min(goal, near.t + ahead * max(1.0, abs(goal)))
+        t = min(goal, point.t + ahead * max(1.0, abs(goal)))
         beyond = at(t)
         if beyond is None:
             return None
         if beyond.margin < 0:
-            found = _root(at, near.t, t)
-            if found is None:
+            solution = _root(at, point.t, t)
+            if solution is None:
                 return None
-            kind = "flutter" if found.member.flutters(found.state) else "bifurcation"
-            return Loss(found, kind, found.softest)
+            kind = "flutter" if solution.member.flutters(solution.state) else "bifurcation"
+            return Loss(solution, kind, solution.softest)
         if t == goal:
             return None
         ahead *= 10
@@ -196,11 +196,11 @@ def _root(at: Callable[[float], Place | None], low: float, high: float) -> Place
     if not margin(low) > 0:
         return at(low)
     try:
-        found = at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
+        result = at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
     except ValueError:
         return None
     # Where the margin jumps, there are two branches, not a root on one.
-    return found if found is not None and abs(found.margin) <= LEAST_STIFFNESS else None
+    return result if result is not None and abs(result.margin) <= LEAST_STIFFNESS else None
 
 
 def fall(lost: Place, direction: Array) -> Place | None:

@@ -1,5 +1,5 @@
 """Quasi-static motion along a path of joint values, with its history: where the robot snaps, and where it lands; the
-first snap on a straight way."""
+first snap on a straight path."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, JointPath
-from ..equilibrium.friction import Held, to_held_equilibrium
+from ..equilibrium.friction import FrictionEquilibrium, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
@@ -41,7 +41,7 @@ TO_A_SNAP = 16
 
 
 class PathStatus(StatusEnum):
-    """What a robot did on its way; every value reads as a sentence."""
+    """What a robot did on its path; every value reads as a sentence."""
 
     SMOOTH = "the robot reached all waypoints without a snap"
     SNAPPED = "the robot reached all waypoints, with snaps"
@@ -62,7 +62,7 @@ class PathStatistics:
 class HeldEquilibria(Sequence[Equilibrium]):
     """Equilibria with friction at T waypoints, each of which is put together when it is first asked for."""
 
-    def __init__(self, robot: Robot, states: Sequence[Held | Callable[[], Held]]) -> None:
+    def __init__(self, robot: Robot, states: Sequence[FrictionEquilibrium | Callable[[], FrictionEquilibrium]]) -> None:
         self._robot, self._states = robot, tuple(states)
         self._made: dict[int, Equilibrium] = {}
 
@@ -79,8 +79,8 @@ class HeldEquilibria(Sequence[Equilibrium]):
         k = range(len(self))[at]
         if k not in self._made:
             state = self._states[k]
-            held = state if isinstance(state, Held) else state()
-            self._made[k] = to_held_equilibrium(self._robot, held, "the increment before")
+            current = state if isinstance(state, FrictionEquilibrium) else state()
+            self._made[k] = to_held_equilibrium(self._robot, current, "the increment before")
         return self._made[k]
 
 
@@ -156,10 +156,10 @@ def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
     for (first, start), (last, end) in pairwise(zip(part.at.tolist(), part.equilibria, strict=True)):
         to_fold = ends_in_snap and end is part.equilibria[-1]
         steps = TO_A_SNAP if to_fold else BETWEEN
-        share = np.arange(1, steps) / steps
-        share = 1 - (1 - share) ** 2 if to_fold else share  # the margin falls fastest next to the snap
+        fraction = np.arange(1, steps) / steps
+        fraction = 1 - (1 - fraction) ** 2 if to_fold else fraction  # the margin falls fastest next to the snap
         guess = start
-        for x in share.tolist():
+        for x in fraction.tolist():
             turns = start.rotations + x * (end.rotations - start.rotations)
             shifts = start.translations + x * (end.translations - start.translations)
             try:
@@ -223,11 +223,11 @@ def follow(
 def _collected(
     legs: Iterable[tuple[T, list[Snap]]], progress: Callable[[int], object] | None
 ) -> tuple[list[T], tuple[Snap, ...]]:
-    """What is told of every waypoint, and all snaps on the way."""
+    """What is told of every waypoint, and all snaps on the path."""
     reached, snaps = list[T](), list[Snap]()
-    for k, (there, found) in enumerate(legs):
+    for k, (there, result) in enumerate(legs):
         reached.append(there)
-        snaps += found
+        snaps += result
         if progress is not None and k:
             progress(k)
     return reached, tuple(snaps)
@@ -236,7 +236,7 @@ def _collected(
 def _legs(
     robot: Robot, joints: Array, load: Load | None, start: Equilibrium | None
 ) -> Iterator[tuple[Equilibrium, list[Snap]]]:
-    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the way to it."""
+    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the path to it."""
     pose = _start(robot, joints[0], load, start)
     yield pose, []
     for k, (here, there) in enumerate(pairwise(joints)):
@@ -346,7 +346,7 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
 @small
 def push(equilibrium: Equilibrium, load: Load) -> Path:
     """What a robot does while the load on it turns evenly into another one: the equilibria at both ends, and the snaps
-    between, at fractions of the way.
+    between, at fractions of the path.
 
     Args:
         equilibrium: stable, with or without a load.

@@ -1,7 +1,7 @@
 """Motion along waypoints with dry friction between the tubes: increments, snaps, and where the robot lands.
 
 A state is followed as the nearest minimum of energy and friction together. Where that is lost the robot snaps: it flows
-downhill, friction taking its part on the way, to where it comes to rest.
+downhill, friction taking its part meanwhile, to where it comes to rest.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..block.transcription.orientation import tangent_slopes
 from ..display import Displayed
 from ..equilibrium.continuation import Family, JointPath, largest_twist
 from ..equilibrium.friction import (
-    Held,
+    FrictionEquilibrium,
     bent_at,
     carried,
     check_rubbing,
@@ -39,7 +39,7 @@ from ..robots.concentric import Friction
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small
-from ..solvers.friction_increment import HONEST, slide, softest
+from ..solvers.friction_increment import FRICTION_TOLERANCE, slide, softest
 from ..solvers.settings import LARGEST_RATIO
 from ..typing import Array
 from .certificate import convexity, snap_free_certificate
@@ -82,18 +82,18 @@ class Stride:
         self.longest = family.path.largest_step()
         self.shortest = min(SHORTEST / max(family.span(), SHORTEST), LANDED_STEP * self.longest)
         self.size, self._halted, self._wall = self.longest, False, 0.0
-        self._before: tuple[float, Held] | None = None
+        self._before: tuple[float, FrictionEquilibrium] | None = None
 
-    def failed(self, t: float, held: Held, at: float) -> bool:
+    def failed(self, t: float, current: FrictionEquilibrium, at: float) -> bool:
         """After a step from a state at t to `at` that failed: whether there is a shorter one, which is `size` now."""
-        step, ahead = at - t, self._ahead(t, held)
+        step, ahead = at - t, self._ahead(t, current)
         self.size = max(self.shortest, ahead if ahead < 0.9 * step else step / 4)
         self._halted, self._wall = True, at
         return step > 2 * self.shortest
 
-    def went(self, t: float, held: Held, at: float, there: Held) -> None:
+    def went(self, t: float, current: FrictionEquilibrium, at: float, there: FrictionEquilibrium) -> None:
         """After a step from a state at t to another."""
-        self._before = (t, held)
+        self._before = (t, current)
         grown = self.size if self._halted else min(2 * self.size, self.longest)
         near = self._ahead(at, there) if at < self._wall else grown
         self.size, self._halted = max(self.shortest, near if near < grown else grown), False
@@ -103,12 +103,12 @@ class Stride:
         self.size = max(self.size, LANDED_STEP * self.longest)
         self._halted, self._wall, self._before = False, 0.0, None
 
-    def _ahead(self, t: float, held: Held) -> float:
-        """Most of the way from a state at t to the fold that it and the one before tell of; infinite without one."""
-        if self._before is None or held.held_margin < UNTOLD:
+    def _ahead(self, t: float, current: FrictionEquilibrium) -> float:
+        """Largest fraction of the path from a state at t to the fold that the last two states predict, or infinity."""
+        if self._before is None or current.held_margin < UNTOLD:
             return float("inf")
         s, earlier = self._before
-        soft, softer = earlier.held_margin**2, held.held_margin**2
+        soft, softer = earlier.held_margin**2, current.held_margin**2
         return TOWARDS_FRICTION_FOLD * (t - s) * softer / (soft - softer) if softer < soft else float("inf")
 
 
@@ -121,30 +121,30 @@ class RubbingSnap:
     """A snap at a fraction of a segment, from one state to another; energy in J."""
 
     fraction: float
-    before: Held
-    after: Held
+    before: FrictionEquilibrium
+    after: FrictionEquilibrium
 
 
 def rubbing_legs(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None, load: Load | None
-) -> Iterator[tuple[Held | Callable[[], Held], list[Snap]]]:
-    """The state at every waypoint (T, 2n), or what tells it, and the snaps on the way to it."""
-    held = rubbing_start(robot, joints[0], friction, start, load)
-    at_start = np.allclose(np.concatenate([held.rotations, held.translations]), joints[0], rtol=0, atol=1e-12)
-    if not at_start or held.contact.load != load:
-        held, _ = rubbing_leg(robot, held, joints[0], load)
-    yield held, []
+) -> Iterator[tuple[FrictionEquilibrium | Callable[[], FrictionEquilibrium], list[Snap]]]:
+    """The state at every waypoint (T, 2n), or what tells it, and the snaps on the path to it."""
+    current = rubbing_start(robot, joints[0], friction, start, load)
+    at_start = np.allclose(np.concatenate([current.rotations, current.translations]), joints[0], rtol=0, atol=1e-12)
+    if not at_start or current.contact.load != load:
+        current, _ = rubbing_leg(robot, current, joints[0], load)
+    yield current, []
     k = 1
     while k < len(joints):
         rows = joints[k - 1 : k + WAYPOINTS]
-        many = sweep(robot, held, rows, NOWHERE, margins=False) if load is None else None
+        many = sweep(robot, current, rows, NOWHERE, margins=False) if load is None else None
         count = 0 if many is None else len(many.margin)
         if many is not None and count:
-            yield from ((partial(swept, robot, held, rows, many, j), []) for j in range(1, count + 1))
-            held, k = swept(robot, held, rows, many, count), k + count
+            yield from ((partial(swept, robot, current, rows, many, j), []) for j in range(1, count + 1))
+            current, k = swept(robot, current, rows, many, count), k + count
         if count < len(rows) - 1:  # where the kernel gives up, a step with more care
-            held, snaps = rubbing_leg(robot, held, joints[k], load)
-            yield held, [_told(robot, snap, k - 1) for snap in snaps]
+            current, snaps = rubbing_leg(robot, current, joints[k], load)
+            yield current, [_told(robot, snap, k - 1) for snap in snaps]
             k += 1
 
 
@@ -157,74 +157,78 @@ def _told(robot: Robot, snap: RubbingSnap, index: int) -> Snap:
 
 def rubbing_start(
     robot: Robot, joints: Array, friction: Friction, start: Equilibrium | None = None, load: Load | None = None
-) -> Held:
+) -> FrictionEquilibrium:
     """The state in which a motion with friction begins: by default at joint values (2n,) under a load."""
     check_rubbing(robot, friction)
     if load is not None:
         load.require_energy("motion with friction is not known")
     first = start if start is not None else forward_kinematics(robot, *np.split(joints, 2), load=load)
-    held = rest(robot, first, friction)
-    if held.held_margin <= 0:
-        raise InputError(f"start has margin {held.held_margin:.3g}; it must be a stable equilibrium (margin above 0)")
-    return held
+    current = rest(robot, first, friction)
+    if current.held_margin <= 0:
+        raise InputError(
+            f"start has margin {current.held_margin:.3g}; it must be a stable equilibrium (margin above 0)"
+        )
+    return current
 
 
-def rubbing_leg(robot: Robot, held: Held, goal: Array, load: Load | None = None) -> tuple[Held, list[RubbingSnap]]:
+def rubbing_leg(
+    robot: Robot, current: FrictionEquilibrium, goal: Array, load: Load | None = None
+) -> tuple[FrictionEquilibrium, list[RubbingSnap]]:
     """The state at other joint values (2n,) and under another load, on a straight path, and the snaps on it."""
     snaps: list[RubbingSnap] = []
-    path = JointPath(robot, np.concatenate([held.rotations, held.translations]), goal)
-    for found in _along(Family(path, load, held.contact.load), held):
-        held = found.after if isinstance(found, RubbingSnap) else found
-        snaps += [found] if isinstance(found, RubbingSnap) else []
-    return held, snaps
+    path = JointPath(robot, np.concatenate([current.rotations, current.translations]), goal)
+    for result in _along(Family(path, load, current.contact.load), current):
+        current = result.after if isinstance(result, RubbingSnap) else result
+        snaps += [result] if isinstance(result, RubbingSnap) else []
+    return current, snaps
 
 
-def _along(family: Family, held: Held) -> Iterator[Held | RubbingSnap]:
+def _along(family: Family, current: FrictionEquilibrium) -> Iterator[FrictionEquilibrium | RubbingSnap]:
     """States along a straight path of joint values and load, and snaps; the last is at its end."""
     t, far, stride = 0.0, -1.0, Stride(family)
     for goal in family.path.events():
         while t < goal:
             at = goal if t + stride.size >= goal - 1e-12 else t + stride.size
-            there = _near(family, held, at)
+            there = _near(family, current, at)
             if there is not None:
                 yield there
-                stride.went(t, held, at, there)
-                t, held = at, there
+                stride.went(t, current, at, there)
+                t, current = at, there
                 continue
-            shorter = stride.failed(t, held, at)
+            shorter = stride.failed(t, current, at)
             # What friction alone holds lets go row by row, in hops that a fine mesh would make small. Where a hop
             # goes far, a snap lies before it.
-            if held.margin <= 0 and stride.size < HOP * stride.longest and t >= far:
-                there = _flowed(family, held, at, pushed=False)
-                if there is None or _distance(held, there) > SMOOTH_TURN:
+            if current.margin <= 0 and stride.size < HOP * stride.longest and t >= far:
+                there = _flowed(family, current, at, pushed=False)
+                if there is None or _distance(current, there) > SMOOTH_TURN:
                     there, far = None, at
             if there is None and shorter:
                 continue
             if there is None:
                 at, far = min(goal, t + PAST_LAST * stride.shortest), -1.0
-                there = _flowed(family, held, at, pushed=True)
+                there = _flowed(family, current, at, pushed=True)
                 if there is None:
                     raise SolveError(
                         f"the motion with friction is lost at {100 * at:.3f} % of the path: "
-                        f"no state satisfies the friction law to {HONEST:g}"
+                        f"no state satisfies the friction law to {FRICTION_TOLERANCE:g}"
                     )
-                if _distance(held, there) > SMOOTH_TURN:
-                    yield RubbingSnap(t, held, there)
-            t, held = at, there
+                if _distance(current, there) > SMOOTH_TURN:
+                    yield RubbingSnap(t, current, there)
+            t, current = at, there
             stride.landed()
-    yield held
+    yield current
 
 
-def _near(family: Family, held: Held, t: float) -> Held | None:
+def _near(family: Family, current: FrictionEquilibrium, t: float) -> FrictionEquilibrium | None:
     """The state at fraction t next to another; None where the step is too long for it, or it is lost."""
-    there = step(family.path.robot, held, *family.path.at(t), family.load_at(t))
+    there = step(family.path.robot, current, *family.path.at(t), family.load_at(t))
     if there is None or there.found.contraction > LARGEST_RATIO:
         return None
-    far = _distance(held, there)
-    return there if far <= largest_twist(0.0) or far <= largest_twist(held.held_margin) else None
+    far = _distance(current, there)
+    return there if far <= largest_twist(0.0) or far <= largest_twist(current.held_margin) else None
 
 
-def _distance(a: Held, b: Held) -> float:
+def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
     """Largest difference of two states at the points of the second, rad: of the twist theta - alpha, and under a load
     of the turn of the arm if its curvature changed alike all along it."""
     problem = b.contact.problem
@@ -236,19 +240,23 @@ def _distance(a: Held, b: Held) -> float:
     return float(np.abs(change).max(initial=0.0))
 
 
-def _flowed(family: Family, held: Held, t: float, *, pushed: bool) -> Held | None:
+def _flowed(family: Family, current: FrictionEquilibrium, t: float, *, pushed: bool) -> FrictionEquilibrium | None:
     """Where the robot flows to by itself, or with a push from a state that is no equilibrium any more; None where that
     is not found."""
     (rotations, translations), load = family.path.at(t), family.load_at(t)
-    contact, before, x = carried(family.path.robot, held, rotations, translations, load)
+    contact, before, x = carried(family.path.robot, current, rotations, translations, load)
     push = None
-    if pushed and contact is held.contact:
-        push = NUDGE * softest(contact, held.found.state, held.found.signs)
+    if pushed and contact is current.contact:
+        push = NUDGE * softest(contact, current.found.state, current.found.signs)
     elif pushed:  # on another mesh the softest direction is that of the state carried over
         state = evaluate_contact(contact, rotations, x)
         push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
-    return None if landed is None else Held(contact, rotations, translations, landed[0], held.heat + landed[1])
+    return (
+        None
+        if landed is None
+        else FrictionEquilibrium(contact, rotations, translations, landed[0], current.heat + landed[1])
+    )
 
 
 # --- Band of friction -------------------------------------------------------------------------------------------------
@@ -319,8 +327,8 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     check_load(robot, load, shift)
     load.require_energy("there is no least energy around which friction could be bounded")
     assembly, loading = loading_of(robot, shift, load)
-    held = shaken(make_contact(assembly, friction, loading), equilibrium)
-    contact, state, problem = held.contact, held.found.state, held.contact.loaded
+    current = shaken(make_contact(assembly, friction, loading), equilibrium)
+    contact, state, problem = current.contact, current.found.state, current.contact.loaded
     assert problem is not None
     assert isinstance(state.elastic, LoadedState)
     response = scipy.linalg.solve(state.hessian, contact.rows.T, assume_a="sym")

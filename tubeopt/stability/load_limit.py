@@ -125,8 +125,8 @@ def find_load_limit(
         raise InputError("equilibrium is loaded or unstable; it must be unloaded and stable")
     if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
         raise InputError("equilibrium is at other joint values; they must be the same")
-    found = find_loss(first, load, up_to)
-    return None if found is None else _described(*found)
+    result = find_loss(first, load, up_to)
+    return None if result is None else _described(*result)
 
 
 def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float] | None:

@@ -42,7 +42,7 @@ rad, and by more than the second, the slope of a curve in polar coordinates, all
 
 
 class MapStatus(StatusEnum):
-    """What a robot did on the ways of a map; every value reads as a sentence."""
+    """What a robot did on the paths of a map; every value reads as a sentence."""
 
     SMOOTH = "the robot snaps on none of the paths"
     SNAPPED = "the robot snaps on some of the paths"
@@ -57,7 +57,7 @@ class MapStatistics:
     directions: int
     """Of its boundary."""
     snaps: int
-    """On the ways to the points."""
+    """On the paths to the points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +155,13 @@ def stability_map(
     jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
     with executor(workers) as pool:
         results = run_all(_done, jobs, pool, progress)
-    table, found = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
-    around, found = _closed_in(around, period, found, lambda ends: _done((origin, tubes, ends, True)))
+    table, result = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
+    around, result = _closed_in(around, period, result, lambda ends: _done((origin, tubes, ends, True)))
     if mirrored:
         table = np.concatenate([table, table[: samples // 2][::-1, ::-1]])
-        around, found = np.concatenate([around, around + np.pi]), np.vstack([found, found * MIRRORED])
+        around, result = np.concatenate([around, around + np.pi]), np.vstack([result, result * MIRRORED])
     whole = table[:, :, 0], table[:, :, 1].astype(int)
-    return StabilityMap(tubes, angles, *whole, around, found[:, :2], found[:, 2:])
+    return StabilityMap(tubes, angles, *whole, around, result[:, :2], result[:, 2:])
 
 
 def own_mirror_image(assembly: Assembly) -> bool:
@@ -176,25 +176,25 @@ def rim(directions: Array) -> Array:
 
 
 def _done(job: tuple[Equilibrium, tuple[int, int], Array, bool]) -> Array:
-    """What becomes of ways from home, on which two tubes turn, to pairs of rotations (k, 2): margin and number of snaps
-    (k, 2); or, on `rays`, (k, 2 + A) the rotations at the first snap and the margins ahead of it, NaN without."""
+    """Ends of paths from home, on which two tubes turn, to pairs of rotations (k, 2): margin and number of snaps
+    (k, 2). On `rays`, (k, 2 + A) rotations at the first snap and the margins ahead of it, NaN without a snap."""
     origin, tubes, ends, rays = job
     out = np.full((len(ends), 2 + len(APPROACH) * rays), np.nan)
     for row, end in zip(out, ends, strict=True):
         goal = np.zeros(origin.robot.n_tubes)
         goal[list(tubes)] = end
-        found = straight_way(origin, goal, to_first_snap=rays)
+        result = straight_way(origin, goal, to_first_snap=rays)
         if not rays:
-            row[:] = found.pose.margin, found.snaps
-        elif found.first is not None:
-            row[:2], row[2:] = found.first[list(tubes)], _margins_ahead(found.before, found.first)
+            row[:] = result.pose.margin, result.snaps
+        elif result.first is not None:
+            row[:2], row[2:] = result.first[list(tubes)], _margins_ahead(result.before, result.first)
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """Where a way ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
-    them, None without; `before`: equilibria on the way to it, from the origin on."""
+    """Where a path ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
+    them, None without; `before`: equilibria on the path to it, from the origin on."""
 
     pose: Equilibrium
     snaps: int
@@ -204,7 +204,7 @@ class End:
 
 def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
     """What a robot does that turns straight from a stable equilibrium to other rotations (n,), rad.
-    With `to_first_snap` the way ends where the robot lands from it.
+    With `to_first_snap` the path ends where the robot lands from it.
     """
     start, goal = (np.concatenate([turned, origin.translations]) for turned in (origin.rotations, rotations))
     family, here, snaps, first, before = Family(JointPath(origin.robot, start, goal)), origin, 0, None, [origin]
@@ -221,8 +221,8 @@ def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool =
 
 
 def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:
-    """(A,) margins on the way to joint rotations (n,) at the first snap, APPROACH before these; `before`: equilibria on
-    that way, from home on."""
+    """(A,) margins on the path to joint rotations (n,) at the first snap, APPROACH before these; `before`:
+    equilibria on that path, from home on."""
     whole, margins = float(np.linalg.norm(snap)), []
     places = np.maximum(0.0, whole - APPROACH)
     here = [each for each in before if np.linalg.norm(each.rotations) <= places[0]][-1]
@@ -233,22 +233,22 @@ def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:
 
 
 def _closed_in(
-    directions: Array, period: float, found: Array, first_snaps: Callable[[Array], Array]
+    directions: Array, period: float, result: Array, first_snaps: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
     """Directions, and what is found in them, with more where two neighbours do not see one piece of boundary; after a
     `period`, rad, all is as it was."""
     if len(directions) * TURN / period < 3:
-        return directions, found
+        return directions, result
     closest = period / len(directions) / 2**HALVINGS
     while True:
         after = np.append(directions[1:], directions[0] + period)
-        apart = _torn(directions, after, found[:, :2]) & (after - directions > 1.5 * closest)
+        apart = _torn(directions, after, result[:, :2]) & (after - directions > 1.5 * closest)
         if not apart.any():
-            return directions, found
+            return directions, result
         between = ((directions + after) / 2)[apart]
         order = np.argsort(np.append(directions, between % period), kind="stable")
         directions = np.append(directions, between % period)[order]
-        found = np.vstack([found, first_snaps(rim(between))])[order]
+        result = np.vstack([result, first_snaps(rim(between))])[order]
 
 
 def _torn(directions: Array, after: Array, boundary: Array) -> Mask:
@@ -265,7 +265,7 @@ def pieces(chart: StabilityMap) -> list[tuple[Array, Array, Array]]:
     """The boundary as curves: directions (k,), rising, rotations (k, 2) at the first snap, rad, and the margins (k, A)
     ahead of it, of each.
 
-    Where a curve ends inside the map, behind its end the next one begins, or ways lead on without a snap.
+    Where a curve ends inside the map, behind its end the next one begins, or paths lead on without a snap.
     """
     count = len(chart.directions)
     after = np.append(chart.directions[1:], chart.directions[:1] + TURN)

@@ -135,12 +135,12 @@ def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
         if kernel is not None:
             far = min(1.0, here.t + TAKEN_OVER / scale)
             ahead = fold_ahead(family, start, min(1.0, here.t + CLOSE / scale))
-        found = _slowly(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)
-        if isinstance(found, Event):
-            yield found
-            here = Milestone(found.landed.t, found.after)
+        result = _slowly(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)
+        if isinstance(result, Event):
+            yield result
+            here = Milestone(result.landed.t, result.after)
         else:
-            here = Milestone(found.t, to_equilibrium(found, "the path"))
+            here = Milestone(result.t, to_equilibrium(result, "the path"))
         yield here
 
 
@@ -164,10 +164,10 @@ def _slowly(family: Family, start: Place, far: float) -> Place | Event:
         if loss is None and shortest > SHARPEST_STEP:
             shortest = SHARPEST_STEP
             continue
-        found, shortest = leave(family, here, loss, goal), SHORTEST_STEP
-        if isinstance(found, Event):
-            return found
-        here = found
+        result, shortest = leave(family, here, loss, goal), SHORTEST_STEP
+        if isinstance(result, Event):
+            return result
+        here = result
     return here
 
 

@@ -1,4 +1,4 @@
-"""Whether a robot can snap: what is proved, what search finds, and a way to repeat the snap."""
+"""Whether a robot can snap: what is proved, what search finds, and a path that repeats the snap."""
 
 from __future__ import annotations
 
@@ -108,23 +108,23 @@ def folds(sheet: Sheet, allowed: Callable[[Array], Mask], most: int = FOLDS) -> 
     """(E, d) about the relative joint rotations of folds at which the sheet ends, from the relaxed pose.
 
     The nearest come first, each in a direction of its own. `allowed`, (..., d) -> (...), admits the joint rotations of
-    the fold and of a way to it on the sheet.
+    the fold and of a path to it on the surface.
     """
     free = (sheet.determinant > 0) & allowed(sheet.joints)
     if not free[sheet.centre]:
         return np.empty((0, sheet.joints.shape[-1]))
     labels = scipy.ndimage.label(free)[0]
-    found = _ends(sheet, labels == labels[sheet.centre])
-    found = found[allowed(found)]
-    size = np.abs(found).max(1, initial=0.0)
+    result = _ends(sheet, labels == labels[sheet.centre])
+    result = result[allowed(result)]
+    size = np.abs(result).max(1, initial=0.0)
     chosen: list[int] = []
     for k in np.argsort(size, kind="stable"):
-        apart = np.abs(found[k] / size[k] - found[chosen] / size[chosen][:, None]).max(1)
+        apart = np.abs(result[k] / size[k] - result[chosen] / size[chosen][:, None]).max(1)
         if (apart > APART).all():
             chosen.append(int(k))
         if len(chosen) == most:
             break
-    return np.asarray(found[chosen])
+    return np.asarray(result[chosen])
 
 
 def _ends(sheet: Sheet, reached: Mask) -> Array:
@@ -136,24 +136,24 @@ def _ends(sheet: Sheet, reached: Mask) -> Array:
             high, low = (np.take(sheet.determinant, side, axis) for side in (here, there))
             edge = np.take(reached, here, axis) & (low <= 0)
             first, second = (np.take(sheet.joints, side, axis)[edge] for side in (here, there))
-            share = (high[edge] / (high[edge] - low[edge]))[:, None]
-            out.append(first + share * (second - first))
+            fraction = (high[edge] / (high[edge] - low[edge]))[:, None]
+            out.append(first + fraction * (second - first))
     return np.concatenate(out)
 
 
 # --- Search for a path on which a concentric robot snaps --------------------------------------------------------------
 
-# A way on which a concentric robot snaps: inside its joint limits if search finds one there, else beyond them.
+# A path on which a concentric robot snaps: inside its joint limits if search finds one there, else beyond them.
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A snap, and the straight way (2, n) of rotations, rad, on which it lies.
+class SnapOnPath:
+    """A snap, and the straight path (2, n) of rotations, rad, on which it lies.
 
     followed: whether it was met there, or is known from its fold alone.
     """
 
-    way: Array
+    path: Array
     snap: Snap
     followed: bool = True
 
@@ -162,14 +162,14 @@ class Found:
 class Search:
     """A search for a snap: the robot at translations (n,) m, its coupled tubes, and what was tried.
 
-    ways: on which the robot was followed.  failed: those of them on which its equilibria were lost.
+    paths: on which the robot was followed.  failed: those of them on which its equilibria were lost.
     """
 
     robot: Robot
     translations: Array
     random_paths: int
     progress: Callable[[int, int], object] | None
-    ways: int = 0
+    paths: int = 0
     failed: int = 0
 
     def __post_init__(self) -> None:
@@ -177,18 +177,18 @@ class Search:
         self.coupled = np.unique(self.problem.tube)
         self.low, self.high = np.array(self.robot.limits.rotations).T
 
-    def follow(self, start: Array, end: Array) -> Found | None:
-        """The first snap on a straight way, which is turned into the joint limits as a whole where it fits."""
+    def follow(self, start: Array, end: Array) -> SnapOnPath | None:
+        """The first snap on a straight path, which is turned into the joint limits as a whole where it fits."""
         if self.progress is not None:
-            self.progress(self.ways, max(self.ways + 1, 2 * self.random_paths))
-        self.ways += 1
-        way = self.placed(np.stack([start, end]))
+            self.progress(self.paths, max(self.paths + 1, 2 * self.random_paths))
+        self.paths += 1
+        path = self.placed(np.stack([start, end]))
         try:
-            snap = find_snap(self.robot, (way[0], self.translations), (way[1], self.translations))
+            snap = find_snap(self.robot, (path[0], self.translations), (path[1], self.translations))
         except SolveError:
             self.failed += 1
             return None
-        return None if snap is None else Found(way, snap)
+        return None if snap is None else SnapOnPath(path, snap)
 
     def relaxed(self) -> list[Array]:
         """(n,) rotations, nearest to home, at which all tubes curve to one side, so that none is twisted.
@@ -213,21 +213,21 @@ class Search:
         return bool(((rotations >= self.low) & (rotations <= self.high)).all())
 
     def clipped(self, start: Array, end: Array) -> Array:
-        """The last rotations (n,) inside the joint limits on the straight way from `start`, which is inside."""
+        """The last rotations (n,) inside the joint limits on the straight path from `start`, which is inside."""
         here, rate = start[self.coupled], (end - start)[self.coupled]
         closing = rate[:, None] - rate
         left = self.high[self.coupled, None] - self.low[self.coupled] - (here[:, None] - here)
         most = np.min(left[closing > 0] / closing[closing > 0], initial=1.0)
         return np.asarray(end if most >= 1 else start + max(most, 0.0) * (end - start))
 
-    def placed(self, way: Array) -> Array:
+    def placed(self, path: Array) -> Array:
         """Waypoints (W, n) with all tubes turned together where that brings each inside the joint limits.
 
         Where limits differ from tube to tube this is the least turn. A tube that is not coupled goes to its rotation
-        nearest to home. Limits are a box, so straight ways between waypoints inside are inside.
+        nearest to home. Limits are a box, so straight path between waypoints inside are inside.
         """
-        out = np.clip(np.zeros_like(way), self.low, self.high)
-        angles = way[:, self.coupled]
+        out = np.clip(np.zeros_like(path), self.low, self.high)
+        angles = path[:, self.coupled]
         least, most = (self.low[self.coupled] - angles).max(1), (self.high[self.coupled] - angles).min(1)
         turn = np.where(least <= most, np.clip(0.0, least, most), 0.0)
         out[:, self.coupled] = angles + turn[:, None]
@@ -246,8 +246,8 @@ def search_snap(
     unstable: Array,
     random_paths: int = DEFAULT_SEARCH.random_paths,
     progress: Callable[[int, int], object] | None = None,
-) -> tuple[Found | None, Search]:
-    """Look for a way from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
+) -> tuple[SnapOnPath | None, Search]:
+    """Search a path from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
 
     Two coupled tubes are decided: the snap is found if there is one, however far away, of tubes made of pieces unless
     it is too shallow to be followed. For more, a robot is turned inside its joint limits along full turns of every
@@ -265,25 +265,25 @@ def search_snap(
         return _pair(search), search
     start, *_ = search.relaxed()
     if search.inside(start):
-        found = _from_relaxed(search, start, unstable, within=True)
-        if found is not None:
-            return found, search
+        result = _from_relaxed(search, start, unstable, within=True)
+        if result is not None:
+            return result, search
     return (_from_relaxed(search, start, unstable, within=False) if len(unstable) else None), search
 
 
-def _of_pieces(search: Search) -> Found | None:
+def _of_pieces(search: Search) -> SnapOnPath | None:
     """A snap of tubes made of pieces on full turns from home, inside the joint limits: they have no relaxed pose, and
-    two of them need not be symmetric about one. Of two coupled ones, wherever it is: on a way up from any equilibrium
+    two of them need not be symmetric about one. Of two coupled ones, wherever it is: on a path up from any equilibrium
     a fold is met before the tip angle has turned once, if there is one."""
     start = np.clip(np.zeros(search.robot.n_tubes), search.low, search.high)
-    found = _on_ways(search, start, itertools.chain(_turns(search, start), _others(search, start)), within=True)
-    if found is not None:
-        return found
+    result = _on_paths(search, start, itertools.chain(_turns(search, start), _others(search, start)), within=True)
+    if result is not None:
+        return result
     pair = pair_of(search.problem)
     return None if pair is None else search.follow(start, search.relative(start, np.array([farthest_fold(pair)])))
 
 
-def _from_relaxed(search: Search, start: Array, unstable: Array, *, within: bool) -> Found | None:
+def _from_relaxed(search: Search, start: Array, unstable: Array, *, within: bool) -> SnapOnPath | None:
     """A snap inside the joint limits, or wherever it is."""
 
     def allowed(joints: Array) -> Mask:
@@ -293,15 +293,15 @@ def _from_relaxed(search: Search, start: Array, unstable: Array, *, within: bool
 
     across, turns = _across_folds(search, start, unstable, allowed), _turns(search, start)
     ends = [turns, across, _others(search, start)] if within else [across, turns]
-    return _on_ways(search, start, itertools.chain.from_iterable(ends), within=within)
+    return _on_paths(search, start, itertools.chain.from_iterable(ends), within=within)
 
 
-def _on_ways(search: Search, start: Array, ends: Iterable[Array], *, within: bool) -> Found | None:
-    """The first snap on straight ways from `start` to rotations (n,), cut off at the joint limits if `within`."""
+def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bool) -> SnapOnPath | None:
+    """The first snap on straight path from `start` to rotations (n,), cut off at the joint limits if `within`."""
     for end in ends:
         goal = search.clipped(start, end) if within else end
-        if (found := search.follow(start, goal)) is not None:
-            return found
+        if (result := search.follow(start, goal)) is not None:
+            return result
     return None
 
 
@@ -332,48 +332,48 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
             yield search.relative(start, np.radians(np.round(720 * unit / np.abs(unit).max(), 1)))
 
 
-def _pair(search: Search) -> Found | None:
+def _pair(search: Search) -> SnapOnPath | None:
     """The snap of two coupled tubes."""
     poses, pair = search.relaxed(), pair_of(search.problem)
     fold = None if pair is None else pair_fold(pair)
     if fold is None:
         return None
-    way = _pair_way(search, poses, fold)
-    found = search.follow(*way)
-    turned = None if found is None else np.ptp(found.snap.rotations[search.coupled] - found.way[0][search.coupled])
-    return found if turned is not None and abs(turned - fold.turn) < 1e-6 else _exact(search, way, fold)
+    path = _pair_path(search, poses, fold)
+    result = search.follow(*path)
+    turned = None if result is None else np.ptp(result.snap.rotations[search.coupled] - result.path[0][search.coupled])
+    return result if turned is not None and abs(turned - fold.turn) < 1e-6 else _exact(search, path, fold)
 
 
-def _pair_way(search: Search, poses: list[Array], fold: PairFold) -> Array:
-    """(2, n) straight way across the fold: inside the joint limits if from any pose to any side the fold is."""
+def _pair_path(search: Search, poses: list[Array], fold: PairFold) -> Array:
+    """(2, n) straight path across the fold: inside the joint limits if from any pose to any side the fold is."""
     one = (np.arange(search.robot.n_tubes) == search.coupled[0]).astype(float)
     # A full turn reads best; where that is not enough, to the next multiple of 10 deg.
     length = TURN if fold.turn < TURN else np.radians(10 * (1 + np.ceil(np.degrees(fold.turn) / 10)))
-    ways = [(pose, sign) for pose in poses for sign in (1, -1)]
+    paths = [(pose, sign) for pose in poses for sign in (1, -1)]
 
-    def fitness(way: tuple[Array, int]) -> tuple[bool, bool]:
-        pose, sign = way
+    def fitness(path: tuple[Array, int]) -> tuple[bool, bool]:
+        pose, sign = path
         both = bool(search.inside(np.stack([pose, pose + sign * fold.turn * one])).all())
         end = pose + sign * length * one
         return both, both and search.within(end)
 
-    pose, sign = max(ways, key=fitness)
+    pose, sign = max(paths, key=fitness)
     end = pose + sign * length * one
     return np.stack([pose, search.clipped(pose, end) if fitness((pose, sign))[0] else end])
 
 
-def _exact(search: Search, way: Array, fold: PairFold) -> Found | None:
-    """The snap built from the fold itself, which may be too shallow to be met on the way."""
+def _exact(search: Search, path: Array, fold: PairFold) -> SnapOnPath | None:
+    """The snap built from the fold itself, which may be too shallow to be met on the path."""
     first = int(search.coupled[0])
-    way = search.placed(way)
-    relative = way[:, first] - way[:, int(search.coupled[1])]
+    path = search.placed(path)
+    relative = path[:, first] - path[:, int(search.coupled[1])]
     sign, t = np.sign(relative[1] - relative[0]), fold.turn / abs(relative[1] - relative[0])
-    rotations = way[0] + t * (way[1] - way[0])
+    rotations = path[0] + t * (path[1] - path[0])
 
     member = Unloaded(search.robot, search.problem, rotations, tuple(search.translations.tolist()))
     lost = Point.at(member, sign * fold.z, t)
     after = fall(lost, fold.direction) if fold.beyond is None else Point.at(member, sign * fold.beyond, t)
-    return None if after is None else Found(way, Event(lost, after).snap(0), followed=False)
+    return None if after is None else SnapOnPath(path, Event(lost, after).snap(0), followed=False)
 
 
 ASSUMING = "assuming no external load, weight or friction"
@@ -475,8 +475,8 @@ class EccentricSnapAssessment(SnapAssessment):
 
     untwisted: float | None = None
     """Margin of the softest shape with one tube of a segment against the two others, all of them equilibria. Below 0
-    two more equilibria have its joint rotations, and the robot snaps on some way, shown or not. None where the robot is
-    not made of segments of three equal tubes."""
+    two more equilibria have its joint rotations, and the robot snaps on some path, shown or not. None where the robot
+    is not made of segments of three equal tubes."""
 
     @property
     def finding(self) -> Finding:
@@ -534,13 +534,13 @@ def assess_snapping(
     if certificate.snap_free:
         return SnapAssessment(robot, certificate, worst)
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
-    found, search = search_snap(robot, certificate.translations, unstable, effort.random_paths, progress)
-    decided = len(search.coupled) == 2 and (found is not None or robot.even)
-    verdict = SnapAssessment(robot, certificate, worst, paths=search.ways, failed=search.failed, decided=decided)
-    if found is None:
+    result, search = search_snap(robot, certificate.translations, unstable, effort.random_paths, progress)
+    decided = len(search.coupled) == 2 and (result is not None or robot.even)
+    verdict = SnapAssessment(robot, certificate, worst, paths=search.paths, failed=search.failed, decided=decided)
+    if result is None:
         return verdict
-    start, end = found.way
-    return replace(verdict, start=start, end=end, snap=found.snap, followed=found.followed)
+    start, end = result.path
+    return replace(verdict, start=start, end=end, snap=result.snap, followed=result.followed)
 
 
 def _eccentric(
@@ -553,21 +553,21 @@ def _eccentric(
     if certificate.snap_free:
         return verdict
     bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
-    ways = list(_ways(robot.n_tubes, shapes, bends))
-    for k, (start, end) in enumerate(ways):
+    paths = list(_paths(robot.n_tubes, shapes, bends))
+    for k, (start, end) in enumerate(paths):
         if progress is not None:
-            progress(k, len(ways))
+            progress(k, len(paths))
         try:
             snap = find_snap(robot, (start, certificate.translations), (end, certificate.translations))
         except SolveError:
             continue
         if snap is not None:
             return replace(verdict, start=start, end=end, snap=snap, paths=k + 1)
-    return replace(verdict, paths=len(ways))
+    return replace(verdict, paths=len(paths))
 
 
-def _ways(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
-    """Rotations (n,) to start from and to turn to, the likeliest to snap on the way first."""
+def _paths(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
+    """Rotations (n,) to start from and to turn to, the likeliest to snap first."""
     for shape in shapes:
         for k in range(len(DIRECTIONS) if shape.margin < 0 else 1):
             further = float(DIRECTIONS[k])

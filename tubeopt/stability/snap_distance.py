@@ -138,8 +138,8 @@ class SnapDistance(Displayed):
         """Half of max - min of the turns at the first fold along a direction (n,), rad; inf without one."""
         if not np.ptp(direction):
             return math.inf
-        found = float(np.ptp(self._fold(direction))) / 2
-        return math.inf if math.isnan(found) else found
+        result = float(np.ptp(self._fold(direction))) / 2
+        return math.inf if math.isnan(result) else result
 
     def _fold(self, direction: Array) -> Array:
         """(n,) turns at the first fold along a direction (n,), rad; NaN without one."""
@@ -210,13 +210,13 @@ class PairForm:
         nothing = np.zeros_like(low)
         values = np.stack([self.h(low), self.h(high), nothing, np.where(inside, self.h(self.extremum), 0.0)])
         which = np.concatenate([values.argmax(0), values.argmin(0)], axis=-1)
-        found = y + np.concatenate([values.max(0), -values.min(0)], axis=-1) @ self.spread.T
+        result = y + np.concatenate([values.max(0), -values.min(0)], axis=-1) @ self.spread.T
         by_low, by_high = -self.h_slope(low), self.h_slope(high)
         slope, k = np.zeros((*u.shape, 2 * count)), np.arange(count)
         for row, sign in ((0, 1.0), (count, -1.0)):
             slope[..., row + k, k] = np.where(which[..., row + k] == 0, sign * by_low, 0.0)
             slope[..., row + k, count + k] = np.where(which[..., row + k] == 1, sign * by_high, 0.0)
-        return found, self.spread @ slope
+        return result, self.spread @ slope
 
     def proves(self, y: Array) -> bool:
         """Whether every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap between."""
@@ -226,8 +226,8 @@ class PairForm:
         # sweeps close to the largest ball. The proof is the check afterwards, whatever the steps did.
         for _ in range(NEWTON_STEPS):
             image, slope = self.image(y, u)
-            found = np.linalg.solve(np.eye(u.shape[-1]) - slope, np.stack([image - u, one], axis=-1))
-            step, wider = found[..., 0], found[..., 1]
+            result = np.linalg.solve(np.eye(u.shape[-1]) - slope, np.stack([image - u, one], axis=-1))
+            step, wider = result[..., 0], result[..., 1]
             u = u + step
             # (1 - slope)^-1 has a negative entry: no fixed point is above, so the box never closes.
             if (wider <= 0).any() or u.max() > MOST_CHANGE:

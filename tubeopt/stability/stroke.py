@@ -115,10 +115,10 @@ def stroke_slopes(
             buckles, or moves a breakpoint past another one.
     """
     unit, load = _push(first, up_to)
-    found = find_loss(first, load, float(np.divide(up_to, unit)))
-    if found is None:
+    result = find_loss(first, load, float(np.divide(up_to, unit)))
+    if result is None:
         return None
-    loss, scale = found
+    loss, scale = result
     member = loss.point.member
     force = np.array(member.problem.load.force)
     there = [(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]

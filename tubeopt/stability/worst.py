@@ -89,8 +89,8 @@ def minimise_together(
     ends: dict[int, tuple[Array, float]] = {}
     while points:
         check_time()
-        told = values(np.array(list(points.values())))
-        for (k, search), value in zip([(k, searches[k]) for k in points], told, strict=True):
+        report = values(np.array(list(points.values())))
+        for (k, search), value in zip([(k, searches[k]) for k in points], report, strict=True):
             try:
                 points[k] = search.send(float(value))
             except StopIteration as end:
@@ -202,7 +202,7 @@ def worst_margin(
     failure = "the worst equilibrium found is a fold (margin 0), which Newton cannot solve again"
     point = Point.near(member, member.unknowns(profiles(problem, tips)[0]), failure)
     equilibrium = to_equilibrium(point, "search for the least margin")
-    unstable = np.array([tips for tips, found in ends if found < 0]).reshape(-1, n)
+    unstable = np.array([tips for tips, result in ends if result < 0]).reshape(-1, n)
     return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 
 
@@ -230,7 +230,7 @@ def _searched(problem: ReducedProblem, base: Array, turning: Index, effort: Snap
     ends = minimise_together(
         lambda own: _margins(problem, _turned(base, turning, own)), starts[:, turning], x=1e-6, f=1e-10
     )
-    return [(_turned(base, turning, own[None])[0], found) for own, found in ends]
+    return [(_turned(base, turning, own[None])[0], result) for own, result in ends]
 
 
 def _turned(base: Array, turning: Index | list[int], own: Array) -> Array:
@@ -320,8 +320,8 @@ def worst_certificate(
         return WorstCertificate(certify(robot, low), low, high, 1)
     first = [group[0] for group in carriages]
     bounds = scipy.optimize.Bounds(low[first], high[first])
-    found = scipy.optimize.direct(value, bounds, maxfun=effort.evaluations, locally_biased=True)
-    best, least = found.x, float(found.fun)
+    result = scipy.optimize.direct(value, bounds, maxfun=effort.evaluations, locally_biased=True)
+    best, least = result.x, float(result.fun)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
     span = high[first] - low[first]
     for start in [best, *(low[first] + span * corner for corner in corners)]:

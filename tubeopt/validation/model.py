@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..block.transcription.arm import Arm, evaluate_arm
 from ..equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from ..equilibrium.clearance import clearance_correction
-from ..equilibrium.friction import Held, sweep, swept, to_held_equilibrium
+from ..equilibrium.friction import FrictionEquilibrium, sweep, swept, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import yielded
 from ..equilibrium.result import Equilibrium
@@ -147,7 +147,7 @@ class _Seen:
     stations: Array
     poses: Poses
 
-    def put(self, row: int, held: Held) -> None:
+    def put(self, row: int, held: FrictionEquilibrium) -> None:
         """One row."""
         problem, poses = held.contact.problem, self.poses
         arm = evaluate_arm(problem, held.rotations, held.found.state.torsion, held.profile)

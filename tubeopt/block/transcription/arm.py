@@ -146,8 +146,8 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
     """The cross-sections at fractions x of every piece."""
     assembly, theta, here = problem.assembly, rotations_at(problem, arm, x), sections_at(problem, x)
     function = section_function("section", len(here.phase), assembly.n_tubes, assembly.eccentric)
-    given = theta.reshape(here.phase.shape) + here.phase, here.stiffness, here.moment, *assembly.place
-    moment, stretch, curvature, bending = (part.copy() for part in function(*given))
+    inputs = theta.reshape(here.phase.shape) + here.phase, here.stiffness, here.moment, *assembly.place
+    moment, stretch, curvature, bending = (part.copy() for part in function(*inputs))
     rate = (stretch / here.torsional_stiffness).reshape(theta.shape)
     return Sections(
         elastic=theta,
@@ -197,7 +197,7 @@ class CollocationPoints:
 
 
 @dataclass(eq=False, slots=True)
-class Found:
+class ArmSolution:
     """An equilibrium as a solver found it; not frozen, since it is made in every solve."""
 
     arm: ArmShape
@@ -226,11 +226,11 @@ class Found:
     """(6,) on the plate, likewise."""
 
     @staticmethod
-    def of(arm: ArmShape, assembly: Assembly, **rest: Any) -> Found:
+    def of(arm: ArmShape, assembly: Assembly, **rest: Any) -> ArmSolution:
         """That of an arm of tubes that are placed."""
         ends = np.maximum(assembly.end, 0.0)
         tips = arm.rotation[np.arange(len(ends)), np.searchsorted(arm.arc_length, ends - 1e-12)]
-        return Found(arm, tips, assembly.start, ends, **rest)
+        return ArmSolution(arm, tips, assembly.start, ends, **rest)
 
 
 @dataclass(frozen=True, eq=False)

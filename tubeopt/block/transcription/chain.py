@@ -192,8 +192,8 @@ def chain_of(tubes: tuple[Tube, ...]) -> Chain:
             columns = [on_panels(q, breaks) for q in quantities]
             piece = len(owner) if number else -1
             shares = np.diff(breaks) / length if length else np.ones(1)
-            for share, *channels in zip(shares, *columns, strict=True):
-                rows.append((i, piece, float(share), channels))
+            for fraction, *channels in zip(shares, *columns, strict=True):
+                rows.append((i, piece, float(fraction), channels))
             if number:
                 owner.append(i)
                 pieces.append((length, size, float(z(0.0)) if isinstance(z, Series) else float(z)))
@@ -239,21 +239,21 @@ class Panels:
     table: Any
 
 
-def panels(chain: Chain, given: Mapping[str, Any]) -> Panels:
+def panels(chain: Chain, inputs: Mapping[str, Any]) -> Panels:
     """The panels at given dimensions of tubes and PIECES."""
     tube, piece = chain.tube.tolist(), chain.piece.tolist()
     straight = [k < 0 for k in piece]
 
     def of_piece(name: str, otherwise: Any) -> Any:
         """(B,) a dimension of the piece of every panel, `otherwise` (n,) of the tube for straight parts."""
-        own = [otherwise[i] if s else given[name][k] for i, k, s in zip(tube, piece, straight, strict=True)]
+        own = [otherwise[i] if s else inputs[name][k] for i, k, s in zip(tube, piece, straight, strict=True)]
         return ca.vertcat(*own)
 
-    n = given["straight_length"].shape[0]
+    n = inputs["straight_length"].shape[0]
     one, zero = ca.DM.ones(n), ca.DM.zeros(n)
-    width = ca.DM(chain.share) * of_piece("piece_length", given["straight_length"])
+    width = ca.DM(chain.share) * of_piece("piece_length", inputs["straight_length"])
     stiff = [
-        _rows(coefficients, of_piece(factor, one) * given[name][tube, :] / ca.DM(own))
+        _rows(coefficients, of_piece(factor, one) * inputs[name][tube, :] / ca.DM(own))
         for coefficients, factor, name, own in (
             (chain.kb, "piece_bending_factor", "bending_stiffness", own_stiffness(chain, chain.kb)),
             (chain.kt, "piece_torsion_factor", "torsional_stiffness", own_stiffness(chain, chain.kt)),
@@ -342,16 +342,16 @@ def columns(chain: Chain, laid: Panels, which: tuple[Any, Any], place: tuple[Any
 # --- Tubes from dimensions, and dimensions from tubes -----------------------------------------------------------------
 
 
-def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, ...]:
+def tubes_at(tubes: Sequence[Tube], inputs: Mapping[str, Array]) -> tuple[Tube, ...]:
     """Tubes at dimensions in numbers."""
     chain = chain_of(tuple(tubes))
-    laid = panels(chain, {name: ca.DM(value) for name, value in given.items()})
+    laid = panels(chain, {name: ca.DM(value) for name, value in inputs.items()})
     width, table = (np.array(ca.DM(part)) for part in (laid.width, laid.table))
     channels = table.reshape(len(width), CHANNELS, chain.detail)
     turning = np.array([chebyshev.chebder(row) for row in channels[:, 4]]) / (width / 2)
     out = []
     for i, tube in enumerate(tubes):
-        kb, kt = (float(given[name][i]) for name in ("bending_stiffness", "torsional_stiffness"))
+        kb, kt = (float(inputs[name][i]) for name in ("bending_stiffness", "torsional_stiffness"))
         pieces: list[Piece] = []
         for k in np.flatnonzero(chain.owner == i).tolist():
             rows = np.flatnonzero(chain.piece == k).tolist()
@@ -361,7 +361,7 @@ def tubes_at(tubes: Sequence[Tube], given: Mapping[str, Array]) -> tuple[Tube, .
             own = (None if value == b else value for value, b in zip((bending, torsional), (kb, kt), strict=True))
             slots = tube.pieces[len(pieces)].slots if tube.pieces else None
             pieces.append(Piece(float(joints[-1]), (x, y, z), next(own), next(own), slots))
-        out.append(_tube(tube, pieces, float(given["straight_length"][i]), (kb, kt)))
+        out.append(_tube(tube, pieces, float(inputs["straight_length"][i]), (kb, kt)))
     return tuple(out)
 
 

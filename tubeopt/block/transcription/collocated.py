@@ -156,11 +156,11 @@ def symbols(grid: Grid) -> Piece:
     place = (d, phi) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
     along = ca.SX.sym("along", width(n, grid.detail)) if grid.detail else None
-    given = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along
+    inputs = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along
     if not grid.loaded:
-        return Piece(*given)
+        return Piece(*inputs)
     return LoadedPiece(
-        *given, ca.SX.sym("bend", 2), ca.SX.sym("bent", 2, grid.degree), ca.SX.sym("push", 3, grid.degree)
+        *inputs, ca.SX.sym("bend", 2), ca.SX.sym("bent", 2, grid.degree), ca.SX.sym("push", 3, grid.degree)
     )
 
 

@@ -146,11 +146,11 @@ def _problem(
 
 def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float, int, float]]:
     """Arc length, inner tube and capacity (N m) of all that rubs at one place."""
-    found: dict[tuple[float, int], float] = {}
+    result: dict[tuple[float, int], float] = {}
 
     def add(s: float, pair: int, most: float) -> None:
         if most > 0:
-            found[s, pair] = found.get((s, pair), 0.0) + most
+            result[s, pair] = result.get((s, pair), 0.0) + most
 
     for i in range(assembly.n_tubes - 1):
         end = float(assembly.end[i + 1])
@@ -161,7 +161,7 @@ def _spots(assembly: Assembly, capacities: dict[str, Array]) -> list[tuple[float
         for s in {s for s, j in cuts if j in (i, i + 1) and ROUND_OFF < s < end - ROUND_OFF}:
             add(_nearest(assembly, s), i, capacities["jumps"][i])
         add(_nearest(assembly, end), i, capacities["ends"][i])
-    return [(s, i, most) for (s, i), most in found.items()]
+    return [(s, i, most) for (s, i), most in result.items()]
 
 
 def _nearest(assembly: Assembly, s: float) -> float:

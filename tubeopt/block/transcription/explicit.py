@@ -60,8 +60,8 @@ def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: b
     here, passed, rates = state, [state[0]], []
     for k in range(steps):
         far = 2 * (steps - k)
-        given = [part[:, at] for at in (far, far - 1, far - 2) for part in tables] if varying else constants
-        *here, rate = step(*here, h[k], *given)
+        inputs = [part[:, at] for at in (far, far - 1, far - 2) for part in tables] if varying else constants
+        *here, rate = step(*here, h[k], *inputs)
         passed.append(here[0])
         rates.append(rate)
     stretch = section_functions(n, True)["moment"](here[0], *constants[1:])[1] if eccentric else 1
@@ -105,8 +105,8 @@ def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.F
         return [*own, turned, out[1] @ theta_by_tip]
 
     after = [ca.densify(part) for part in classical_step(state, rates, -h)]
-    given = [part for section in sections for part in section]
-    return ca.Function("step", [*state, h, *given], [*after, rates(state, 0)[0]], {"cse": True})
+    inputs = [part for section in sections for part in section]
+    return ca.Function("step", [*state, h, *inputs], [*after, rates(state, 0)[0]], {"cse": True})
 
 
 def classical_step(state: Columns, rates: Callable[[Columns, int], Columns], h: Any) -> Columns:
@@ -269,14 +269,14 @@ def explicit_arm(kind: Kind) -> ca.Function:
     tip, shift, margin, robot = (ca.MX.sym(k, m) for k, m in (("tip", n), ("d", n), ("mu", 1), ("robot", kind.size)))
     place: tuple[Any, ...] = ()
     if kind.stretches:
-        length, *given, transmission, end = _stretches(n, kind.stretches)(shift, robot)
+        length, *inputs, transmission, end = _stretches(n, kind.stretches)(shift, robot)
         theta = tip - end
     else:
         kb, kt, moment, straight, whole, *beside = ca.vertsplit(robot, n)
         place = tuple(beside)
-        length, *given, transmission = _sections(n)(shift, kb, moment, straight, whole)
-        given, theta = [*given, ca.repmat(kt, 1, kind.sections)], tip
-    columns = [ca.horzsplit(each) for each in (length, *given)]
+        length, *inputs, transmission = _sections(n)(shift, kb, moment, straight, whole)
+        inputs, theta = [*inputs, ca.repmat(kt, 1, kind.sections)], tip
+    columns = [ca.horzsplit(each) for each in (length, *inputs)]
     step, determinant, fields = _step(n, kind.eccentric, kind.stretches > 0), determinant_function(n), []
     w, y, v = ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
     bends: list[tuple[Any, Any]] = []
@@ -396,32 +396,32 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
         for k in ("theta", "w", "h", "kb", "m", "kt", "softening", "d", "phi")
     )
     y, v = ca.SX.sym("y", n, n), ca.SX.sym("v", n, n)
-    given = (kb, m, *(place if eccentric else ()))
+    params = (kb, m, *(place if eccentric else ()))
     lead = [place[0] - x * h * place[1] for x in (0, 0.5, 1)] if twisted else [0.0, 0.0, 0.0]
     functions = section_functions(n, eccentric)
     balance, bend = functions["balance"], functions["curvature"]
 
     def turning(theta: Any, w: Any) -> Any:
-        return balance(theta, *given)[3] * w if eccentric else w
+        return balance(theta, *params)[3] * w if eccentric else w
 
     state, stiffness = (theta, w, y, v), (kt, softening * kt)
     march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, lead)
-    near, near_w, *fields = march(state, given, stiffness, h)
+    near, near_w, *fields = march(state, params, stiffness, h)
     middle = (theta + near) / 2 + h / 8 * (turning(near, near_w) - turning(theta, w))
-    bends = ca.horzcat(*(bend(at + lead[k], *given) for k, at in ((2, near), (1, middle), (0, theta))))
+    bends = ca.horzcat(*(bend(at + lead[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
     inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
     return ca.Function("step", inputs, [near, near_w, *fields, ca.densify(bends)], {"cse": True})
 
 
 def _nystrom(
-    balance: Any, lead: list[Any], state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+    balance: Any, lead: list[Any], state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
     """A step of theta'' = M / kt and of its Jacobi fields, of softened tubes, of order 4; M is that of theta + `lead`
     at its far end, in its middle and at its near end."""
     theta, w, y, v = state
 
     def gains(theta: Any, place: int = 0) -> tuple[Any, Any]:
-        moment, slope, *_ = balance(theta + lead[place], *given)
+        moment, slope, *_ = balance(theta + lead[place], *inputs)
         return moment / kt[0], ca.diag(1 / kt[1]) @ slope
 
     k1, slope = gains(theta)
@@ -439,13 +439,13 @@ def _nystrom(
 
 
 def _runge_kutta(
-    balance: Any, state: tuple[Any, ...], given: tuple[Any, ...], kt: tuple[Any, Any], h: Any
+    balance: Any, state: tuple[Any, ...], inputs: tuple[Any, ...], kt: tuple[Any, Any], h: Any
 ) -> list[Any]:
     """A step of theta' = g w, w' = M / kt and of its Jacobi fields, of softened tubes, of order 4."""
 
     def rates(at: list[Any], _: int) -> list[Any]:
         theta, w, y, v = at
-        moment, slope, _, stretch, stretching = balance(theta, *given)
+        moment, slope, _, stretch, stretching = balance(theta, *inputs)
         turned = ca.diag(stretch) @ v + ca.diag(w) @ (stretching @ y)
         return [stretch * w, moment / kt[0], turned, ca.diag(1 / kt[1]) @ slope @ y]
 

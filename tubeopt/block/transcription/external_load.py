@@ -61,8 +61,8 @@ class LoadedModel(Model):
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
         """What the Jacobi fields need: (2 N, 2 N K P) rates at all points."""
-        given = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.typical)]
-        return (self.mapped("rates")(*given, *self.arguments),)
+        inputs = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.typical)]
+        return (self.mapped("rates")(*inputs, *self.arguments),)
 
     @property
     def held_at_the_plate(self) -> Any:
@@ -85,22 +85,22 @@ class LoadedModel(Model):
         return [each for each in super().equations(rotations, reach) if each.name != free] + own
 
 
-def arm_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
-    """`model_of`, with the load that is `given` as "push", if any."""
-    model, push = model_of(grid, numbers, unknowns, given), given.get("push")
+def arm_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
+    """`model_of`, with the load that is `inputs` as "push", if any."""
+    model, push = model_of(grid, numbers, unknowns, inputs), inputs.get("push")
     return model if push is None else _under(model, unknowns[5:], push)
 
 
 def _under(model: Model, unknowns: tuple[Any, ...], push: Push) -> LoadedModel:
     """The same arm under a load."""
     degree, pieces = model.grid.degree, model.n_pieces
-    given = {field.name: getattr(model, field.name) for field in fields(model)}
+    inputs = {field.name: getattr(model, field.name) for field in fields(model)}
     bend, bent = unknowns
     torque = np.zeros(model.theta.shape[0])
     torque[push.tip_tube] = 1.0
     nothing = ca.DM.zeros(3 * degree, pieces), ca.vertcat(0, 0, 0)
     arm = LoadedModel(
-        **given, bend=bend, bent=bent, push=nothing[0], wrench=nothing[1], torque=ca.DM(torque), typical=push.typical
+        **inputs, bend=bend, bent=bent, push=nothing[0], wrench=nothing[1], torque=ca.DM(torque), typical=push.typical
     )
     # Where the tip points does not ask for the forces, but for the moments that they make.
     tip, force, moment = rotation_matrix(arm.pose_ends[0][:, -1]), push.force, push.moment

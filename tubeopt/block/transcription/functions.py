@@ -202,8 +202,8 @@ def softness_function(grid: Grid) -> ca.Function:
     _, stiff, *stretching = piece.balance(piece.theta, x)
     outputs = [ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff]
     outputs += [ca.diag(w) @ turned for turned in stretching[1:]] + stretching[:1]
-    given = [margin, piece.theta, w, x, *piece.data]
-    return ca.Function("softness", given, [ca.densify(part) for part in outputs], OPTIONS)
+    inputs = [margin, piece.theta, w, x, *piece.data]
+    return ca.Function("softness", inputs, [ca.densify(part) for part in outputs], OPTIONS)
 
 
 @lru_cache(maxsize=64)

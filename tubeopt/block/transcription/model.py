@@ -336,8 +336,8 @@ def places_in_words(pieces: int, degree: int, sections: Sequence[int] | None = N
 def equation(name: str, rows: list[str], columns: list[str] | None, expression: Any, scale: float) -> Equation:
     """A matrix that is 0, with words for its entries by columns; a single column needs none."""
     tails = [""] if columns is None else [f", {column}" for column in columns]
-    words = tuple(f"{name}, {row}{tail}" for tail in tails for row in rows)
-    return Equation(name, words, ca.vec(expression), scale)
+    labels = tuple(f"{name}, {row}{tail}" for tail in tails for row in rows)
+    return Equation(name, labels, ca.vec(expression), scale)
 
 
 @lru_cache(maxsize=256)
@@ -369,26 +369,26 @@ def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
     return length, gap, present, curved
 
 
-def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], given: Mapping[str, Any]) -> Model:
+def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
     """The arm with these unknowns, as matrices, on a layout's `numbers`, with these joint values and dimensions.
 
-    `given` has also the `place` of eccentric tubes, and the `chain` of tubes made of pieces, with their PIECES.
+    `inputs` has also the `place` of eccentric tubes, and the `chain` of tubes made of pieces, with their PIECES.
     """
     length, gap, present, curved = numbers
-    held, transition, end = places(given["translations"], given["straight_length"], given["curved_length"])
-    chain, pieces = given.get("chain"), present.shape[1]
+    held, transition, end = places(inputs["translations"], inputs["straight_length"], inputs["curved_length"])
+    chain, pieces = inputs.get("chain"), present.shape[1]
     stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, held
     if chain is None:
         where = ca.vertcat(transition, end)
         lengths = length @ where
-        kb = ca.repmat(given["bending_stiffness"], 1, pieces)
-        natural = ca.repmat(given["curvature"], 1, pieces) * curved
+        kb = ca.repmat(inputs["bending_stiffness"], 1, pieces)
+        natural = ca.repmat(inputs["curvature"], 1, pieces) * curved
         stiffness, moment = kb * present, kb * natural
     else:
-        laid = panels(chain, given)
+        laid = panels(chain, inputs)
         where = ca.vertcat(transition, end, *joints(chain, laid, held))
         lengths = length @ where
-        transmission = transmissions(chain, laid, (held, curved[:, 0]), given["torsional_stiffness"])
+        transmission = transmissions(chain, laid, (held, curved[:, 0]), inputs["torsional_stiffness"])
         along = columns(chain, laid, (curved, present), (held, ca.vertcat(0, ca.cumsum(lengths))))
     theta, twist, inner, q, p = unknowns[:5]
     return Model(
@@ -400,13 +400,13 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], gi
         p=p,
         stiffness=stiffness,
         moment=moment,
-        torsional_stiffness=ca.repmat(given["torsional_stiffness"], 1, pieces),
+        torsional_stiffness=ca.repmat(inputs["torsional_stiffness"], 1, pieces),
         natural=natural,
         present=present,
         lengths=lengths,
         gaps=gap @ where,
         transmission=transmission,
         held=held,
-        place=given.get("place", ()),
+        place=inputs.get("place", ()),
         along=along,
     )

@@ -108,11 +108,11 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
 
 def torsion_given(program: Program, structure: Structure, own: Mapping[str, Any]) -> dict[str, Any]:
     """What is given of an arm, by name: `own` are expressions of the program, the rest parameters, all 0."""
-    given = dict(own)
+    inputs = dict(own)
     for name, (rows, columns) in structure.shapes.items():
         if name not in own:
-            given[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
-    return given
+            inputs[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
+    return inputs
 
 
 def add_torsion(program: Program, structure: Structure, rotations: Any, own: Mapping[str, Any]) -> TorsionModel:
@@ -120,14 +120,14 @@ def add_torsion(program: Program, structure: Structure, rotations: Any, own: Map
 
     Of what is given of it `own` are expressions of the program; the rest become parameters, of the same names.
     """
-    given = torsion_given(program, structure, own)
-    place = tuple(given.pop(name) for name in ("offset", "angle") if name in given)
-    given = {"stiffness": None, "moment": None, "along": None, **given}
+    inputs = torsion_given(program, structure, own)
+    place = tuple(inputs.pop(name) for name in ("offset", "angle") if name in inputs)
+    inputs = {"stiffness": None, "moment": None, "along": None, **inputs}
     theta, twist, inner = (
         ca.reshape(program.variable(name, rows * columns), rows, columns)
         for name, (rows, columns) in list(unknowns_of(structure.grid, len(structure.section)).items())[:3]
     )
-    arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, place=place, **given)
+    arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, place=place, **inputs)
     for each in arm.torsion_equations(rotations, 1.0, structure.section):
         program.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
     return arm

@@ -317,14 +317,14 @@ class Responsive(Standing):
             table[..., columns] = gained[..., turned:]
         table[0] += maps.ends[0] @ start
         table += jumps[1:]
-        *_, found, singular = scipy.linalg.lapack.dgesv(matrix, right)
-        if singular or not np.isfinite(found).all():
+        *_, result, singular = scipy.linalg.lapack.dgesv(matrix, right)
+        if singular or not np.isfinite(result).all():
             raise SolveError("the equilibrium is a fold (margin 0), where derivatives are infinite")
         state = np.empty((self.pieces + 1, size, count))
-        state[1:] = found[own:].reshape(self.pieces, size, count)
+        state[1:] = result[own:].reshape(self.pieces, size, count)
         state[0] = start
-        state[0, own:] += found[:own]
-        state[0, :n] += self.transmission[:, None] * found[:n]
+        state[0, own:] += result[:own]
+        state[0, :n] += self.transmission[:, None] * result[:n]
         q = maps.inner @ state[:-1]
         wide = None
         if forced is not None and inner is not None:
@@ -430,10 +430,10 @@ class Responsive(Standing):
             right = np.column_stack([np.cos(angle), np.sin(angle)])
             grown = scipy.linalg.lapack.dgetrs(factors, pivots, right)[0]
             size = np.abs(grown[:, 0]).max()
-            found = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
-            found /= np.abs(found).max()
-            other = np.abs(grown[:, 1] - found * ((found @ grown[:, 1]) / (found @ found))).max()
-            state = self._state(found, softness)
+            result = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
+            result /= np.abs(result).max()
+            other = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
+            state = self._state(result, softness)
             inner = maps.inner @ state[:-1]
             mode = self._along(state if self.own > self.n else self._whole(state), inner, None, softness)
             margin = self.quotient(mode, softness)
@@ -446,13 +446,13 @@ class Responsive(Standing):
                 break
         return (mode, softness) if abs(margin - known) < SAME_MODE else None
 
-    def _state(self, found: Array, softness: float) -> Array:
+    def _state(self, result: Array, softness: float) -> Array:
         """(P + 1, 2 own, 1) states where pieces begin, of torques and moment at the plate and what follows."""
         n, own = self.n, self.own
         state = np.zeros((self.pieces + 1, 2 * own, 1))
-        state[1:, :, 0] = found[own:].reshape(self.pieces, 2 * own)
-        state[0, own:, 0] = found[:own]
-        state[0, :n, 0] = softness * self.transmission * found[:n]
+        state[1:, :, 0] = result[own:].reshape(self.pieces, 2 * own)
+        state[0, own:, 0] = result[:own]
+        state[0, :n, 0] = softness * self.transmission * result[:n]
         return state
 
     def elastic(self, mode: Response, softness: float) -> float:

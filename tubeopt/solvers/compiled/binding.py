@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape, CollocationPoints, Found
+from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
 from ...block.transcription.collocated import STEPS
 from ...robots.assembly import ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
@@ -216,7 +216,7 @@ def _pack(rotations: Array, translations: Array, start: Start | None) -> tuple[A
 class Solved(NamedTuple):
     """An equilibrium as the kernel found it, and how."""
 
-    found: Found
+    found: ArmSolution
     elements: int
     """Of the mesh."""
     largest_change: float
@@ -246,10 +246,10 @@ def solve_compiled(
     return Solved(_found(answer), elements, change, ratio, loading)
 
 
-def _found(answer: dict[str, Any]) -> Found:
+def _found(answer: dict[str, Any]) -> ArmSolution:
     """Copies of what the kernel found."""
     m, points = answer["pieces"] * STEPS + 1, answer["points"]
-    return Found(
+    return ArmSolution(
         ArmShape(
             arc_length=answer["arc_length"][:m].copy(),
             rotation=answer["rotation"][:m].T.copy(),

@@ -11,7 +11,7 @@ from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array
-from ..friction_increment import HONEST, SLIP_ROUND_OFF
+from ..friction_increment import FRICTION_TOLERANCE, SLIP_ROUND_OFF
 from ..settings import FRICTION_ITERATIONS, LARGEST_RATIO, LARGEST_TWIST, ONWARD, SOFT_TWIST, STICK_CHANGES
 from .text import c_tables, defined
 
@@ -82,7 +82,7 @@ def rubbing_constants() -> str:
     numbers = {
         "MOST_CHANGES": STICK_CHANGES,
         "HARDLY": SLIP_ROUND_OFF,
-        "HONEST": HONEST,
+        "HONEST": FRICTION_TOLERANCE,
         "RUB_ITERATIONS": FRICTION_ITERATIONS,
         "ONWARD": ONWARD,
         "LARGEST_RATIO": LARGEST_RATIO,

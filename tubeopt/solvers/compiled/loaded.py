@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmShape, CollocationPoints, Found
+from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
 from ...block.transcription.collocated import ENDS, STEPS
 from ...block.transcription.green import sections_at
 from ...block.transcription.loaded import LoadedProblem
@@ -200,7 +200,7 @@ def _usable(rules: LoadedRules) -> Kernel | None:
 
 def solve_loaded_compiled(
     rules: LoadedRules, joints: tuple[Array, Array], start: tuple[Array, Array | None], margin: float
-) -> Found | None:
+) -> ArmSolution | None:
     """The stable equilibrium under a dead load.
 
     `joints`: rotations (n,), and their change from those of the start. `start`: rotations (N, n) and curvature (N, 2)
@@ -250,7 +250,7 @@ def solve_many_loaded_compiled(
     return summary, compliance, declined.astype(bool)
 
 
-def _answered(answer: dict[str, Any], problem: LoadedProblem) -> Found:
+def _answered(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
     torsion, points, m = problem.torsion, len(problem.torsion.weight), STEPS * len(problem.mesh.length) + 1
     arm = ArmShape(
         arc_length=answer["arc_length"][:m].copy(),
@@ -261,7 +261,7 @@ def _answered(answer: dict[str, Any], problem: LoadedProblem) -> Found:
         frame=answer["frame"][:m].copy(),
     )
     theta, curvature = answer["theta"][:points] + problem.wound, answer["curvature"][:points].copy()
-    return Found.of(
+    return ArmSolution.of(
         arm,
         torsion.assembly,
         points=CollocationPoints(torsion.arc_length, theta, curvature),
