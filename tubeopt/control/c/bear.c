@@ -17,20 +17,22 @@ typedef struct {
     double force[MOST_POINTS][3];
 } Along;
 
+/* An equilibrium on its mesh. */
 typedef struct {
-    Bed beds[2];
+    Bed bed;
+    Answer answer;
+    tubeopt_joints joints;
+} Borne;
+
+typedef struct {
     Along along[RULES];
     Sections ends[(STEPS + 1) * MOST_PIECES];
     double ends_twist[(STEPS + 1) * MOST_PIECES][N], base_force[3];
     Rules rules;
     Workspace work;
-    Answer answers[2];
+    Borne borne[2], kept; /* the last equilibrium and room for the next, and that to which a motion that fails returns */
     int here;
     double theta[MOST_POINTS][N], curvature[MOST_POINTS][2], place[MOST_POINTS], moment[MOST_POINTS][2];
-    tubeopt_joints joints; /* of the last equilibrium */
-    Bed kept_bed;
-    Answer kept;
-    tubeopt_joints kept_joints;
 } Bearing;
 
 size_t tubeopt_bearing_size(void) { return sizeof(Bearing); }
@@ -160,9 +162,11 @@ static void sample_bend(Bearing *b, const Layout *old, const Answer *last, const
 }
 
 /* What was solved, into a pose. */
-static void tell_loaded(const Bed *bed, const Answer *a, const tubeopt_joints *joints, tubeopt_pose *pose) {
+static void tell_loaded(const Borne *borne, tubeopt_pose *pose) {
+    const Bed *bed = &borne->bed;
+    const Answer *a = &borne->answer;
     int tip = bed->layout.pieces * STEPS;
-    pose->joints = *joints;
+    pose->joints = borne->joints;
     memcpy(pose->position, a->position[tip], sizeof pose->position);
     memcpy(pose->frame, a->frame[tip], sizeof pose->frame);
     for (int i = 0, k; i < N; i++) {
@@ -180,23 +184,26 @@ static void tell_loaded(const Bed *bed, const Answer *a, const tubeopt_joints *j
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
                          const double (*rotation)[N], double margin, tubeopt_pose *pose) {
     Bearing *b = room;
-    Bed *bed = b->beds + !b->here;
+    Borne *next = b->borne + !b->here;
+    Bed *bed = &next->bed;
     double none[N] = {0};
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
     sample_arm(bed, &bed->layout, pieces, s, rotation, b->theta);
-    Answer *next = b->answers + !b->here;
-    if (solve_loaded(&b->rules, joints->rotations, none, b->theta[0], NULL, margin, &b->work, next)) return 1;
-    tell_loaded(bed, next, joints, pose);
+    next->joints = *joints;
+    if (solve_loaded(&b->rules, joints->rotations, none, b->theta[0], NULL, margin, &b->work, &next->answer)) return 1;
+    tell_loaded(next, pose);
     return 0;
 }
 
 /* The equilibrium close to the last one. 0, or 1 where there is none. */
 int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose) {
     Bearing *b = room;
-    const Bed *old = b->beds + b->here;
-    Bed *bed = b->beds + !b->here;
-    const Answer *last = b->answers + b->here;
+    const Borne *now = b->borne + b->here;
+    Borne *next = b->borne + !b->here;
+    const Bed *old = &now->bed;
+    Bed *bed = &next->bed;
+    const Answer *last = &now->answer;
     double turn[N];
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
@@ -207,48 +214,43 @@ int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joi
         sample_arm(bed, &old->layout, old->layout.pieces, last->arc_length, last->rotation, b->theta);
         sample_bend(b, &old->layout, last, &bed->layout);
     }
-    for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - b->joints.rotations[i];
-    Answer *next = b->answers + !b->here;
-    if (solve_loaded(&b->rules, joints->rotations, turn, b->theta[0], b->curvature[0], last->margin, &b->work, next))
+    for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - now->joints.rotations[i];
+    next->joints = *joints;
+    if (solve_loaded(&b->rules, joints->rotations, turn, b->theta[0], b->curvature[0], last->margin, &b->work, &next->answer))
         return 1;
-    tell_loaded(bed, next, joints, pose);
+    tell_loaded(next, pose);
     return 0;
 }
 
 /* What was solved last becomes what is gone on from. */
-void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints) {
+void tubeopt_bearing_accept(void *room) {
     Bearing *b = room;
     b->here = !b->here;
-    b->joints = *joints;
 }
 
 /* Compliance of the tip (36) at the last equilibrium, or at that which was solved for and not accepted. */
 void tubeopt_bearing_compliance(const void *room, int next, double *out) {
     const Bearing *b = room;
-    memcpy(out, b->answers[next ? !b->here : b->here].compliance, sizeof b->answers[0].compliance);
+    memcpy(out, b->borne[next ? !b->here : b->here].answer.compliance, 36 * sizeof(double));
 }
 
 /* Points along the arm; returns the last one's number. */
 int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]) {
     const Bearing *b = room;
-    const Answer *a = b->answers + b->here;
+    const Answer *a = &b->borne[b->here].answer;
     *s = a->arc_length;
     *position = a->position;
     *frame = a->frame;
-    return b->beds[b->here].layout.pieces * STEPS;
+    return b->borne[b->here].bed.layout.pieces * STEPS;
 }
 
 /* The last equilibrium, to which a motion that fails returns. */
 void tubeopt_bearing_keep(void *room) {
     Bearing *b = room;
-    b->kept_bed = b->beds[b->here];
-    b->kept = b->answers[b->here];
-    b->kept_joints = b->joints;
+    b->kept = b->borne[b->here];
 }
 
 void tubeopt_bearing_return(void *room) {
     Bearing *b = room;
-    b->beds[b->here] = b->kept_bed;
-    b->answers[b->here] = b->kept;
-    b->joints = b->kept_joints;
+    b->borne[b->here] = b->kept;
 }

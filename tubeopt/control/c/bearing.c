@@ -15,9 +15,9 @@ static void return_loaded(tubeopt_memory *m) {
     if (m->bears) tubeopt_bearing_return(room_of(m));
 }
 
-static void accept_loaded(tubeopt_memory *m, const tubeopt_joints *joints) {
+static void accept_loaded(tubeopt_memory *m) {
     if (!m->bears) return;
-    tubeopt_bearing_accept(room_of(m), joints);
+    tubeopt_bearing_accept(room_of(m));
     m->loaded = m->next_loaded;
 }
 
@@ -39,7 +39,7 @@ static int change_load(tubeopt_memory *m, const tubeopt_load *to) {
             at.gravity[r] = (1 - t) * from.gravity[r] + t * to->gravity[r];
         }
         if (!tubeopt_bearing_step(room_of(m), &at, &m->joints, &m->next_loaded)) {
-            accept_loaded(m, &m->joints);
+            accept_loaded(m);
             done = t;
             part *= 2;
         } else if ((part /= 4) < SHORTEST_LOAD) {
@@ -62,7 +62,7 @@ tubeopt_status tubeopt_bear(tubeopt_memory *m, const tubeopt_load *load, tubeopt
     if (size > 0 && !m->bears) {
         if (grow_anew(m, load)) return TUBEOPT_DECLINED;
         m->bears = 1;
-        accept_loaded(m, &m->joints);
+        accept_loaded(m);
     }
     m->bears = size > 0;
     m->load = *load;

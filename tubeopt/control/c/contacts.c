@@ -30,13 +30,6 @@ static void keep_clear(const tubeopt_memory *m, const Bodies *bodies, double ris
     }
 }
 
-/* The place on the centreline of an arm at arc length s: the plate where the arm has no length. */
-static void place_on(const Answer *a, double s, double *out) {
-    int last = (int)a->pieces * STEPS;
-    memset(out, 0, 3 * sizeof(double));
-    if (last) on_curve(a->arc_length, a->position, a->frame, piece_at(a->arc_length, last, s), s, out);
-}
-
 /* Whether the next answer brings a contact closer than it may. */
 static int too_close(const tubeopt_memory *m, const Bodies *bodies) {
     const Answer *here = m->answers + m->here, *next = m->answers + !m->here;

@@ -10,7 +10,7 @@ size_t tubeopt_bearing_size(void);
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
                          const double (*rotation)[N], double margin, tubeopt_pose *pose);
 int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose);
-void tubeopt_bearing_accept(void *room, const tubeopt_joints *joints);
+void tubeopt_bearing_accept(void *room);
 void tubeopt_bearing_compliance(const void *room, int next, double *out);
 int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]);
 void tubeopt_bearing_keep(void *room);
@@ -71,7 +71,7 @@ static double next_margin(const tubeopt_memory *m) { return m->answers[!m->here]
 #define bear_to(memory, joints) 0
 #define keep_loaded(memory)
 #define return_loaded(memory)
-#define accept_loaded(memory, joints)
+#define accept_loaded(memory)
 #endif
 
 tubeopt_memory *tubeopt_start(void *memory) {
@@ -220,7 +220,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
         tubeopt_joints at = between(&from, joints, t);
         if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART && !step_to(m, &at) && !bear_to(m, &at)) {
             accept(m, &at);
-            accept_loaded(m, &at);
+            accept_loaded(m);
             done = t;
             step = fmin(2 * step, longest);
         } else if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART) {

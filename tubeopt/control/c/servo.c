@@ -185,7 +185,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
             report->solves++;
             if (step_to(m, &next) || bear_to(m, &next) || next_margin(m) < floor || too_close(m, bodies)) continue;
             accept(m, &next);
-            accept_loaded(m, &next);
+            accept_loaded(m);
             report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
             break;
         }

@@ -445,3 +445,13 @@ static void on_curve(const double *along, const double (*place)[3], const double
         out[r] = place[k][r] * (1 + 2 * t) * u * u + place[k + 1][r] * t * t * (3 - 2 * t) +
                  h * t * u * (frame[k][3 * r + 2] * u - frame[k + 1][3 * r + 2] * t);
 }
+
+/* The place on the centreline of an arm at arc length s: behind the plate on its axis; the plate where the arm has no
+   length. */
+static void place_on(const Answer *a, double s, double *out) {
+    int last = (int)a->pieces * STEPS;
+    double inside = fmax(s, 0);
+    memset(out, 0, 3 * sizeof(double));
+    if (last) on_curve(a->arc_length, a->position, a->frame, piece_at(a->arc_length, last, inside), inside, out);
+    out[2] += fmin(s, 0);
+}

@@ -1,6 +1,6 @@
 /* Least squares with linear inequalities in few variables: by a triangle a quadratic program of least distance, and that
-   by the dual method of Goldfarb and Idnani, Math. Programming 27 (1983), with the active rows orthogonalised anew at
-   each change. */
+   by the dual method of Goldfarb and Idnani, Math. Programming 27 (1983), with the active rows factored anew at each change:
+   of few variables that costs less than to update factors, and rounding does not add up. */
 
 #define MOST_VARIABLES (2 * N)
 #define MOST_EXCHANGES 100
@@ -13,27 +13,48 @@ typedef struct {
     int n, count, active[MOST_VARIABLES], actives;
 } Quadratic;
 
-/* Of a row: what the active rows leave of it, `along` (n), and its coefficients `by` in them. */
-static void split_row(const Quadratic *q, const double *row, double *along, double *by) {
-    double base[MOST_VARIABLES][MOST_VARIABLES], part[MOST_VARIABLES][MOST_VARIABLES], gain[MOST_VARIABLES];
-    int n = q->n;
-    memcpy(along, row, n * sizeof(double));
-    for (int k = 0; k < q->actives; k++) { /* modified Gram-Schmidt, R in `part` */
-        memcpy(base[k], q->rows + n * q->active[k], n * sizeof(double));
-        for (int j = 0; j < k; j++) {
-            part[j][k] = dot(base[j], base[k], n);
-            for (int c = 0; c < n; c++) base[k][c] -= part[j][k] * base[j][c];
+/* matrix (count, n) = Q R by reflections: R in its upper triangle, the first n of Q' right in `right`; 0 where columns
+   depend on each other. */
+static int triangle(int n, int count, double *matrix, double *right) {
+    for (int k = 0; k < n; k++) {
+        double square = 0, head = matrix[k * n + k], length;
+        for (int r = k; r < count; r++) square += matrix[r * n + k] * matrix[r * n + k];
+        length = head > 0 ? -sqrt(square) : sqrt(square);
+        if (!(square > 0)) return 0;
+        matrix[k * n + k] = head - length; /* v, for which v'v / 2 = length (length - head) */
+        for (int c = k + 1; c <= n; c++) {
+            double *column = c < n ? matrix + c : right, part = 0;
+            int stride = c < n ? n : 1;
+            for (int r = k; r < count; r++) part += matrix[r * n + k] * column[r * stride];
+            part /= length * (length - head);
+            for (int r = k; r < count; r++) column[r * stride] -= part * matrix[r * n + k];
         }
-        part[k][k] = sqrt(dot(base[k], base[k], n));
-        for (int c = 0; c < n; c++) base[k][c] /= part[k][k];
-        gain[k] = dot(base[k], along, n);
-        for (int c = 0; c < n; c++) along[c] -= gain[k] * base[k][c];
+        matrix[k * n + k] = length;
     }
-    for (int k = q->actives - 1; k >= 0; k--) {
-        by[k] = gain[k];
-        for (int j = k + 1; j < q->actives; j++) by[k] -= part[k][j] * by[j];
-        by[k] /= part[k][k];
+    return 1;
+}
+
+/* x <- R^-1 y, R the upper triangle of `matrix` in rows of n. */
+static void solve_upper(int n, const double *matrix, const double *y, double *x) {
+    for (int i = n - 1; i >= 0; i--) {
+        x[i] = y[i];
+        for (int j = i + 1; j < n; j++) x[i] -= matrix[i * n + j] * x[j];
+        x[i] /= matrix[i * n + i];
     }
+}
+
+/* Of a row: what the active rows leave of it, `along` (n), and its coefficients `by` in them, by least squares. */
+static void split_row(const Quadratic *q, const double *row, double *along, double *by) {
+    double columns[MOST_VARIABLES * MOST_VARIABLES], right[MOST_VARIABLES];
+    int n = q->n, m = q->actives;
+    for (int k = 0; k < m; k++)
+        for (int c = 0; c < n; c++) columns[c * m + k] = q->rows[n * q->active[k] + c];
+    memcpy(right, row, n * sizeof(double));
+    memcpy(along, row, n * sizeof(double));
+    triangle(m, n, columns, right); /* active rows are independent */
+    solve_upper(m, columns, right, by);
+    for (int k = 0; k < m; k++)
+        for (int c = 0; c < n; c++) along[c] -= by[k] * q->rows[n * q->active[k] + c];
 }
 
 static void drop_row(Quadratic *q, int which) {
@@ -110,27 +131,6 @@ static int least_distance(Quadratic *q, const double *a, double *x) {
     return 1;
 }
 
-/* matrix (count, n) = Q R by reflections: R in its upper triangle, the first n of Q' right in `right`; 0 where columns
-   depend on each other. */
-static int triangle(int n, int count, double *matrix, double *right) {
-    for (int k = 0; k < n; k++) {
-        double square = 0, head = matrix[k * n + k], length;
-        for (int r = k; r < count; r++) square += matrix[r * n + k] * matrix[r * n + k];
-        length = head > 0 ? -sqrt(square) : sqrt(square);
-        if (!(square > 0)) return 0;
-        matrix[k * n + k] = head - length; /* v, for which v'v / 2 = length (length - head) */
-        for (int c = k + 1; c <= n; c++) {
-            double *column = c < n ? matrix + c : right, part = 0;
-            int stride = c < n ? n : 1;
-            for (int r = k; r < count; r++) part += matrix[r * n + k] * column[r * stride];
-            part /= length * (length - head);
-            for (int r = k; r < count; r++) column[r * stride] -= part * matrix[r * n + k];
-        }
-        matrix[k * n + k] = length;
-    }
-    return 1;
-}
-
 /* min |matrix x - right| subject to the rows, of a matrix (count, n) of full rank; 0 where no x keeps the rows. All is
    written over. */
 static int least_squares(Quadratic *q, int count, double *matrix, double *right, double *x) {
@@ -145,10 +145,6 @@ static int least_squares(Quadratic *q, int count, double *matrix, double *right,
         }
     }
     if (!least_distance(q, right, y)) return 0;
-    for (int i = n - 1; i >= 0; i--) {
-        x[i] = y[i];
-        for (int j = i + 1; j < n; j++) x[i] -= matrix[i * n + j] * x[j];
-        x[i] /= matrix[i * n + i];
-    }
+    solve_upper(n, matrix, y, x);
     return 1;
 }

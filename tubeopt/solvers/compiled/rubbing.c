@@ -197,18 +197,14 @@ static int settle(Held *h, int wanted, Room *w) {
 /* theta of a tube at arc length s, constant beyond the tip, behind the plate by the torque of the transmission. */
 static double theta_at(const Held *h, int tube, double s) {
     const Layout *l = &h->layout;
-    double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, bent = 0;
+    double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, twice[MOST_DEGREE] = {0};
     int p = 0, degree = h->q.tableau->degree;
     while (p + 1 < l->pieces && l->start[p + 1] <= inside) p++;
     double along = l->length[p], x = fmin(fmax((inside - l->start[p]) / along, 0), 1), u = legendre[1] = 2 * x - 1;
     for (int j = 2; j < degree + 2; j++) legendre[j] = ((2 * j - 1) * u * legendre[j - 1] - (j - 1) * legendre[j - 2]) / j;
-    for (int k = 0; k < degree; k++) {
-        double basis = 0;
-        for (int j = 0; j < degree + 2; j++) basis += legendre[j] * TWICE_LEGENDRE[j * degree + k];
-        bent += basis * h->arm.moment[p][k * N + tube];
-    }
-    double turned = along * (x * h->arm.torque[p][tube] + along * bent) + fmin(s, 0) * h->arm.torque[0][tube];
-    return h->arm.rotation[p][tube] + turned / h->q.tubes->kt[tube];
+    for (int k = 0; k < degree; k++)
+        for (int j = 0; j < degree + 2; j++) twice[k] += legendre[j] * TWICE_LEGENDRE[j * degree + k];
+    return rotation_at(&h->q, &h->arm, p, tube, x, NULL, twice) + fmin(s, 0) * h->arm.torque[0][tube] / h->q.tubes->kt[tube];
 }
 
 /* The state at other joint values: NULL where the step is too long. */
@@ -275,13 +271,6 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
 CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Room); }
 CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
 
-/* Position at `behind` the tip, cubic between the shape points; on the plate's axis where that is behind the plate. */
-static void station_at(const Answer *a, int tip, double behind, double *out) {
-    double s = a->arc_length[tip] - behind, inside = fmax(s, 0);
-    on_curve(a->arc_length, a->position, a->frame, piece_at(a->arc_length, tip, inside), inside, out);
-    out[2] += fmin(s, 0);
-}
-
 /* Rows 1 ... of joint values (count, N) from the state of row 0. Returns how many there are, row 0 too, before a step is too
    long or the state is lost. A row of z, torque and sign (count, MOST_UNKNOWNS) holds the unknowns of a state, and its rows of friction;
    `out` (count, 3 stations + 9 + N + 4) gets stations `behind` the tip, the tip's frame by rows, rotations of the tubes
@@ -309,7 +298,7 @@ CASADI_SYMBOL_EXPORT long long rub(const Tubes *tubes, const double *friction, d
         finish(&h->q, &h->state, &h->arm, a);
         int tip = (int)a->pieces * STEPS;
         double *row = out + k * width;
-        for (int j = 0; j < stations; j++) station_at(a, tip, behind[j], row + 3 * j);
+        for (int j = 0; j < stations; j++) place_on(a, a->arc_length[tip] - behind[j], row + 3 * j);
         row += 3 * stations;
         memcpy(row, a->frame[tip], 9 * sizeof(double));
         memcpy(row + 9, a->rotation[tip], N * sizeof(double));
