@@ -124,7 +124,8 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
 
 #define COUPLING_FLOOR 1e-10 /* a margin closer to 1 is 1 */
 
-/* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. */
+/* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. One
+   elimination finds that out; Lanczos' method would search for a mode among those that gather at 1. */
 static int never_softens(const Unknowns *q, const State *state, double *h) {
     second_variation(q, state, h);
     for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += COUPLING_FLOOR - 1;
@@ -289,7 +290,7 @@ static void carry_step(const double *u, double length, double *pose) {
 }
 
 /* Two poses carried over a piece: the first by all steps, where `each` gets it at the shape points, the other by one step
-   for two, whose curvature lies on the polynomial through that of both. */
+   for two, whose curvature lies on the polynomial through that of both: no curvature is evaluated for the error alone. */
 static void carry_poses(const Unknowns *q, const Looks *at, const Place *places, double length, double *poses, double *each) {
     double u[12], stretch[N], rougher[6];
     for (int s = 0; s < at->steps; s++) {

@@ -213,6 +213,8 @@ static void evaluate(const Unknowns *q, const double *alpha, State *state) {
 }
 
 /* Upper triangle of 1 + L' B V'' L, rows of length STRIDE: from the tip, the elements of tube i against all of tube j.
+   All points further out see an element alike (`beyond`), so that they enter by a sum and one row: the products cost the
+   square of the unknowns, not the cube, and less than the elimination that follows.
    Fours that have too much are laid over by what comes after them. */
 ALWAYS_INLINE void vary(const Unknowns *q, const State *state, int k, double *h) {
     for (int i = 0; i < N; i++)

@@ -19,7 +19,7 @@ static int filled_up(int n) { return (n + 3) / 4 * 4; }
 static int cholesky_of_four(double *a, int stride) {
     for (int k = 0; k < 4; k++) {
         double *row = a + k * stride, pivot = row[k];
-        if (!(pivot > 1e-13)) return 0;
+        if (!(pivot > 1e-13)) return 0; /* without coupling it is 1: less is rounding */
         row[k] = 1 / sqrt(pivot);
         for (int j = k + 1; j < 4; j++) row[j] *= row[k];
         for (int i = k + 1; i < 4; i++)
@@ -223,9 +223,9 @@ typedef struct {
     double small, apart, most, *basis;
 } Krylov;
 
-/* A bound of all eigenvalues of a symmetric tridiagonal matrix whose last entry is `corner`, beside which `beside` stands, and
-   those of the matrix without its last row are up to `before`: as if all of that row pulled at its eigenvector. Of another
-   matrix of m rows, the largest sum of a row. */
+/* A bound of all eigenvalues of an upper Hessenberg matrix of m rows: the largest sum of a row. Where it is symmetric, that
+   without its last row has eigenvalues up to `before`, and `beside` couples that row: as if all of it pulled at their
+   eigenvector, which is close enough for two or three steps of Laguerre's method. */
 static double above_all(const double *h, int m, int symmetric, double before, double beside) {
     double out = 0, apart = (before - h[(m - 1) * (LANCZOS + 1)]) / 2;
     if (symmetric) return before - apart + sqrt(apart * apart + beside * beside);

@@ -132,6 +132,7 @@ static int newton(Stage *s, State *state, const double *alpha, double factor, do
         if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
         newton_step(s, state, alpha, factor, step, 0);
         double size = size_of(s, state, step);
+        /* Where steps shrink by less, the end may be another branch: it is for the continuation to come closer. */
         if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > ratio * last)) return DECLINED;
         take(s, state, step, 1, 1);
         evaluate(s, state, factor);
@@ -329,7 +330,7 @@ static int grow(Stage *s, const double *alpha, double near, Room *room, State *g
             if (t < 1) near = rough_margin(s, MARGIN_APART, step, room);
             continue;
         }
-        longest /= 3;
+        longest /= 3; /* tangents are of first order: what is off falls to a ninth */
         if (longest < SHORTEST_LOAD_STEP) return DECLINED;
         evaluate(s, state, t); /* the factors are those of another state now */
         if (!factorise(s, state, t, 1)) return DECLINED;

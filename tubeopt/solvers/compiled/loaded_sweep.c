@@ -1,4 +1,5 @@
-/* Newton's equations of a loaded arm, eliminated piece by piece from the tip to the plate.
+/* Newton's equations of a loaded arm, eliminated piece by piece from the tip to the plate: the cost grows with the pieces,
+   where a dense matrix of all unknowns would cost their cube.
 
    On a piece the twists v and the bending p = du / softness of its points are unknown, whitened so that the elastic energy
    is (|v|^2 + |p - g|^2) / 2, g = u0' dtheta / softness: they and the state where it begins (theta, dQ) make the state

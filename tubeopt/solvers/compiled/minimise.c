@@ -31,6 +31,7 @@ static State *descend(const Unknowns *q, const double *alpha, State *state, Stat
         for (int half = 0;; half++, scale /= 2) {
             for (int r = 0; r < q->size; r++) trial->z[r] = state->z[r] + scale * step[r];
             evaluate(q, alpha, trial);
+            /* Armijo's condition (Nocedal and Wright, 3.4), as far as the energy is not rounding. */
             if (trial->energy <= state->energy + 1e-4 * scale * slope + 1e-13 * fabs(state->energy)) break;
             if (half == 40) return NULL;
         }
@@ -59,6 +60,7 @@ static int newton(const Unknowns *q, const double *alpha, State *state, double *
         for (int r = 0; r < q->size; r++) step[r] = -state->gradient[r];
         cholesky_solve(h, q->size, STRIDE, step);
         double size = turn_of(q, step);
+        /* A step of half a turn that grows leads to another branch. */
         if (!isfinite(size) || (size > 2 * last && size > 3.2)) return DECLINED;
         for (int r = 0; r < q->size; r++) state->z[r] += step[r];
         evaluate(q, alpha, state);

@@ -253,6 +253,7 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
             int x = h->q.point[a];
             far = fmax(far, fabs(h->state.theta[x][i] - w->theta[x][i] - turn[i]));
         }
+    /* Margins cost as much as a step: that of the state before is found only where the step is long for the worst one. */
     if (far > limit && h != old && old->margin == 0 && settle(old, 1, w)) limit = LONGEST_TWIST(old->margin);
     if (!(far <= limit) || !settle(h, m->margins || far > LONG * SOFT_TWIST, w)) return NULL;
     if (same) {

@@ -220,9 +220,9 @@ static int never_stretched(const Unknowns *q, const State *state, const Stretch 
 /* The margin mu of tubes off the centreline at a solved state, at most 1; -1 where it is not sure to be positive, which
    is left to the general solver. `most`: a bound of 1 - mu.
 
-   With moments 1 / most times as steep, 1 / (1 - (1 - mu) / most) is the largest eigenvalue of (1 - K / most)^-1: by
-   Arnoldi's method. It cannot see an eigenvalue that passed infinity, a mu below 1 - most: that the tubes on the
-   centreline have none by far, and the sign of the determinant, exclude it. */
+   With moments 1 / most times as steep, 1 / (1 - (1 - mu) / most) is the largest eigenvalue of (1 - K / most)^-1, which is
+   not symmetric: by Arnoldi's method. It cannot see an eigenvalue that passed infinity, a mu below 1 - most: that the tubes
+   on the centreline have none by far, and the sign of the determinant, exclude it. */
 static double stretched_margin(const Unknowns *q, const State *state, Stretch *e, double most, double *h) {
     double basis[LANCZOS + 1][MOST_UNKNOWNS], vector[MOST_UNKNOWNS];
     if (!factorised(q, state, e, 1 / most, h)) {
