@@ -124,6 +124,7 @@ class JointPath:
         speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
         gap, closing = points[:, None] - points, speeds - speeds[:, None]
         moving = np.abs(closing) > ROUND_OFF
+        # Tubes that move with equal speed never meet.
         times = gap[moving] / closing[moving]
         return [*sorted({round(float(t), 12) for t in times if 1e-9 < t < 1 - 1e-9}), 1.0]
 
@@ -227,6 +228,7 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
         x = x + change
     elif before is not None and point.t > before.t:
         x = x + (x - there.carried(before)) * ((t - point.t) / (point.t - before.t))
+    # A guess that is on the branch converges in three to five steps; more than eight are a sign of another branch.
     result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
@@ -253,6 +255,7 @@ def follow(
         there = step_to(family, t, here, before)
         if there is None or (stable and there.margin <= 0):
             # The first failure may be that of a long step; one of a step to before a bifurcation tells of a fold.
+            # A third, not a half: where a branch ends, every failed step is wasted.
             step, ends, power = step / 3, True, 2 if power else 0
             if step < least:
                 return
@@ -262,6 +265,7 @@ def follow(
         step = min(2 * step, longest)
         if ends:
             power = max(power, 1)
+            # The prediction is poor far from the end: one step is not shortened to less than a twentieth by it.
             step = min(step, max(TOWARDS_END * _left(here, before, power), step / 20, least))
 
 
@@ -290,6 +294,7 @@ def reach(
 def bifurcates(family: Family, last: Place) -> bool:
     """Whether what changes along a family does not push along the softest direction of a point close to the end of its
     branch."""
+    # A central difference of the gradient, whose round-off 1e-16 / 1e-6 is far below SYMMETRIC.
     by = 1e-6 * max(1.0, abs(last.t))
     point = [there for t in (last.t - by, last.t + by, last.t) if (there := family.like(last.member, t)) is not None]
     if len(point) < 2:

@@ -87,6 +87,7 @@ def unloaded(
             return None
         along = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
         start, most = Start(*along, turn, guess.translations), largest_twist(guess.margin)
+    # Finer meshes are left to the general solver: the kernel has static memory for the pieces of these two.
     for refinement in (0, 1):
         solved = solve_compiled(robot, rotations, translations, start, refinement)
         if solved is None or solved.largest_change > most:
@@ -315,6 +316,7 @@ def _to_tolerance(point: Place, start: str, request: SolveRequest) -> Equilibriu
         error = error_of(result)
         if error <= request.tolerance and (level == finest or shape.errors[2] <= by.newton.margin_tolerance):
             return result
+        # Halved pieces lower the error by orders of magnitude; a factor below two means that it is not one of the mesh.
         if error > request.tolerance and (level == finest or error > before / 2):
             why = "" if level == finest else "; finer pieces no longer help"
             wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"

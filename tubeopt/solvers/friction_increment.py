@@ -241,6 +241,7 @@ def increment(
     state, turned = evaluate_contact(contact, rotations, x), _Turned(contact, slid)
     last, contraction, kept = np.inf, 0.0, None
     signs = None if signs is None else signs[turned.sharp]
+    # The set of sticking rows settles in a few steps; then Newton's method converges quadratically.
     for _ in range(FRICTION_ITERATIONS):
         slip = state.turned - before
         model = model_of(turned.rows, *turned.added(state, slip))
@@ -253,6 +254,7 @@ def increment(
         torque, now = result
         step = model.step - model.response @ torque
         size = contact.turn_of(step)
+        # Beyond half a turn the quadratic model says nothing about the energy.
         if not np.isfinite(size) or size > np.pi:
             return None
         state = evaluate_contact(contact, rotations, state.x + step)

@@ -65,11 +65,14 @@ def full_steps(
     for iteration in range(1, iterations + 1):
         change, singular = newton_step(state)
         size = np.inf if singular else turn(state, change)
+        # Far from a solution the first steps may grow a little, and converge all the same. A step that doubles and
+        # turns a tube by more than half a turn has left every branch nearby. `not <=` also catches NaN.
         if not size <= LONGEST or (size > 2 * last and size > np.pi):
             return NewtonResult(state, False, iteration, np.inf)
         state = moved(state, change)
         if size <= LAST_STEP and (size <= ROUND_OFF or residual(state) <= ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
+        # Below, the ratio is one of round-off.
         if size > LAST_STEP:
             contraction = max(contraction, size / last)
         last = size
@@ -111,6 +114,8 @@ def damped_newton(
             return state, iteration, True
         step *= min(1.0, LONGEST_STEP / size)
         slope = float(state.gradient @ step)
+        # Armijo's condition with the usual 1e-4. Near the minimum the decrease drowns in the round-off of the energy,
+        # 1e-13 of it. After 40 halvings a step is of round-off itself.
         for _ in range(40):
             trial = moved(state, step)
             if trial.energy <= state.energy + 1e-4 * slope + 1e-13 * abs(state.energy):
@@ -123,6 +128,7 @@ def damped_newton(
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
     """Starting points (U,) on either side of an unstable equilibrium, along its most unstable direction."""
     direction = np.linalg.eigh(state.hessian)[1][:, 0]
+    # 0.05 rad is small against the distance between minima, and enough for the energy to fall by more than round-off.
     direction *= 0.05 / torsional_turn(problem, direction)
     return state.z + direction, state.z - direction
 
@@ -139,6 +145,8 @@ def _downhill(state: OfEnergy) -> Array:
     """
     if not len(state.gradient):
         return state.gradient
+    # In whitened unknowns the torsional part of the Hessian is the identity: a shift of the order of 1 makes a softened
+    # Hessian positive, and one of 1e6 leaves no step.
     shift = 0.0
     while shift < 1e6:
         matrix = state.hessian.copy()
@@ -193,6 +201,7 @@ def flow(
     for count in range(1, FLOW_STEPS + 1):
         change, turn, not_convex = step(state, time)
         if not_convex or turn > STRIDE:
+            # The matrix H + 1 / time is positive for a time short enough.
             time *= 0.25 if not_convex else shortened(turn)
             continue
         there = moved(state, change)
@@ -200,6 +209,7 @@ def flow(
             time *= 0.25
             continue
         state, time = there, grown(time, turn)
+        # A long time step that hardly moves is Newton's step close to rest.
         if turn < 1e-6 and time > 1e6:
             last = solved(state)
             return NewtonResult(last.state, last.converged, count, 0.0)
@@ -214,9 +224,12 @@ def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[
 
 def shortened(turn: float) -> float:
     """By what a time is multiplied after a step with this turn (rad), which was too long."""
+    # A step is about proportional to its time: 0.8 leaves room for what is not.
     return max(0.1, 0.8 * STRIDE / turn)
 
 
 def grown(time: float, turn: float) -> float:
     """The time after one whose step had this turn (rad)."""
+    # At most three times as long: the curvature of the valley, which may lengthen a step, is known here only. The
+    # limit 1e12 keeps 1 / time above round-off of the Hessian.
     return min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

@@ -202,6 +202,7 @@ def descend(
                 cost_there, obstacle = np.inf, str(error).splitlines()[0]
             accepted = cost_there <= cost
             if accepted:
+                # The lower limit keeps a later rise within ten steps.
                 state, residuals, cost, damping = trial, there, cost_there, max(damping / 10, 1e-9)
             elif not fresh:
                 obstacle = ""
@@ -229,6 +230,7 @@ def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) 
     size, count = len(slope), len(x)
     held = np.zeros(size, dtype=bool)
     step = np.zeros(size)
+    # An active set: every pass stops at one more bound, so that it ends after as many as there are parameters.
     for _ in range(count + 1):
         free = np.flatnonzero(~held)
         fixed = square[np.ix_(free, held.nonzero()[0])] @ step[held]
@@ -245,6 +247,8 @@ def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) 
 
 def solved(square: Array, slope: Array, damping: float = 0.0) -> Array:
     """(Q,) the answer x to normal equations (Q, Q) x = (Q,), in units of their diagonal, to which damping adds."""
+    # In units of the diagonal all parameters count alike, angles and lengths; what no observation sees, below 1e-13,
+    # does not move.
     scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
     matrix = square / np.outer(scale, scale) + damping * np.eye(len(scale))
     return np.asarray(np.linalg.lstsq(matrix, slope / scale, rcond=1e-13)[0] / scale)

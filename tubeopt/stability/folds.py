@@ -85,6 +85,8 @@ def turning_point(
         if here is None:
             return None
         state, by = here(x), 1e-6 * max(1.0, abs(t))
+        # To one side there may be no equations of the same structure, as at the end of a path: then the difference is
+        # one-sided. It only shapes the steps.
         sides = [(place, there(x)) for place in (t - by, t + by) if (there := at(place)) is not None]
         if not sides:
             return None
@@ -104,6 +106,7 @@ def turning_point(
             return None
         turned = turn(step[:-1])
         x, t = x + step[:-1], t + float(step[-1])
+        # The fold that is searched is close; such a step leads to another one, or to none.
         if not np.isfinite(turned) or turned > np.pi / 2 or abs(t - begin) > 0.5:
             return None
         if turned < 1e-9:
@@ -170,6 +173,7 @@ def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
         result = there.solve(there.carried(point))
         return Point.of(there, result, t) if result.converged else None
 
+    # Short distances first: beyond a bifurcation Newton's method finds the old branch only from close by.
     ahead = 1e-7
     while ahead < WIDEST:
         t = min(goal, point.t + ahead * max(1.0, abs(goal)))
