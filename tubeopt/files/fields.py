@@ -18,7 +18,19 @@ import typing
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass
 from decimal import Decimal
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    NamedTuple,
+    Self,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
@@ -204,30 +216,42 @@ def _decimals(value: Any) -> Any:
     return Decimal(str(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-Way = Callable[[Any], Any]
+class KeyType(NamedTuple):
+    """How a key is checked and converted."""
+
+    annotation: Any
+    """What pydantic checks."""
+    read: Callable[[Any], Any]
+    """From the file to SI."""
+    write: Callable[[Any], Any]
+    """And back."""
 
 
-def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
-    """What pydantic checks, and the ways to SI and back."""
+def _plain_type(annotation: Any) -> KeyType:
+    """The type of a value that is the same in the file and in SI."""
+    return KeyType(annotation, lambda value: value, lambda value: value)
+
+
+def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
     for mark in marks:
         if isinstance(mark, Written):
-            return mark.entry, lambda entry: entry.build(), mark.write
+            return KeyType(mark.entry, lambda entry: entry.build(), mark.write)
         if isinstance(mark, Named):
             return _by_name(kind, mark.known)
         if isinstance(mark, OneOf) and (kind is str or isinstance(kind, tuple)):  # text, or besides text an object
-            return Literal[mark.words], lambda word: word, lambda word: word
+            return _plain_type(Literal[mark.words])
     if isinstance(kind, tuple):
         return _one_or_several(kind, marks, suffix)
     if kind is float:
         return _number(marks, suffix)
     if kind is int:
         limits: dict[str, Any] = {name: int(bound) for name, bound in _bounds(marks).items()}
-        return Annotated[Whole, Field(**limits)], lambda number: number, lambda number: number
+        return _plain_type(Annotated[Whole, Field(**limits)])
     if get_origin(kind) is tuple:
         return _several(get_args(kind), marks, suffix)
     if dataclasses.is_dataclass(kind):
-        return entry_of(typing.cast(Any, kind)), lambda entry: entry.build(), to_data
-    return kind, lambda value: value, lambda value: value
+        return KeyType(entry_of(typing.cast(Any, kind)), lambda entry: entry.build(), to_data)
+    return _plain_type(kind)
 
 
 def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
@@ -237,7 +261,7 @@ def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
     scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
     limits = {
         name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(marks).items()
@@ -251,32 +275,32 @@ def _number(marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
     usual = [mark for mark in marks if isinstance(mark, Typical)]
     whole: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
     annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *usual]
-    return annotation, lambda number: to_si(number + zero, scale), _write
+    return KeyType(annotation, lambda number: to_si(number + zero, scale), _write)
 
 
-def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
     inner, read, write = _kind(kinds[0], marks, suffix)
     most = None if kinds[-1] is ... else len(kinds)
     least = most or (1 if kinds[0] is float else 0)
     exact = [] if most is None else [BeforeValidator(three if most == 3 else functools.partial(as_many, most))]
-    return (
+    return KeyType(
         Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most), *exact],
         lambda listed: tuple(read(each) for each in listed),
         lambda listed: [write(each) for each in listed],
     )
 
 
-def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> tuple[Any, Way, Way]:
+def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
     one, several = (_kind(kind, marks, suffix) for kind in kinds)
-    number: Any = Annotated[one[0], Tag("<number>")]
-    listed: Any = Annotated[several[0], Tag("<list>")]
+    number: Any = Annotated[one.annotation, Tag("<number>")]
+    listed: Any = Annotated[several.annotation, Tag("<list>")]
     either = Annotated[
         number | listed, Discriminator(lambda value: "<list>" if isinstance(value, list) else "<number>")
     ]
-    return (
+    return KeyType(
         either,
-        lambda given: (several if isinstance(given, list) else one)[1](given),
-        lambda value: (several if isinstance(value, tuple) else one)[2](value),
+        lambda written: (several if isinstance(written, list) else one).read(written),
+        lambda value: (several if isinstance(value, tuple) else one).write(value),
     )
 
 
@@ -287,9 +311,9 @@ def named_or(entry: Any, known: Mapping[str, Any]) -> Any:
     return Annotated[named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")]
 
 
-def _by_name(kind: Any, known: Mapping[str, Any]) -> tuple[Any, Way, Way]:
+def _by_name(kind: Any, known: Mapping[str, Any]) -> KeyType:
     def write(thing: Any) -> Any:
         return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
     either = named_or(entry_of(kind), known)
-    return either, lambda given: known[given] if isinstance(given, str) else given.build(), write
+    return KeyType(either, lambda written: known[written] if isinstance(written, str) else written.build(), write)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from os import PathLike
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -377,15 +377,11 @@ class SearchPart(Entry):
             )
         return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
 
-    def numbers(self, seed: int) -> tuple[float, float, PlanOptions, int, float, float]:
-        """What `RegionReach` and `PairReach` take after their bodies, in SI."""
-        return (
-            self.si("tolerance_mm"),
-            self.si("min_margin"),
-            PlanOptions(clearance=self.si("clearance_mm"), time_limit=OF_ONE, seed=seed),
-            self.points,
-            self.si("shift_mm"),
-            self.si("tilt_deg"),
+    def options(self, seed: int) -> dict[str, Any]:
+        """Fields of `RegionReach` and `PairReach`, SI."""
+        options = PlanOptions(clearance=self.si("clearance_mm"), time_limit=OF_ONE, seed=seed)
+        return {"options": options, "count": self.points} | self.in_si(
+            "tolerance_mm", "min_margin", "shift_mm", "tilt_deg"
         )
 
     def judge(self, searched: Searched, chosen: Array) -> Searched:
@@ -424,7 +420,7 @@ class RegionEntry(SearchPart):
         chosen = self.chosen(self.anatomy.target, seed)
         start = np.array(self.si("start_deg") or np.zeros(n)), np.array(self.si("start_mm"))
         bodies = self.anatomy.bodies + self.obstacles
-        wanted = RegionReach(start, chosen[: self.places], bodies, *self.numbers(seed))
+        wanted = RegionReach(start, chosen[: self.places], bodies, **self.options(seed))
         return wanted, self.judge(wanted, chosen)
 
     def run(self, task: DesignTask, starts: int, seed: Whole, turns: int, progress: Progress | None) -> RegionAnswer:

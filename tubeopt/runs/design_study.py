@@ -298,7 +298,7 @@ class PairStudy(Timed, SearchPart, Tried):
         one, other = (arm.placed(around).base for arm in self.arms)
         starts = self.arms[0].start, self.arms[1].start
         bodies = around.bodies + self.obstacles
-        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, *self.numbers(self.seed))
+        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, **self.options(self.seed))
         return searched, self.judge(searched, chosen)
 
     def run(self, progress: Progress | None = None) -> PairAnswer:

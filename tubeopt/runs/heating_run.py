@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -127,7 +127,7 @@ class HeatingRunStudy(Study):
         """The line to the board, or to the simulated rig, and what plans the rest anew where that is asked for; raises
         InputError where the port cannot be opened."""
         rig, planned = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
-        law = led_law(rig) if rig is not None and planned else None
+        law = feedback_of(rig) if rig is not None and planned else None
         leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), self.si("replan_s"))
         if self.port is not None:
             return SerialLine(self.port), leader
@@ -148,12 +148,20 @@ class HeatingRunStudy(Study):
         return run_heating(line, dry=self.dry, log=log, show=show, leader=leader)
 
 
-def led_law(rig: Rig) -> tuple[HeatingPlan, HeatingLaw, Sensor]:
+class FeedbackDesign(NamedTuple):
+    """A schedule with the law that corrects it from a sensor."""
+
+    plan: HeatingPlan
+    law: HeatingLaw
+    sensor: Sensor
+
+
+def feedback_of(rig: Rig) -> FeedbackDesign:
     """A rig's schedule as `tubeopt heat firmware` makes it by default, and the law of a thermocouple; the file must
     name the tube."""
     assert rig.tube is not None
     plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
-    return plan, design_feedback(plan, sensor, samples=20).law, sensor
+    return FeedbackDesign(plan, design_feedback(plan, sensor, samples=20).law, sensor)
 
 
 def run_heating(
