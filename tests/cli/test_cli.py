@@ -372,8 +372,7 @@ def test_pictures_and_arms_are_saved_in_the_formats_that_are_asked_for(
     [
         (
             ["--format", "jpg"],
-            "--format is 'jpg'; it must be one of png, pdf, svg, eps, tiff, gif, mp4, parquet, mat, stl, glb, urdf, "
-            "mjcf",
+            "--format is 'jpg'; `tubeopt fk` saves png, pdf, svg, eps, tiff, parquet, mat, stl, glb, urdf, mjcf",
         ),
         (["--width-mm", "5"], "--width-mm is 5; it must be a number from 50 to 300"),
         (["--width-mm", "wide"], "--width-mm is wide; it must be a number from 50 to 300"),

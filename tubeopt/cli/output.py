@@ -14,10 +14,10 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from ..errors import InputError, NotProvedError, SolveError, choice
+from ..errors import InputError, NotProvedError, SolveError, nearest
 from ..files.units import TO_MM, parse_number
 from ..show.page import TITLED, WIDTH
-from ..show.report import FILM_FORMATS, FORMATS, PICTURE_FORMATS, SOLID_FORMATS, TABLE_FORMATS, Report, to_text
+from ..show.report import FORMATS, PICTURE_FORMATS, Report, to_text
 from ..show.reports import formats_of, report
 from .interruption import keeping
 from .messages import LOGGER, error_record, failure, warnings
@@ -82,8 +82,6 @@ class Output:
     ] = False
 
     def __post_init__(self) -> None:
-        for form in self.wanted:
-            choice("--format", form, (*PICTURE_FORMATS, *FILM_FORMATS, *TABLE_FORMATS, *SOLID_FORMATS))
         if self.width_mm is not None:
             number = parse_number(self.width_mm)
             if isinstance(number, str) or not NARROWEST_MM <= number <= WIDEST_MM:
@@ -210,7 +208,7 @@ def check_formats(output: Output, command: str) -> None:
             allowed = (
                 f"`tubeopt {command}` saves {', '.join(known)}" if known else f"`tubeopt {command}` has no formats"
             )
-            raise InputError(f"--format is {form!r}; {allowed}")
+            raise InputError(f"--format is {form!r}; {allowed}{nearest(form, known)}")
 
 
 def can_be_saved(out: Path | None) -> None:

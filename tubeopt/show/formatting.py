@@ -73,7 +73,8 @@ def order_remarks(robot: Robot, translations: Array) -> list[str]:
 
 def row(values: ArrayLike, form: str) -> str:
     """Numbers with commas between them, none of them a negative 0."""
-    return ", ".join(format(round(value, 12) + 0.0, form) for value in np.asarray(values, dtype=float))
+    texts = (format(round(value, 12) + 0.0, form) for value in np.asarray(values, dtype=float))
+    return ", ".join(text.removeprefix("-") if text.strip("-0.") == "" else text for text in texts)
 
 
 def degrees(angles: Array, form: str = ".9g") -> str:

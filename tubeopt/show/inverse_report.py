@@ -29,13 +29,16 @@ from .report import Drawing, Report, drawing, grid, two_columns
 NOTES = 10
 """Targets about which something is said; the others are counted."""
 
+ROUND_OFF = 1e-2
+"""Error (mm or deg) below which a solve has converged: targets are reached to 1e-6 mm, and misses are larger."""
+
 SOLUTION = described(
     InverseSolution,
     "target_position target_direction",
     Quantity("status", "result of the search", lambda s: s.status.name),
     of_field(InverseSolution, "rotations", form="", label="rotations", words=lambda s: degrees(s.rotations, ".6f")),
     of_field(InverseSolution, "translations", form="", label="translations",
-             words=lambda s: millimetres(s.translations, ".6f")),
+             words=lambda s: millimetres(s.translations, ".4f")),
     *readings(lambda s: s.equilibrium),
     Quantity("tip_position_mm", "tip position in the frame of the plate", lambda s: s.equilibrium.tip_position,
              form=".6f", label="tip position"),
@@ -44,12 +47,12 @@ SOLUTION = described(
              "null if all are withdrawn", lambda s: tip_number(s.equilibrium), label="the tip is",
              words=lambda s: tip_in_words(s.equilibrium.robot, s.equilibrium.tube_end) or None),
     of_field(InverseSolution, "position_error", label="misses by",
-             words=lambda s: f"{s.position_error * TO_MM:{'.1e' if s.reached else '.4f'}} mm"),
+             words=lambda s: f"{_error(s.position_error * TO_MM)} mm"),
     Quantity("tip_direction", "direction of the tip", lambda s: s.equilibrium.tip_rotation[:, 2], form=".4f",
              label="pointing along"),
     Quantity("direction_error_deg", "angle between the tip and its target direction",
-             lambda s: None if s.target_direction is None else s.direction_error, form=".1e",
-             label="off the direction by"),
+             lambda s: None if s.target_direction is None else s.direction_error, label="off the direction by",
+             words=lambda s: None if s.target_direction is None else f"{_error(np.degrees(s.direction_error))} deg"),
     of_field(InverseSolution, "margin", form=".3f", label="margin"),
     Quantity("clearance_mm", "distance of the arm from obstacles", label="clear of obstacles by",
              words=lambda s: f"{s.clearance * TO_MM:.4f} mm" if np.isfinite(s.clearance) else None),
@@ -65,6 +68,11 @@ SOLUTION = described(
     Quantity("statistics", "starts, iterations and time", lambda s: asdict(s.statistics), label="solved",
              words=lambda s: _how(s)),
 )  # fmt: skip
+
+
+def _error(value: float) -> str:
+    """An error in mm or deg: round-off by its magnitude, a miss by its digits."""
+    return f"{value:.4f}" if value >= ROUND_OFF else f"{value:.1e}"
 
 
 def _way_words(s: InverseSolution) -> str:

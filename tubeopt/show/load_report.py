@@ -40,10 +40,21 @@ LIMIT = described(
              words=lambda a: None if a.after is None else f"{a.tip_jump * TO_MM:.4f} mm"),
     of_field(LoadLimit, "energy_released", label="energy released by tubes and load",
              words=lambda a: released(a.energy_released, "{:.4f} mJ") or None),
-    line("margin after", lambda a: None if a.after is None else margin_in_words(a.after.margin)),
+    line("margin after", lambda a: _margin_after(a)),
     of_field(LoadLimit, "before", of=STATE),
     of_field(LoadLimit, "after", of=STATE),
 )  # fmt: skip
+
+
+def _margin_after(limit: LoadLimit) -> str | None:
+    """The margin of the equilibrium after the limit, in words."""
+    if limit.after is None:
+        return None
+    if limit.kind == "bifurcation":
+        # The load of `after` exceeds the limit by a small fraction, so its margin is small and no sign of a snap.
+        return f"{limit.after.margin:.1e}, at a load just above the limit"
+    return margin_in_words(limit.after.margin)
+
 
 BEARING = described(
     Bearing,

@@ -287,11 +287,10 @@ class CheckedReport(Report[Checked]):
     drawn = (("verified", "trajectory.plot_checked"),)
 
     def table(self) -> Group:
-        """Whether it holds, what is wrong, and the numbers."""
+        """Whether it holds, and the numbers; the error that `conclude` raises has the faults."""
         a = self.answer
         verdict = "holds" if a.proof.holds else "does not hold"
-        notes = [Text(f"- {fault}") for fault in a.proof.faults]
-        return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), *notes, two_columns("", self.rows()))
+        return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), two_columns("", self.rows()))
 
     def conclude(self) -> None:
         """Raise SolveError where something does not hold."""
