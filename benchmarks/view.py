@@ -18,10 +18,10 @@ from benchmarks.timing import Timing, clock, dump, milliseconds, show, summarise
 from tests.examples import CONFIGS, CRL, THESIS
 from tubeopt import load_robot, snap_free_certificate, trace_branch
 from tubeopt.robots.robot import Robot
-from tubeopt.show.arm_surfaces import robot_parts
-from tubeopt.show.viewer.plots import torsion_plot
-from tubeopt.show.viewer.servo import pull
+from tubeopt.show.surfaces import robot_parts
+from tubeopt.show.viewer.insights import torsion_plot
 from tubeopt.show.viewer.session import Session, move_joint, open_session
+from tubeopt.show.viewer.teleoperation import pull
 from tubeopt.show.viewer.words import log_words, readout
 
 LIMIT = 50e-3

@@ -17,7 +17,7 @@ import numpy as np
 
 from tubeopt import ConcentricRobot, Friction, Tube, follow
 from tubeopt.robots.calibration import Calibration
-from tubeopt.show.plots.effects import plot_effects
+from tubeopt.show.plots.validation import plot_effects
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, compare_effects
 

@@ -13,8 +13,7 @@ from pathlib import Path
 import tubeopt
 from tubeopt import MoldSpec, Piece, Tube
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube
-from tubeopt.show.plots.mandrel import plot_mandrel
-from tubeopt.show.plots.mold import plot_mold
+from tubeopt.show.plots.mold import plot_mandrel, plot_mold
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -17,7 +17,7 @@ import numpy as np
 import tubeopt
 from tubeopt.bodies.frames import base_frame
 from tubeopt.robots.robot import Robot
-from tubeopt.show.plots.arms import plot_arms
+from tubeopt.show.plots.trajectory import plot_arms
 from tubeopt.workspaces import place_pair, shared_workspace
 
 ROOT = Path(__file__).resolve().parents[1]

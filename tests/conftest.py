@@ -20,10 +20,10 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tests.command_line import COLOUR, Outcome, Run
 from tubeopt.cli.app import main
-from tubeopt.show.arm_surfaces import Detail, plate_part, robot_parts
 from tubeopt.show.page import WIDTH
 from tubeopt.show.plots import shape, style
 from tubeopt.show.plots.trajectory import save_film
+from tubeopt.show.surfaces import Detail, plate_part, robot_parts
 from tubeopt.solvers.compiled.library import cache_directory
 
 # A solve that builds its functions first takes seconds, later ones well under a millisecond: a deadline per example

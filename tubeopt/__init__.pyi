@@ -99,7 +99,7 @@ from .shaping.heating.robust import design_feedback
 from .shaping.heating.sensors import Camera, Thermocouple, TubeResistance
 from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
-from .show.interactive import show_in_3d
+from .show.notebook import show_in_3d
 from .show.plots.shape import plot_shape, plot_shapes
 from .show.solids import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray

@@ -45,7 +45,10 @@ def test_every_command_that_asks_has_a_report_of_its_name() -> None:
         ),
         (("run", "thesis_snap", "--format", "parquet"), "--format is 'parquet'; `tubeopt snap` saves png, "),
         (("sweep", "sweep_tips", "--format", "pdf"), "--format is 'pdf'; `tubeopt sweep` saves parquet, mat"),
-        (("fk", THESIS, "--format", "jpg"), "--format is 'jpg'; `tubeopt fk` saves png, pdf, svg, eps, tiff, parquet, "),
+        (
+            ("fk", THESIS, "--format", "jpg"),
+            "--format is 'jpg'; `tubeopt fk` saves png, pdf, svg, eps, tiff, parquet, ",
+        ),
     ],
 )
 def test_a_format_that_a_command_does_not_have(run: Run, tmp_path: Path, typed: tuple[str, ...], said: str) -> None:

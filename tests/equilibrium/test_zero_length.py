@@ -29,8 +29,8 @@ from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.verification import verify_equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
-from tubeopt.show.arm_surfaces import Centreline
 from tubeopt.show.plots.shape import plot_shape
+from tubeopt.show.surfaces import Centreline
 
 ROBOTS = Path("configs/robots")
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))

@@ -16,7 +16,7 @@ from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_
 from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, solid_off_curve
 from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.mandrel_report import MandrelReport
-from tubeopt.show.plots.mandrel import plot_mandrel, plot_mandrel_sheet
+from tubeopt.show.plots.mold import plot_mandrel, plot_mandrel_sheet
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")

@@ -24,7 +24,7 @@ from tubeopt.shaping import plan_mandrel, rank_mold_materials
 from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.page import TITLED, WIDTH
 from tubeopt.show.plots import style
-from tubeopt.show.plots.crowding import faults
+from tubeopt.show.plots.figure import faults
 from tubeopt.show.plots.style import entitle, headed, new_figure, picture
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -69,9 +69,9 @@ def led() -> LedHeating:
 def drawings() -> dict[str, Callable[[], Any]]:
     """A kind of picture -> what draws a small one."""
     from tubeopt.show import plots
-    from tubeopt.show.plots import mandrel, workspace
     from tubeopt.show.plots import mold as molds
-    from tubeopt.show.plots.wiring import plot_wiring
+    from tubeopt.show.plots import workspace
+    from tubeopt.show.plots.heating import plot_wiring
 
     robot = pose().robot
     loaded = tubeopt.forward_kinematics(robot, TURN, load=tubeopt.Load(force=(0.01, 0.0, 0.02)))
@@ -91,7 +91,7 @@ def drawings() -> dict[str, Callable[[], Any]]:
         "mold": lambda: molds.plot_mold(mold()),
         "setup sheet": lambda: molds.plot_setup_sheet(mold()),
         "materials": lambda: molds.plot_materials(rank_mold_materials(robot.tubes[0])),
-        "mandrel": lambda: mandrel.plot_mandrel(plan_mandrel(helix())),
+        "mandrel": lambda: molds.plot_mandrel(plan_mandrel(helix())),
         "wiring": lambda: plot_wiring(led()),
     }
 

@@ -12,11 +12,11 @@ from tests.examples import CONFIGS, MM, THESIS
 from tubeopt import EccentricRobot, Equilibrium, InputError, SegmentedEccentricRobot, forward_kinematics, load_robot
 from tubeopt.equilibrium.centrelines import tube_centrelines
 from tubeopt.inverse.mirror import ASSIGNMENTS, mirror_rotations, permuted_tips
-from tubeopt.show.arm_surfaces import SHEATH_COLOUR, SHEATH_OPACITY, bundles
 from tubeopt.show.plots import plot_shape
 from tubeopt.show.plots.eccentric import Curve, Permutations, arm_curve, plot_permutations, plot_reach
 from tubeopt.show.plots.shape import CLOSE_UP, robot_mesh
 from tubeopt.show.plots.stage import View, facets
+from tubeopt.show.surfaces import SHEATH_COLOUR, SHEATH_OPACITY, bundles
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
 THREE = load_robot(CONFIGS / "example_three_segment_etr.yaml")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.examples import PIECES, THESIS
-from tubeopt.show.arm_surfaces import shade, slotted
+from tubeopt.show.surfaces import shade, slotted
 
 
 def test_a_slotted_piece_is_told_where_it_lies() -> None:

@@ -145,16 +145,16 @@ class ArmsReport(Report[ArmsPlan]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The arms and their distances, and a page that plays if viser is installed."""
-        shown = {"arms": drawing("arms.plot_arms", self.answer)}
+        shown = {"arms": drawing("trajectory.plot_arms", self.answer)}
         if find_spec("viser") is not None:
-            from .viewer.export import arms_page
+            from .viewer.host import arms_page
 
             shown["arms.html"] = lambda path: write_text(path, arms_page(self.answer))
         return shown
 
     def films(self) -> dict[str, Drawing]:
         """The moving arms."""
-        return {"arms": drawing("arms.animate_arms", self.answer)}
+        return {"arms": drawing("trajectory.animate_arms", self.answer)}
 
     def conclude(self) -> None:
         """Raise NotProvedError where something is not proved."""

@@ -237,7 +237,7 @@ class CertificationReport(Report[Certification]):
     command = "certify"
     quantities = CERTIFICATION
     file = "certificate.json"
-    drawn = (("snap", "snap.plot_snap", "verdict.snap"),)
+    drawn = (("snap", "path.plot_snap", "verdict.snap"),)
 
     def table(self) -> Group:
         """The verdict in words; what limits it; the gradient; the command that repeats it."""

@@ -94,7 +94,7 @@ class FabricationReport(Report[Fabrication]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
-        from .plots.fabrication_sheet import plot_fabrication_sheet
+        from .plots.sheet import plot_fabrication_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]

@@ -65,7 +65,7 @@ class LedHeatingReport(Report[LedHeating]):
     command = "heat firmware"
     quantities = LED_HEATING
     file = "law.json"
-    drawn = (("feedback", "heating.plot_feedback"), ("wiring", "wiring.plot_wiring"))
+    drawn = (("feedback", "heating.plot_feedback"), ("wiring", "heating.plot_wiring"))
 
     def title(self) -> str:
         return self.answer.plan.rig.name or "rig"

@@ -57,14 +57,14 @@ class MandrelReport(Report[Mandrel]):
     command = "mold mandrel"
     quantities = MANDREL
     file = "mandrel.json"
-    drawn = (("mandrel", "mandrel.plot_mandrel"),)
+    drawn = (("mandrel", "mold.plot_mandrel"),)
 
     def title(self) -> str:
         return f"mandrel of tube {self.answer.number}"
 
     def save(self, directory: Path) -> list[Path]:
         """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
-        from .plots.mandrel import plot_mandrel_sheet
+        from .plots.mold import plot_mandrel_sheet
 
         paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
         plot_mandrel_sheet(self.answer, directory / "setup.pdf")

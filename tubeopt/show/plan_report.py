@@ -254,7 +254,9 @@ class TrajectoryReport(Report[Trajectory]):
     def pictures(self) -> dict[str, Drawing]:
         """The motion, and its section by the plane of the study."""
         found: dict[str, Drawing] = {"trajectory": drawing("trajectory.plot_trajectory", self.answer)}
-        return found if self.answer.cut is None else found | {"section": drawing("section.plot_section", self.answer)}
+        return (
+            found if self.answer.cut is None else found | {"section": drawing("trajectory.plot_section", self.answer)}
+        )
 
     def films(self) -> dict[str, Drawing]:
         """The moving arm."""

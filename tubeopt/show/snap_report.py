@@ -170,7 +170,7 @@ class WayReport(Report[Way]):
     command = "snap"
     quantities = WAY
     file = "snap.json"
-    drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "snap.plot_snap", "snap"))
+    drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "path.plot_snap", "snap"))
 
     def table(self) -> Group:
         """The answer in words, then the numbers of the snap."""

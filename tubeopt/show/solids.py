@@ -22,9 +22,8 @@ from ..errors import InputError, extra
 from ..files.files import atomic_write
 from ..files.units import TO_MM
 from ..typing import Array
-from .arm_surfaces import Centreline, Stretch, tube_surface, visible
 from .colours import rgb, tube_colour
-from .surfaces import Surface
+from .surfaces import Centreline, Stretch, Surface, tube_surface, visible
 
 SIDES = 48
 """Facets around a tube: its volume is 0.3 % small."""

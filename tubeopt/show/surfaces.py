@@ -1,19 +1,27 @@
-"""Surfaces as triangles with shared vertices, which is what graphics hardware wants, and bodies as such."""
+"""Surfaces as triangles: of bodies, and of an arm with its tubes."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy
+from numpy.typing import ArrayLike, NDArray
 
 from ..bodies.anatomy import Turned
 from ..bodies.corridors import Corridor, MeshObstacle
 from ..bodies.distance_field import DistanceField, surface_net
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ..equilibrium.result import Equilibrium
 from ..errors import InputError
+from ..inverse.arm_surface import outer_radius
+from ..robots.pieces import Series, extremes
+from ..robots.tubes import Tube, stretches
 from ..typing import Array
+from .colours import Colour, rgb, tube_colour
 
 Faces = NDArray[np.uint32]
 
@@ -135,3 +143,232 @@ def axes_about(z: Array) -> Array:
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
     return np.array([x, np.cross(z, x), z])
+
+
+RIM = 0.55
+"""How much lighter the wall is where a tube is cut."""
+
+DARKEST = 0.45
+"""Part of a colour's light that is left where nothing is left of the stiffness."""
+
+PLATE_COLOUR: Colour = (204, 209, 217)
+BORE_COLOUR: Colour = (33, 33, 33)
+SHEATH_COLOUR: Colour = (158, 173, 194)
+SHEATH_OPACITY = 0.22
+
+
+class Centreline:
+    """The centreline of an equilibrium at any arc length: cubic between the points, exact in position and tangent."""
+
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        s, keep = np.unique(equilibrium.arc_length, return_index=True)
+        self.length = float(s[-1])
+        frame, position = equilibrium.frame[keep], equilibrium.position[keep]
+        if len(s) < 2:  # an arm of length zero: the tangent at the plate, of any length
+            s, frame, position = np.array([0.0, 1.0]), np.repeat(frame, 2, axis=0), np.array([[0, 0, 0], [0, 0, 1.0]])
+        self._position = scipy.interpolate.CubicHermiteSpline(s, position, frame[:, :, 2])
+        self._across = scipy.interpolate.interp1d(s, frame[:, :, 0], axis=0)
+
+    def position(self, s: ArrayLike) -> Array:
+        """(k, 3) points at arc lengths `s` (k,), m."""
+        points: Array = self._position(np.clip(s, 0, self.length))
+        return points
+
+    def axes(self, s: Array) -> tuple[Array, Array, Array]:
+        """Unit vectors of the cross-section at `s` (k,), x and y, and the tangent: (k, 3) each."""
+        s = np.clip(s, 0, self.length)
+        tangent = _unit(self._position.derivative()(s))
+        across = self._across(s)
+        across = _unit(across - (across * tangent).sum(1, keepdims=True) * tangent)
+        return across, np.cross(tangent, across), tangent
+
+    def ring(self, s: Array, sides: int) -> tuple[Array, Array]:
+        """Across the line at `s` (k,): (k, sides, 3) unit vectors all around, and (k, 2, 3) those of the section."""
+        x, y, _ = self.axes(s)
+        angle = np.arange(sides) * 2 * np.pi / sides
+        return np.cos(angle)[:, None] * x[:, None] + np.sin(angle)[:, None] * y[:, None], np.stack([x, y], axis=1)
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return unit
+
+
+class Stretch(NamedTuple):
+    """What shows of a tube: its index, arc lengths, m, its radius, m, and where its axis stands (2,), m."""
+
+    tube: int
+    start: float
+    end: float
+    radius: float
+    offset: Array
+
+
+def visible(equilibrium: Equilibrium) -> list[Stretch]:
+    """The tubes as far as they show, outermost first: from where the last tube around it ends, each to its own end."""
+    place = equilibrium.robot.assembly(equilibrium.translations).across
+    shown = []
+    for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
+        around = np.hypot(*(place[i + 1 :] - place[i]).T) < 1e-9
+        start = float(equilibrium.tube_end[i + 1 :].max(where=around, initial=0.0))
+        if end > start:
+            shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, place[i]))
+    return shown
+
+
+def slotted(tube: Tube, held: float, first: float, last: float) -> list[tuple[float, float, float]]:
+    """Stretches of arc length between `first` and `last`, m, of a tube held `held` m behind the plate, with the part of
+    the tube's own bending stiffness that is left there, at most 1."""
+    own, begin = float(tube.bending_stiffness), -held
+    out: list[tuple[float, float, float]] = []
+    for length, _, bending, _ in stretches(tube):
+        low, high = max(begin, first), min(begin + length, last)
+        least = extremes([bending], length)[0] if isinstance(bending, Series) else float(bending)
+        part = min(least / own, 1.0)
+        if high > low:
+            if out and out[-1][2] == part:
+                out[-1] = (out[-1][0], high, part)
+            else:
+                out.append((low, high, part))
+        begin += length
+    return out
+
+
+def shade(part: float) -> float:
+    """By how much a colour is darkened where this part of the bending stiffness is left: 1 not at all."""
+    return DARKEST + (1 - DARKEST) * part
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Tubes side by side that show between the same arc lengths."""
+
+    tubes: tuple[int, ...]
+    """From 0."""
+    start: float
+    """m, of arc length."""
+    end: float
+    """m."""
+    radius: float
+    """m, around them all."""
+
+
+def bundles(equilibrium: Equilibrium) -> list[Bundle]:
+    """What is visible, with the tubes of a segment together; of a concentric robot every tube for itself."""
+    groups: dict[tuple[float, float], list[int]] = {}
+    for each in visible(equilibrium):
+        groups.setdefault((each.start, each.end), []).append(each.tube)
+    radius = outer_radius(equilibrium.robot)
+    return [
+        Bundle(tuple(sorted(tubes)), start, end, float(radius[tubes].max())) for (start, end), tubes in groups.items()
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A surface as it is seen."""
+
+    name: str
+    """By which it is told from others in a scene."""
+    surface: Surface
+    """Its facets, m."""
+    colour: Colour
+    """Red, green, blue, 0 to 255."""
+    opacity: float = 1.0
+    """1 hides what is behind."""
+    lift: float = 0.0
+    """m, by which it counts as nearer to whom it faces where facets are sorted by depth, so that a surface stays
+    outside of what touches it from within."""
+
+
+def _mixed(colour: Colour, other: float, part: float) -> Colour:
+    """A colour with a part of a grey."""
+    red, green, blue = (round((1 - part) * c + part * other) for c in colour)
+    return red, green, blue
+
+
+class Detail(NamedTuple):
+    """How finely an arm is cut: into `sides` around a tube, and `pieces` along each, or, `even`, along all together."""
+
+    sides: int = 20
+    pieces: int = 72
+    even: bool = False
+
+    def along(self, start: float, end: float, whole: float) -> Array:
+        """(k,) arc lengths from one end of a stretch to the other."""
+        pieces = 1 + int(self.pieces * (end - start) / whole) if self.even else self.pieces
+        return np.linspace(start, end, pieces + 1)
+
+
+IN_HAND = Detail()
+"""For a robot that moves."""
+
+
+def robot_parts(
+    equilibrium: Equilibrium, detail: Detail = IN_HAND, window: tuple[float, float] | None = None
+) -> list[Part]:
+    """All tubes of true diameter, each where it shows, darker where slots have made it softer, with the rim of its wall
+    and its bore; sheaths around groups. Only what lies between the arc lengths of a window, m, where there is one."""
+    shown = visible(equilibrium)
+    if not shown:
+        return []
+    line = Centreline(equilibrium)
+    assembly = equilibrium.robot.assembly(equilibrium.translations)
+    low, high = (0.0, line.length) if window is None else (max(window[0], 0.0), min(window[1], line.length))
+    parts: list[Part] = []
+    for each in shown:
+        tube, colour = equilibrium.robot.tubes[each.tube], rgb(tube_colour(each.tube))
+        held, first, last = float(assembly.transmission[each.tube]), max(each.start, low), min(each.end, high)
+        for k, (begin, stop, left) in enumerate(slotted(tube, held, first, last)):
+            name = f"tube_{each.tube + 1}" + f"_{k + 1}" * bool(k)
+            s = detail.along(begin, stop, high - low)
+            surface = tube_surface(line, s, each.radius, each.offset, sides=detail.sides)
+            parts.append(Part(name, surface, _mixed(colour, 0.0, 1 - shade(left))))
+    cut = [each for each in shown if low <= each.end <= high]
+    bores: list[Surface] = []
+    for each in cut:
+        inner, colour = equilibrium.robot.tubes[each.tube].inner_diameter / 2, rgb(tube_colour(each.tube))
+        rim = ring_surface(line, each.end, (inner, each.radius), each.offset, sides=detail.sides)
+        parts.append(Part(f"rim_{each.tube + 1}", rim, _mixed(colour, 255.0, RIM)))
+        bores.append(ring_surface(line, each.end, (0.0, inner), each.offset, sides=detail.sides))
+    parts += [Part("bores", join(bores), BORE_COLOUR)] if bores else []
+    return parts + (list(_sheaths(equilibrium, line, detail, (low, high))) if assembly.eccentric else [])
+
+
+def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window: tuple[float, float]) -> Iterator[Part]:
+    """What holds the tubes of every segment side by side, as wide as they need."""
+    for k, bundle in enumerate(bundles(equilibrium), start=1):
+        first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
+        if last > first:
+            s = detail.along(first, last, window[1] - window[0])
+            surface = tube_surface(line, s, bundle.radius, np.zeros(2), sides=2 * detail.sides)
+            yield Part(f"sheath_{k}", surface, SHEATH_COLOUR, SHEATH_OPACITY, bundle.radius)
+
+
+def tube_surface(line: Centreline, s: Array, radius: float, offset: Array, *, sides: int) -> Surface:
+    """A tube along `line` between arc lengths `s` (k,), its axis at `offset` (2,) in the cross-section, m."""
+    around, section = line.ring(s, sides)
+    axis = line.position(s) + offset @ section
+    return Surface((axis[:, None] + radius * around).reshape(-1, 3), grid_faces(len(s), sides))
+
+
+def ring_surface(line: Centreline, s: float, radii: tuple[float, float], offset: Array, *, sides: int) -> Surface:
+    """A flat ring across `line` at arc length `s`, from the inner to the outer of `radii`, facing the tip."""
+    around, section = line.ring(np.array([s]), sides)
+    centre = line.position([s]) + offset @ section
+    # From the outer edge to the inner one, so that it faces the way the line goes.
+    corners = np.concatenate([centre + radius * around[0] for radius in reversed(radii)])
+    return Surface(corners, grid_faces(2, sides))
+
+
+def plate_radius(equilibrium: Equilibrium) -> float:
+    """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
+    thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
+    return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
+
+
+def plate_part(radius: float, *, rings: int = 1, sides: int = 64) -> Part:
+    """The base plate, its upper face at z = 0; cut into rings where it is sorted by depth."""
+    radii, low = np.linspace(0.0, radius, rings + 1), -0.25 * radius
+    profile = [(r, 0.0) for r in radii] + [(radius, 0.0), (radius, low)] + [(r, low) for r in radii[::-1]]
+    return Part("plate", revolved(np.array(profile), sides=sides), PLATE_COLOUR)

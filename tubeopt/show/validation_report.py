@@ -305,4 +305,4 @@ class EffectsReport(Report[Comparison]):
     def pictures(self) -> dict[str, Drawing]:
         """What the effects explain; residuals and errors where one pays."""
         rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
-        return {"effects": drawing("effects.plot_effects", self.answer)} | rest
+        return {"effects": drawing("validation.plot_effects", self.answer)} | rest

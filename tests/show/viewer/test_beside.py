@@ -11,8 +11,8 @@ import pytest
 from tests.examples import THESIS, TWO_TUBE
 from tubeopt import InputError, forward_kinematics, load_robot
 from tubeopt.show.viewer import move_joint, open_session
-from tubeopt.show.viewer.comparison import Beside, session_beside
 from tubeopt.show.viewer.host import titled_page
+from tubeopt.show.viewer.overlays import Beside, session_beside
 
 
 class Drawn:

@@ -25,15 +25,13 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.planning.trajectory import load_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.file import robot_to_yaml
-from tubeopt.show.arm_surfaces import Centreline, plate_part, robot_parts
 from tubeopt.show.colours import margin_colour
-from tubeopt.show.surfaces import Surface, obstacle_surface
-from tubeopt.show.viewer import export, plots, words
-from tubeopt.show.viewer.cut import cut_parts, cut_words
+from tubeopt.show.surfaces import Centreline, Surface, obstacle_surface, plate_part, robot_parts
+from tubeopt.show.viewer import host, insights, words
+from tubeopt.show.viewer.overlays import cut_parts, cut_words, swept_volume
 from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.scene import between
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
-from tubeopt.show.viewer.swept import swept_volume
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
 SEGMENTS = load_robot(CONFIGS / "example_three_segment_etr.yaml")
@@ -129,19 +127,19 @@ def test_colours_go_from_red_to_green() -> None:
 def test_plots_show_the_branch_and_the_place() -> None:
     equilibrium = forward_kinematics(THESIS, np.radians([100, 0, 0]))
     branch = trace_branch(THESIS, np.radians([-360, 0, 0]), np.radians([360, 0, 0]))
-    curve = plots.s_curve_plot(branch, equilibrium, 0)
+    curve = insights.s_curve_plot(branch, equilibrium, 0)
     assert curve.count("<circle") == len(branch.folds) + 1 == 5
     assert curve.count("stroke-dasharray") == 2
-    torsion = plots.torsion_plot(equilibrium)
+    torsion = insights.torsion_plot(equilibrium)
     assert torsion.count("<polyline") == 3
     chart = stability_map(THESIS, samples=5, directions=1, workers=1)
-    assert plots.map_plot(chart, equilibrium).count("<rect") == 25
-    assert plots.torsion_plot(forward_kinematics(TWO_TUBE, np.zeros(2))).count("<polyline") == 2
+    assert insights.map_plot(chart, equilibrium).count("<rect") == 25
+    assert insights.torsion_plot(forward_kinematics(TWO_TUBE, np.zeros(2))).count("<polyline") == 2
 
 
 def test_ticks_are_round() -> None:
-    assert plots.ticks(-360, 360, angle=True).tolist() == [-360, -180, 0, 180, 360]
-    assert plots.ticks(0.0, 0.31).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert insights.ticks(-360, 360, angle=True).tolist() == [-360, -180, 0, 180, 360]
+    assert insights.ticks(0.0, 0.31).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
 
 
 def test_words_are_escaped() -> None:
@@ -188,7 +186,7 @@ def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
     for angle in (165, 160, 155):
         session, _ = move_joint(session, 0, np.radians(angle))
     path = tmp_path / "recording.csv"
-    path.write_text(export.recording_csv(session))
+    path.write_text(host.recording_csv(session))
     assert load_trajectory(path, THESIS).start_tips is not None
     playback = make_playback(THESIS, load_waypoints(path, THESIS))
     end = playback.path.equilibria[-1]
@@ -197,7 +195,7 @@ def test_a_recording_replays_on_its_own_branch(tmp_path: Path) -> None:
     assert np.linalg.norm(alone.tip_position - end.tip_position) > 0.03
     assert playback.duration == pytest.approx(15 / 45)
     with pytest.raises(InputError, match="nothing was recorded"):
-        export.recording_csv(open_session(THESIS))
+        host.recording_csv(open_session(THESIS))
 
 
 @pytest.mark.parametrize(
@@ -239,7 +237,7 @@ def test_saved_files_are_read_back(tmp_path: Path) -> None:
     from tubeopt.runs.inverse_study import load_joints
 
     session, _ = move_joint(open_session(THESIS), 0, 1.0)
-    (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
+    (tmp_path / "joints.yaml").write_text(host.joints_yaml(session))
     rotations, translations = load_joints(tmp_path / "joints.yaml", THESIS)
     assert np.array_equal(rotations, session.equilibrium.rotations)
     assert np.array_equal(translations, session.equilibrium.translations)
@@ -250,7 +248,7 @@ def test_saved_files_are_read_back(tmp_path: Path) -> None:
 
 
 def test_a_page_for_a_colleague_needs_nothing_else() -> None:
-    page = export.scene_html(open_session(replace(THESIS, name="A & B")), {})
+    page = host.scene_html(open_session(replace(THESIS, name="A & B")), {})
     assert "<title>A &amp; B, tubeopt</title>" in page
     assert page.lstrip().lower().startswith("<!doctype html")
     assert "__VISER_EMBED_DATA__" in page
@@ -263,7 +261,7 @@ def test_files_of_a_calibrated_robot_tell_what_its_drives_read(tmp_path: Path) -
     robot = replace(THESIS, calibration=drives)
     session, _ = move_joint(open_session(robot), 0, 1.0)
     here = session.equilibrium.rotations
-    (tmp_path / "joints.yaml").write_text(export.joints_yaml(session))
+    (tmp_path / "joints.yaml").write_text(host.joints_yaml(session))
     assert load_joints(tmp_path / "joints.yaml", robot)[0] == pytest.approx(here, abs=1e-9)
     told = load_joints(tmp_path / "joints.yaml", THESIS)[0]
     assert told == pytest.approx(here - np.array(drives.rotation_offsets), abs=1e-9)

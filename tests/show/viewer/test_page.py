@@ -162,7 +162,7 @@ def test_a_trajectory_is_scrubbed_and_a_design_changed_and_all_of_it_saved(
     tab: Tab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is saved is what the library reads back."""
-    monkeypatch.setattr("tubeopt.show.viewer.swept.STEP", np.radians(90.0))
+    monkeypatch.setattr("tubeopt.show.viewer.overlays.STEP", np.radians(90.0))
     tab.tab("Play")
     tab.type("time (s)", 1)
     tab.wait_for_tip(tip(180, 0, 0, start=forward_kinematics(THESIS, np.radians([100, 0, 0]))))

@@ -20,8 +20,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.show.viewer.designs import knobs, with_knob
-from tubeopt.show.viewer.servo import pull
+from tubeopt.show.viewer.panel import knobs, with_knob
 from tubeopt.show.viewer.session import (
     Session,
     allowed,
@@ -35,6 +34,7 @@ from tubeopt.show.viewer.session import (
     redesign,
     space_of,
 )
+from tubeopt.show.viewer.teleoperation import pull
 from tubeopt.typing import Array
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from ..colours import tube_colour
 from .branch import plot_branch
-from .friction_band import plot_friction_band
-from .hysteresis import plot_hysteresis
+from .friction import plot_friction_band, plot_hysteresis
 from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
 from .maps import plot_energy_maps, plot_stability_map
-from .path import plot_path
-from .path_film import animate_path
+from .path import animate_path, plot_path, plot_snap
 from .shape import plot_equilibria, plot_shape, plot_shapes
-from .snap import plot_snap
 from .style import save_figure
 from .torsion import plot_torsion, plot_torsions
 

@@ -11,8 +11,8 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
-from ..arm_surfaces import Centreline
 from ..colours import tube_colour
+from ..surfaces import Centreline
 from .shape import draw_plate
 from .stage import View
 from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, number, picture

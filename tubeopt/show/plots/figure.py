@@ -1,20 +1,23 @@
-"""A figure that a notebook shows as it is, without any word to switch that on.
-
-The one module that loads Matplotlib when it is imported: `new_figure` imports it when the first picture is made.
-"""
+"""A figure that notebooks show as it is, and texts of a figure that overlap or leave the page: moved or hidden."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
+
+from ..page import SCALE
 
 SCREEN_DPI = 100
 
@@ -90,3 +93,162 @@ def _tell_own_scale(axes: Axes, beside: Axes) -> None:
     if axes is not beside and axes.get_shared_y_axes().joined(axes, beside) and not axes.get_ylabel():
         axes.tick_params(labelleft=True)
         axes.set_ylabel(beside.get_ylabel())
+
+
+SLACK = (1.0, 1.5)
+"""Points by which two texts may overlap across and upwards: letters fill less than the box of their text."""
+
+TALLEST = 1.2
+"""Height of a picture for a page, over its width, at most."""
+
+STEPS = 5
+"""How far a name is moved off another text, in lines."""
+
+ROUNDS = 3
+"""How often texts are moved and looked through again."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A text that overlaps another, or leaves the page, or a page that is too high."""
+
+    kind: str
+    """"overlap", "clipped" or "high"."""
+    text: str
+    other: str = ""
+
+    def __str__(self) -> str:
+        """In words."""
+        return f"{self.kind}: {self.text!r}" + (f" and {self.other!r}" if self.other else "")
+
+
+def faults(figure: Figure) -> list[Fault]:
+    """What is wrong with the texts of a figure that is laid out."""
+    figure.draw_without_rendering()  # legends and the labels of ticks take their places when they are drawn
+    width, height = figure.get_size_inches()
+    found = [Fault("high", f"{height / width:.2f} widths")] if height > TALLEST * width + 1e-6 else []
+    texts = [(text, text.get_window_extent()) for text, _ in drawn_texts(figure)]
+    page = figure.bbox.padded(_points(figure, 0.5))
+    found += [
+        Fault("clipped", text.get_text())
+        for text, box in texts
+        if not (page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1)
+    ]
+    for k, (text, box) in enumerate(texts):
+        found += [
+            Fault("overlap", text.get_text(), one.get_text()) for one, its in texts[:k] if _overlap(figure, box, its)
+        ]
+    return found
+
+
+def relieve(figure: Figure) -> None:
+    """Move names off other texts, thin out the numbers of scales, and hide those that still overlap another text."""
+    for _ in range(ROUNDS):
+        figure.draw_without_rendering()
+        texts = [(text, axis, text.get_window_extent()) for text, axis in drawn_texts(figure)]
+        pairs = [
+            (texts[j], texts[k])
+            for k in range(len(texts))
+            for j in range(k)
+            if _overlap(figure, texts[j][2], texts[k][2])
+        ]
+        if not pairs:
+            return
+        crowded = {id(one[1]): one[1] for one, other in pairs if one[1] is not None and one[1] is other[1]}
+        for axis in crowded.values():
+            _thin(axis)
+        boxes = [box for _, _, box in texts]
+        for one, other in pairs:
+            if one[1] is None or one[1] is not other[1]:
+                _make_room(figure, one, other, boxes)
+
+
+Placed = tuple[Text, Axis | None, Bbox]
+"""A text, the axis whose tick it labels, and its box."""
+
+
+def drawn_texts(figure: Figure) -> Iterator[tuple[Text, Axis | None]]:
+    """Every text that is drawn, with the axis whose tick it labels."""
+    for axes in figure.axes:
+        if axes.get_visible():
+            yield from ((text, axis) for text, axis in _of_axes(axes) if text.get_visible() and text.get_text().strip())
+    loose = [*figure.texts, *(text for legend in figure.legends for text in (*legend.get_texts(), legend.get_title()))]
+    yield from ((text, None) for text in loose if text.get_visible() and text.get_text().strip())
+
+
+def _of_axes(axes: Axes) -> Iterator[tuple[Text, Axis | None]]:
+    parts: list[Any] = axes.get_children()
+    for part in parts:
+        if isinstance(part, Text):
+            yield part, None
+        elif hasattr(part, "get_texts") and part.get_visible():  # a legend
+            yield from ((text, None) for text in (*part.get_texts(), part.get_title()))
+        elif hasattr(part, "get_celld") and part.get_visible():  # a table
+            yield from ((cell.get_text(), None) for cell in part.get_celld().values())
+    for axis in parts if axes.axison else ():
+        if isinstance(axis, Axis) and axis.get_visible():
+            yield axis.label, None
+            yield axis.get_offset_text(), None
+            low, high = sorted(axis.get_view_interval())
+            slack = 1e-9 * (high - low)
+            for tick, at in zip(axis.get_major_ticks(), axis.get_majorticklocs(), strict=False):
+                if low - slack <= at <= high + slack:
+                    yield from ((label, axis) for label in (tick.label1, tick.label2))
+
+
+def _points(figure: Figure, points: float) -> float:
+    return points * figure.dpi / 72
+
+
+def _overlap(figure: Figure, one: Bbox, other: Bbox) -> bool:
+    across = min(one.x1, other.x1) - max(one.x0, other.x0)
+    upwards = min(one.y1, other.y1) - max(one.y0, other.y0)
+    return bool(across > _points(figure, SLACK[0]) and upwards > _points(figure, SLACK[1]))
+
+
+def _thin(axis: Axis) -> None:
+    """Label every other tick of an axis whose labels overlap one another."""
+    shown = [tick for tick in axis.get_major_ticks() if tick.label1.get_visible() or tick.label2.get_visible()]
+    for tick in shown[1::2]:
+        tick.label1.set_visible(False)
+        tick.label2.set_visible(False)
+
+
+def clipped(figure: Figure) -> list[tuple[Text, float]]:
+    """Level texts that leave the page to a side, and the width in pixels that each may have."""
+    page = figure.bbox
+    out = []
+    for text, _ in drawn_texts(figure):
+        box = text.get_window_extent()
+        beyond = max(page.x0 - box.x0, 0.0) + max(box.x1 - page.x1, 0.0)
+        if beyond > _points(figure, 0.5) and text.get_rotation() == 0:
+            out.append((text, 0.95 * (box.width - beyond)))
+    return out
+
+
+def _make_room(figure: Figure, one: Placed, other: Placed, boxes: list[Bbox]) -> None:
+    """Of two texts that overlap hide the number of a scale, or move a name."""
+    for text, axis, _ in (other, one):
+        if axis is not None or text.get_gid() == SCALE:
+            text.set_visible(False)
+            return
+    for text, _, box in (other, one):
+        if isinstance(text, Annotation) and text.anncoords == "offset points" and _move(figure, text, box, boxes):
+            return
+
+
+def _move(figure: Figure, text: Annotation, box: Bbox, boxes: list[Bbox]) -> bool:
+    """Whether a name was moved to where it overlaps nothing and stays on the page."""
+    others = [each for each in boxes if each is not box]
+    line: Any = text.get_fontsize()
+    x, y = text.xyann  # points
+    shifts = [(i, j) for i in range(-STEPS, STEPS + 1) for j in range(-STEPS, STEPS + 1) if i or j]
+    for i, j in sorted(shifts, key=lambda at: float(np.hypot(*at))):
+        there = box.translated(_points(figure, i * line), _points(figure, j * line))
+        inside = figure.bbox.x0 <= there.x0 and there.x1 <= figure.bbox.x1
+        inside &= bool(figure.bbox.y0 <= there.y0 and there.y1 <= figure.bbox.y1)
+        if inside and not any(_overlap(figure, there, each) for each in others):
+            text.xyann = (x + i * line, y + j * line)
+            boxes[:] = [*others, there]
+            return True
+    return False

@@ -294,7 +294,7 @@ def fitted(draw: Callable[[], Figure]) -> Figure:
     Smaller letters are tried too where panels would fill less than `ROOMY` of the page. Of several attempts that are
     not free of both, the one with fewest faults and the largest panels is returned. A sheet of a given size keeps it.
     """
-    from .crowding import faults
+    from .figure import faults
 
     best: tuple[tuple[int, float], Figure] | None = None
     for letters, stacked in ATTEMPTS:
@@ -335,8 +335,7 @@ def _filled(figure: Figure) -> float:
 
 def arrange(figure: Figure, *, stacked: bool, letters: float = 1.0) -> bool:
     """Lay a figure out for the page; whether its panels have any room."""
-    from .crowding import TALLEST, clipped, relieve
-    from .figure import NotebookFigure, stack
+    from .figure import TALLEST, NotebookFigure, clipped, relieve, stack
 
     if stacked and isinstance(figure, NotebookFigure):
         stack(figure)

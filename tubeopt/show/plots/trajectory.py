@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -13,23 +13,22 @@ from scipy.interpolate import Akima1DInterpolator
 from ...bodies.anatomy import Turned
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
-from ...bodies.frames import Frame
-from ...bodies.obstacles import HalfSpace, Obstacle
+from ...bodies.frames import Frame, Plane
+from ...bodies.obstacles import HalfSpace, Obstacle, nearest_distance
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
-from ...planning import Trajectory
+from ...inverse.arm_surface import ArmSurface
+from ...planning import ArmsPlan, Trajectory
 from ...runs.plan_study import Checked
 from ...typing import Array
-from ..arm_surfaces import Detail
 from ..colours import tube_colour
 from ..load_words import load_in_words
-from ..surfaces import obstacle_surface, swept
-from .mesh import Mesh, facets_of
+from ..surfaces import Detail, obstacle_surface, swept
 from .shape import robot_mesh
-from .stage import Box, View, draw_box, facets, widest_view
+from .stage import Box, Mesh, View, draw_box, facets, facets_of, note, widest_view
 from .style import FAINT, INK, Axes, Figure, headed, legend_beside, new_figure, number, picture, styled, widen
 
 SHOWN = 9
@@ -351,3 +350,154 @@ def _heading(t: Trajectory, title: str) -> str:
     proved = "proved" if t.proved else "not proved"
     found = f"{number(float(t.time[-1]), 1)} s,  {least}{clear},  {proved}{_under(t.start)}"
     return f"{title or t.robot.name or 'robot'}\n{found}"
+
+
+CELLS = 300
+"""Places along a side of the picture at which it is told whether a body is there."""
+
+AROUND = 0.012
+"""Length (m) by which more is shown than the arm."""
+
+ALONG = 400
+"""Points along an arm."""
+
+BODY, ARM, BESIDE = "#DDD3CE", "#0072B2", "#9CC3DE"
+
+
+@picture
+def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: str = "") -> Figure:
+    """Picture of a motion in a plane: the bodies as it cuts them, the arm at the end as wide as it is, where the plane
+    cuts it darker than where it lies before or behind, and centrelines on the way there.
+
+    Args:
+        plane: in the frame of the plate; by default `trajectory.cut`.
+        title: heading; by default the robot's name.
+
+    Raises:
+        InputError: neither a plane nor `trajectory.cut`.
+    """
+    t, plane = trajectory, plane or trajectory.cut
+    if plane is None:
+        raise InputError("there is no plane to cut along; give one, or a trajectory with a cut")
+    arms = some_of(t.arms)
+    lines = [ArmSurface(arm).line(ALONG)[0] for arm in arms]
+    frame = plane.frame
+    seen = frame.seen(np.concatenate([*lines, t.tip_position]))[:, :2]
+    low, high = seen.min(0) - AROUND, seen.max(0) + AROUND
+    figure = new_figure(4.6, 4.4)
+    axes = figure.add_subplot()
+    if t.obstacles:
+        u, v = (np.linspace(a, b, CELLS) for a, b in zip(low, high, strict=True))
+        places = frame.placed(np.stack(np.broadcast_arrays(u[None], v[:, None], 0.0), axis=-1))
+        away = nearest_distance(t.obstacles, places)
+        axes.contourf(u * TO_MM, v * TO_MM, away, levels=[-np.inf, 0.0], colors=[BODY])
+        axes.contour(u * TO_MM, v * TO_MM, away, levels=[0.0], colors=[FAINT], linewidths=0.7)
+    for line in lines[:-1]:
+        axes.plot(*(frame.seen(line)[:, :2].T * TO_MM), color=ARM, lw=0.6, alpha=0.5, label="before")
+    _draw_arm(axes, arms[-1], plane)
+    axes.plot(*(frame.seen(t.tip_position[-1])[:2, None] * TO_MM), "o", color=INK, ms=3, zorder=4, label="tip")
+    axes.set(xlim=TO_MM * np.array([low[0], high[0]]), ylim=TO_MM * np.array([low[1], high[1]]), aspect="equal")
+    axes.set(xlabel="to the right in the plane (mm)", ylabel="upwards in the plane (mm)")
+    for colour, what in ((ARM, "arm, cut"), (BESIDE, "arm, beside"), (BODY, "body, cut")):
+        axes.fill([], [], color=colour, label=what)
+    signs = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    legend_beside(axes, signs.values(), signs.keys())
+    place, across = (
+        ", ".join(number(float(x), digits) for x in row)
+        for row, digits in ((plane.point * TO_MM, 1), (plane.normal, 2))
+    )
+    headed(figure, f"{title or t.robot.name or 'robot'}\nplane through {place} mm, square to {across}")
+    return figure
+
+
+def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
+    """An arm as the balls about its centreline: all of them as they are seen, and what the plane cuts of them."""
+    from matplotlib.collections import EllipseCollection
+
+    line, radius = ArmSurface(arm).line(ALONG)
+    at, height = plane.frame.seen(line)[:, :2] * TO_MM, plane.height(line)
+    for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
+        wide = 2 * TO_MM * half[half > 0]
+        where: dict[str, Any] = {"units": "xy", "offsets": at[half > 0], "offset_transform": axes.transData}
+        axes.add_collection(EllipseCollection(wide, wide, 0 * wide, color=colour, lw=0, zorder=3, **where))
+
+
+ARMS_SHOWN = 6
+"""Instants at which the arms are drawn in the picture."""
+
+ARMS_FRAMES = 24
+"""Pictures of the film."""
+
+CURVE = 160
+"""Instants of the curve of distances."""
+
+
+@picture
+def plot_arms(plan: ArmsPlan, *, title: str = "", view: tuple[float, float] | None = None) -> Figure:
+    """Figure of a plan of several arms: all arms to scale at some instants, and their distances over time.
+
+    Args:
+        title: heading; by default what the arms are called.
+        view: elevation and azimuth of the viewer, deg; None looks across the widest side of the motion.
+    """
+    figure = new_figure(10.0, 4.8)
+    scene, curve = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    sweeps = _sweeps(plan, np.linspace(0.0, plan.duration, ARMS_SHOWN))
+    _draw(scene, plan, sweeps, stage_for(sweeps, plan.obstacles, view))
+    _distances(curve, plan, np.linspace(0.0, plan.duration, CURVE))
+    curve.legend(loc="best")
+    headed(figure, title or " and ".join(arm.called for arm in plan.arms))
+    return figure
+
+
+@styled
+def animate_arms(
+    plan: ArmsPlan, path: str | PathLike[str], *, frames: int = ARMS_FRAMES, view: tuple[float, float] | None = None
+) -> Path:
+    """The moving arms as a film, with the distances between them below: GIF, or MP4 where there is ffmpeg.
+
+    Raises:
+        InputError: the file cannot be written, its name ends otherwise, or ffmpeg is missing.
+    """
+    film_ending(path)
+    times = np.linspace(0.0, plan.duration, frames)
+    stage = stage_for(_sweeps(plan, times), plan.obstacles, view)
+
+    def draw(scene: Axes, below: Axes, k: int) -> None:
+        _draw(scene, plan, _sweeps(plan, times[k : k + 1]), stage)
+        _distances(below, plan, times)
+        below.axvline(float(times[k]), color=INK, lw=0.8)
+
+    return save_film(path, f"{len(plan.arms)} arms: {number(plan.duration, 1)} s", frames, draw)
+
+
+def _sweeps(plan: ArmsPlan, times: Array) -> list[Sweep]:
+    """Every arm at some instants, and the way of its tip up to the last."""
+    out = []
+    rows = zip(*(plan.rows_at(float(t)) for t in times), strict=True)
+    for arm, motion, own in zip(plan.arms, plan.trajectories, rows, strict=True):
+        passed = slice(own[-1] + 1)
+        tips = arm.base.placed(motion.tip_position[passed])
+        out.append(Sweep([motion.arms[row] for row in own], motion.time[passed], tips, arm.base))
+    return out
+
+
+def _draw(scene: Axes, plan: ArmsPlan, sweeps: list[Sweep], stage: tuple[View, Box]) -> None:
+    """All arms, with their names."""
+    draw_sweeps(scene, stage, sweeps, plan.obstacles, faint=0.15)
+    for arm in plan.arms:
+        note(scene, arm.called, stage[0].project(arm.base.origin)[:2], np.array([7.0, 0.0]))
+
+
+def _distances(axes: Axes, plan: ArmsPlan, times: Array) -> None:
+    gaps = plan.clearance(times) * TO_MM
+    for k, pair in enumerate(plan.proof.pairs):
+        words = f"arms {pair.arms[0] + 1} and {pair.arms[1] + 1}"
+        line = axes.plot(times, gaps[:, k], lw=1.4, color=INK if k == 0 else None, label=words)[0]
+        if np.isfinite(pair.least_clearance):
+            axes.axhline(
+                pair.least_clearance * TO_MM, lw=0.8, color=line.get_color(), ls=":", label="proved at all times"
+            )
+    axes.axhline(plan.min_clearance * TO_MM, color=FAINT, lw=0.8, ls="--", label="required")
+    axes.set(xlabel="time (s)", ylabel="between arms (mm)")
+    axes.set_ylim(bottom=0)

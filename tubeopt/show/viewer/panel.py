@@ -1,24 +1,30 @@
-"""The controls of one tab, as widgets of viser: they tell the tab what is wanted and show what it answers."""
+"""The panel of controls beside the scene: joints, targets, loads, designs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from html import escape
 from typing import Any
 
 import numpy as np
 
 from ...bodies.frames import Plane
-from ...files.units import TO_MM, parse_number
+from ...equilibrium.result import Equilibrium
+from ...errors import InputError, finite
+from ...files.units import TO_MILLI, TO_MM, parse_number
 from ...inverse.mirror import mirror_rotations
-from ...robots.eccentric import EccentricRobot
+from ...robots.concentric import ConcentricRobot
+from ...robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ...robots.load import Load
 from ...robots.robot import Robot
-from .commands import Wishes
-from .cut import ACROSS
-from .designs import Knob, knobs, with_knob
+from ...robots.tubes import Tube
+from ...typing import Array
+from .external_load import DIRECTIONS, head_of, newtons_per_metre, push_on
 from .given import BODIES, YAML
-from .push_panel import PushPanel
+from .overlays import ACROSS
+from .scene import Mark, Scene
 from .session import (
     Session,
     clear_trail,
@@ -31,7 +37,181 @@ from .session import (
 )
 from .teleoperation import KEYS
 from .view import View
-from .words import hand_words, legend, log_words, message_words, readout, typed
+from .words import Wishes, hand_words, legend, log_words, message_words, readout, typed
+
+FIELDS = (
+    ("curvature", "curvature", "1/m", 1.0, 0.1),
+    ("curved length", "curved_length", "mm", TO_MM, 1.0),
+    ("straight length", "straight_length", "mm", TO_MM, 1.0),
+)
+"""What is told of a tube, its field, unit, the factor from SI to it, and the step of a knob."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One dimension of one tube (or of the equal tubes of a segment), from `low` to `high` by `step`."""
+
+    label: str
+    place: int
+    """Which entry of `parts`."""
+    field: str
+    """Of `Tube`."""
+    factor: float
+    """From SI to the unit of the label, which the others are in."""
+    low: float
+    high: float
+    step: float
+
+    def shown(self, robot: Robot) -> float:
+        """Its value, in the unit of the label."""
+        return float(getattr(parts(robot)[self.place], self.field)) * self.factor
+
+
+def parts(robot: Robot) -> tuple[Tube, ...]:
+    """The tubes that can be chosen on their own: all, the one that all three are, or one per segment."""
+    if isinstance(robot, EccentricRobot):
+        return (robot.tube,)
+    if isinstance(robot, SegmentedEccentricRobot):
+        return robot.segments
+    return robot.tubes
+
+
+def knobs(robot: Robot) -> tuple[Knob, ...]:
+    """Curvature and lengths of every tube, each from nothing to twice what it is."""
+    name = {EccentricRobot: "all tubes", SegmentedEccentricRobot: "segment"}.get(type(robot), "tube")
+    out = []
+    for k, tube in enumerate(parts(robot)):
+        for label, field, unit, factor, step in FIELDS:
+            value = getattr(tube, field) * factor
+            most = max(2 * abs(value), 10 * step)
+            if tube.general and field == "curved_length":
+                continue  # it is the sum of the pieces
+            # Pieces that were bent straight would not know which way to bend.
+            low = step if tube.general and field == "curvature" else min(0.0, 2 * value)
+            which = name if name == "all tubes" else f"{name} {k + 1}"
+            out.append(Knob(f"{which}: {label} ({unit})", k, field, factor, low, most, step))
+    return tuple(out)
+
+
+def with_knob(robot: Robot, knob: Knob, value: float) -> Robot:
+    """The robot with one dimension changed to `value`, in the knob's unit.
+
+    Raises:
+        InputError: a value out of the knob's range, or tubes that no longer fit together.
+    """
+    number = finite(knob.label, value)
+    if not knob.low - 1e-9 <= number <= knob.high + 1e-9:
+        raise InputError(f"{knob.label} is {number:g}; it must be from {knob.low:g} to {knob.high:g}")
+    changed: dict[str, Any] = {knob.field: number / knob.factor}
+    tubes = list(parts(robot))
+    tubes[knob.place] = replace(tubes[knob.place], **changed)
+    if isinstance(robot, EccentricRobot):
+        return replace(robot, tube=tubes[0])
+    if isinstance(robot, SegmentedEccentricRobot):
+        return replace(robot, segments=tuple(tubes))
+    if isinstance(robot, ConcentricRobot):
+        return replace(robot, tubes=tuple(tubes))
+    raise InputError(f"the tubes of a {type(robot).__name__} cannot be changed here")
+
+
+GIVEN = "as given"
+
+WORDS = '<div data-testid="load-limit" style="font:12px sans-serif;padding:2px 10px 6px">{}</div>'
+
+
+class PushPanel:
+    """The widgets of a load.
+
+    Args:
+        gui: `gui` of a client of a viser server.
+        tab: told of what is wanted.
+        numbers: reads number boxes; None, with a sentence, where one holds no number.
+        make: makes a button, and a box to be ticked.
+        given: that acts from the beginning, if any: its gravity is among the choices.
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        tab: Wishes,
+        numbers: Callable[[list[Any]], Array | None],
+        make: tuple[Callable[..., Any], Callable[..., Any]],
+        given: Load | None = None,
+    ) -> None:
+        own = None if given is None else given.gravity
+        self._tab, self._choices = tab, DIRECTIONS if own is None else {**DIRECTIONS, GIVEN: own}
+        self._words = gui.add_html(WORDS.format(""))
+        self._shown: tuple[float, ...] = (0.0, 0.0, 0.0)
+        button, check = make
+        hint = "Drag the arrows at the head of the force on the tip."
+        check("drag a force", False, partial(tab.show, "force"), hint=hint)
+        self._boxes = [gui.add_text(f"force {axis} (mN)", "0") for axis in "xyz"]
+        self._gravity = gui.add_dropdown("gravity", tuple(self._choices))
+        self._gravity.value = GIVEN if own else "none"
+
+        def put_on() -> None:
+            force = numbers(self._boxes)
+            if force is not None:
+                self.push(force / TO_MILLI, done=True)
+
+        def take_off() -> None:
+            self._gravity.value = "none"
+            self.push(np.zeros(3), done=True)
+
+        button("Put the load on", put_on)
+        button("Take the load off", take_off)
+
+    def push(self, force: Array, *, done: bool) -> None:
+        """Let a force act on the tip, N, with the gravity that is chosen; `done` where the hand has let go of it."""
+        load = Load(tuple(force.tolist()), gravity=self._choices[self._gravity.value])
+        self._tab.change(lambda session: push_on(session, load), held=None if done else "push")
+
+    def show(self, load: Load | None) -> None:
+        """The force that acts, in the boxes, unless it is what they were last told."""
+        force = (0.0, 0.0, 0.0) if load is None else load.force
+        if force != self._shown:
+            self._shown = force
+            for box, value in zip(self._boxes, force, strict=True):
+                box.value = typed(value * TO_MILLI, 4)
+
+    def tell(self, words: str) -> None:
+        """What the load does, in a sentence."""
+        self._words.content = WORDS.format(escape(words))
+
+
+class ForceArrow:
+    """The force on the tip of a robot as an arrow, whose head may be dragged; without `controls` it is but shown."""
+
+    def __init__(self, api: Any, scene: Scene, controls: PushPanel | None, view: View) -> None:
+        self._scene, self._controls, self._view = scene, controls, view
+        self._head = Mark(api, "head", self._drawn)
+        self._tip = np.zeros(3)
+
+    def mark(self, equilibrium: Equilibrium, on: bool) -> None:
+        """Put marks at the head of the arrow, or take them away."""
+        if self._controls is not None:
+            self._head.put(head_of(equilibrium, self._newtons_per_metre), equilibrium.robot, on)
+
+    def show(self, equilibrium: Equilibrium, *, held: bool) -> None:
+        """Draw the force that acts; the marks go to its head, unless the hand has them."""
+        self._tip = equilibrium.tip_position
+        if equilibrium.load is None and not self._head.there:
+            self._scene.show_force(self._tip, self._tip)
+            return
+        head = head_of(equilibrium, self._newtons_per_metre)
+        self._scene.show_force(self._tip, head)
+        if not held:
+            self._head.follow(head)
+
+    def _drawn(self, head: Array, done: bool) -> None:
+        assert self._controls is not None
+        self._controls.push(self._newtons_per_metre * (head - self._tip), done=done)
+
+    @cached_property
+    def _newtons_per_metre(self) -> float:
+        """By how soft the robot is where the view begins."""
+        return newtons_per_metre(self._view.session().equilibrium)
+
 
 STEP = 0.1
 """Step of the sliders of joints, deg or mm."""

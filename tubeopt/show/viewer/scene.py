@@ -20,9 +20,19 @@ from ...robots.robot import Robot
 from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
-from ..arm_surfaces import Centreline, Part, plate_part, plate_radius, robot_parts
 from ..colours import margin_colour
-from ..surfaces import Surface, axes_about, join, obstacle_surface, revolved
+from ..surfaces import (
+    Centreline,
+    Part,
+    Surface,
+    axes_about,
+    join,
+    obstacle_surface,
+    plate_part,
+    plate_radius,
+    revolved,
+    robot_parts,
+)
 from .session import Session
 
 SCALE = 10.0

@@ -1,0 +1,225 @@
+"""Shapes that the viewer shows in addition to the arm: a cut through a mesh, the swept volume, a second robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...bodies.frames import Plane
+from ...bodies.obstacles import Obstacle, nearest_distance
+from ...equilibrium.result import Equilibrium
+from ...errors import InputError, SolveError, extra
+from ...files.units import TO_MM
+from ...inverse.arm_surface import ArmSurface
+from ...robots.robot import Robot
+from ...typing import Array
+from ..surfaces import Centreline, Part, Surface, plate_part, plate_radius, two_of_four
+from .playback import Playback, snaps_between, state_at
+from .scene import SCALE, Scene, obstacle_parts
+from .session import Session, move, open_session, strides
+
+CELLS = 200
+"""Cells of the filled section along the longer side of what is cut."""
+
+ACROSS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+"""Normals of planes across the axes of the plate."""
+
+SECTION = "section"
+
+SECTION_COLOUR = (205, 150, 120)
+
+
+def cut_parts(obstacles: Sequence[Obstacle], reach: float, plane: Plane | None) -> list[Part]:
+    """Bodies to be shown, up to a plane if one is given, with the section that it makes of them."""
+    parts = obstacle_parts(obstacles, reach)
+    if plane is None or not parts:
+        return parts
+    corners = np.concatenate([part.surface.vertices for part in parts])
+    cut = [replace(part, surface=cut_surface(part.surface, plane)) for part in parts]
+    filled = section(obstacles, plane, corners.min(0), corners.max(0))
+    return [part for part in (*cut, Part(SECTION, filled, SECTION_COLOUR)) if len(part.surface.faces)]
+
+
+def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
+    """How much a plane cuts of what is shown."""
+    if plane is None:
+        return ""
+    corners = [part.surface.vertices[part.surface.faces] for part in parts if part.name == SECTION]
+    twice = sum(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners)
+    told = ", ".join(f"{x:.3g}" for x in plane.normal + 0.0)
+    across = next((name for name, axis in ACROSS.items() if (plane.normal == axis).all()), told)
+    return f"cut across {across} at {plane.point @ plane.normal * TO_MM:.4g} mm: {twice / 2 * 1e4:.2f} cm2 of bodies"
+
+
+def cut_surface(surface: Surface, plane: Plane) -> Surface:
+    """The part of a surface up to a plane: triangles across it are cut there."""
+    trimesh = extra("trimesh.intersections", "view", "bodies that are cut")
+    vertices, faces, _ = trimesh.slice_faces_plane(
+        surface.vertices, surface.faces.astype(np.int64), -plane.normal, plane.point
+    )
+    return Surface(vertices, faces.astype(np.uint32))
+
+
+def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array) -> Surface:
+    """What a plane cuts of bodies within a box: squares whose middles lie in one of them, facing beyond the plane."""
+    corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
+    side, frame = plane.height(corners), plane.frame
+    if not side.min() <= 0 <= side.max():
+        return _squares(np.zeros((0, 4, 3)))
+    along = frame.seen(corners)[:, :2]
+    size = max(float(np.ptp(along, axis=0).max()) / CELLS, 1e-6)
+    u, v = (np.arange(a + size / 2, b, size) for a, b in zip(along.min(0), along.max(0), strict=True))
+    middle = frame.placed(np.stack(np.broadcast_arrays(u[:, None], v[None], 0.0), axis=-1))
+    within = ((middle >= low) & (middle <= high)).all(-1)
+    inside = middle[within & (nearest_distance(obstacles, middle) < 0)]
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2 @ frame.axes[:, :2].T
+    return _squares(inside[:, None] + square)
+
+
+def _squares(corners: Array) -> Surface:
+    """Squares (k, 4, 3) that share no corners."""
+    faces = np.arange(4 * len(corners), dtype=np.uint32).reshape(-1, 4)
+    return Surface(corners.reshape(-1, 3), two_of_four(faces))
+
+
+STEP = np.radians(20.0)
+"""Largest turn of a tube between shapes whose common hull is taken."""
+
+SLIDE = 0.008
+"""Largest translation likewise, m."""
+
+PIECES = 20
+"""Parts of the arm between which hulls are taken."""
+
+SIDES = 10
+"""Corners of each cross-section: the hull lies within 5 % of the radius inside the round tube."""
+
+MOST_SHAPES = 160
+COLOUR, OPACITY = (120, 90, 200), 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """The surface of what is swept, its volume (m^3), and how many shapes were joined."""
+
+    surface: Surface
+    volume: float
+    shapes: int
+
+
+def swept_volume(playback: Playback) -> Swept:
+    """Union of the convex hulls of neighbouring parts of the arm at neighbouring times.
+
+    A snap is left out: through where the arm flies is not in the model.
+
+    Raises:
+        InputError: manifold3d, which joins the hulls, is not installed.
+    """
+    try:
+        import manifold3d
+    except ImportError:
+        raise InputError("the swept volume needs manifold3d: python -m pip install 'tubeopt[view]'") from None
+    hulls: list[Any] = []
+    shapes = 0
+    for run in _runs(playback):
+        rings = [_rings(each) for each in run]
+        shapes += len(rings)
+        pairs = zip(rings, rings[1:] or rings, strict=False)
+        for a, b in pairs:
+            for k in range(PIECES):
+                points = np.concatenate([a[k], a[k + 1], b[k], b[k + 1]]).astype(np.float32)
+                hulls.append(manifold3d.Manifold.hull_points(np.ascontiguousarray(points * TO_MM)))
+    whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
+    mesh = whole.to_mesh()
+    surface = Surface(np.array(mesh.vert_properties)[:, :3] / TO_MM, np.array(mesh.tri_verts, dtype=np.uint32))
+    return Swept(surface, float(whole.volume()) * 1e-9, shapes)
+
+
+def _runs(playback: Playback) -> list[list[Equilibrium]]:
+    """Shapes close together in time, in runs that no snap interrupts."""
+    points = playback.waypoints
+    steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
+    count = np.maximum(np.ceil(steps), 1).astype(int)
+    count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
+    times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
+    runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
+    before = 0.0
+    for t in np.concatenate([*times, np.empty(0)]):
+        if snaps_between(playback, before, float(t)):
+            runs.append([])
+        runs[-1].append(state_at(playback, float(t)))
+        before = float(t)
+    return [run for run in runs if run]
+
+
+def _rings(equilibrium: Equilibrium) -> Array:
+    """(PIECES + 1, SIDES, 3) corners of cross-sections along the arm, as wide as the widest tube there, m."""
+    line = Centreline(equilibrium)
+    s = np.linspace(0.0, line.length, PIECES + 1)
+    radius = ArmSurface(equilibrium).radius(s)[:, None, None]
+    return np.asarray(line.position(s)[:, None] + radius * line.ring(s, SIDES)[0])
+
+
+ASIDE = 0.45
+"""How far it stands to the side, as a share of the longer arm."""
+
+PLACE = "/beside"
+
+
+def session_beside(robot: Robot, first: Session) -> Session:
+    """A session of a robot that can stand beside the one of `first`, at home.
+
+    Raises:
+        InputError: another number of tubes.
+        SolveError: it has no stable equilibrium at home.
+    """
+    if robot.n_tubes != first.robot.n_tubes:
+        raise InputError(
+            f"{robot.name or 'the robot'} has {robot.n_tubes} tubes; it must have {first.robot.n_tubes}: both are "
+            "moved by the same joint values"
+        )
+    return open_session(robot)
+
+
+class Beside:
+    """A robot of `session_beside` that follows the joint values of the first, with a label that says how it is."""
+
+    def __init__(self, api: Any, session: Session, first: Session) -> None:
+        self.session = session
+        long = max(float(each.equilibrium.arc_length[-1]) for each in (session, first))
+        # To the right of who looks at the first one from where the camera begins.
+        place = ASIDE * long * SCALE * np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+        self._frame = api.add_frame(PLACE, show_axes=False, position=tuple(place))
+        self._label = api.add_label(f"{PLACE}/name", "", anchor="bottom-right")
+        self._scene = Scene(api, PLACE)
+        self._scene.layer(f"{PLACE[1:]}/plate", [plate_part(plate_radius(session.equilibrium))])
+        self.follow(first)
+
+    def follow(self, first: Session) -> str:
+        """Go to the joint values of the first robot; returns why it stays where it was, or nothing."""
+        here, words = first.equilibrium, ""
+        try:
+            self.session = move(self.session, here.rotations, here.translations)
+        except (InputError, SolveError) as error:
+            words = f"beside: {error}"
+        shown = self.session.equilibrium
+        self._scene.show(shown)
+        self._label.text = f"{shown.robot.name or 'robot'}: {self.session.verdict}, margin {shown.margin:.3f}"
+        self._label.position = tuple(shown.tip_position * SCALE)
+        return words
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is shown."""
+        return bool(self._frame.visible)
+
+    @visible.setter
+    def visible(self, on: bool) -> None:
+        self._frame.visible = on
+
+    def remove(self) -> None:
+        """Take it away with all that belongs to it."""
+        self._frame.remove()
