@@ -15,8 +15,8 @@ AREAS = {
     "physics": ("physics/*.py",),
     "proofs": (
         *(f"planning/{name}.py" for name in (
-            "branch", "loaded_branch", "sections", "loaded_sections", "clearance_bound", "arms", "proof", "passage",
-            "goals", "reach_share",
+            "branch", "loaded_branch", "sections", "loaded_sections", "clearance_bound", "arms", "proof",
+            "trajectory_trace", "goals", "reach_share",
         )),
         *(f"stability/{name}.py" for name in (
             "certificate", "worst", "pair", "deflection", "eccentric_bound", "eccentric_certificate",

@@ -12,7 +12,7 @@ import pytest
 from tests.planning.test_cross_section_bounds import derivatives, parts
 from tests.planning.test_sharp_bounds import NONE, STEPPED, between
 from tubeopt.planning import branch
-from tubeopt.planning.sections import PARTS, Jet
+from tubeopt.planning.sections import PARTS, DerivativeBounds
 from tubeopt.typing import Array
 
 
@@ -23,10 +23,10 @@ def bare(**parts: Any) -> Any:
     return found
 
 
-def growing(random: Any, *shape: int) -> tuple[Jet, Any]:
+def growing(random: Any, *shape: int) -> tuple[DerivativeBounds, Any]:
     """What grows linearly to the end of the time, as a bound and as a function of the time before the end."""
     value, rate = random.uniform(1, 2, (2, 1, *shape))
-    return Jet(value, rate, 0 * rate), lambda t: value[0] + rate[0] * t
+    return DerivativeBounds(value, rate, 0 * rate), lambda t: value[0] + rate[0] * t
 
 
 def rate_at_the_end(function: Any) -> Array:
@@ -88,9 +88,9 @@ def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_
 
 def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_turns() -> None:
     """First and second derivatives of moments and bends; where places move along tubes, what that adds by time."""
-    flat, asked = Jet(NONE, NONE, NONE, NONE), []
+    flat, asked = DerivativeBounds(NONE, NONE, NONE, NONE), []
 
-    def varied(moments: Jet, gained: Jet, by: Any, moving: bool) -> Array:
+    def varied(moments: DerivativeBounds, gained: DerivativeBounds, by: Any, moving: bool) -> Array:
         asked.append(
             ([float(each.item()) for each in (moments.v, moments.d, gained.v, gained.d)], by[0].item(), moving)
         )
@@ -119,7 +119,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
 
 def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
     bow = np.array([[[0.3, 0.5]]])
-    still: Any = SimpleNamespace(drift=SimpleNamespace(bow=Jet(0 * bow, 0 * bow, bow)))
+    still: Any = SimpleNamespace(drift=SimpleNamespace(bow=DerivativeBounds(0 * bow, 0 * bow, bow)))
     turn = np.ones((1, 1, 2)), np.ones((1, 1, 2, 2))
     own, pair = branch._Bounds.chord(still, turn)
     assert (own.d.tolist(), own.dd.tolist()) == (turn[0].tolist(), bow.tolist())
@@ -130,12 +130,12 @@ def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
 def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None:
     """S (theta - N) = theta^2 T with N, whose second and third derivatives are known, and T that grows."""
     steady, natural, grown = 2.7, (0.3, 0.7), (1.0, 0.4, 0.5, 0.2)
-    time = Jet(*(NONE + each for each in grown))
+    time = DerivativeBounds(*(NONE + each for each in grown))
     slope = steady - 2 * grown[0]
     ball = branch._Ball(*(np.array([each]) for each in (0.0, 2 * grown[1], 0.0, slope)))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 2),
-        drift=SimpleNamespace(bow=Jet(NONE, NONE, NONE + natural[0], NONE + natural[1])),
+        drift=SimpleNamespace(bow=DerivativeBounds(NONE, NONE, NONE + natural[0], NONE + natural[1])),
         cross_sections=lambda course: (course[0] * course[0] * time, course[0]),
         rotation=lambda moment, stretch: moment,
         response=lambda turn: turn,
@@ -180,8 +180,8 @@ def whirl_by_sums(bent: Array) -> tuple[Array, Array, Array]:
 
 def test_a_tangent_changes_as_what_bends_the_arm_before_it_is_summed() -> None:
     bent, long = np.random.default_rng(7).uniform(0.02, 0.06, (3, 12)), np.full((1, 12), 0.5)
-    jet = Jet(long, *(each[None] / 0.5 for each in bent))
-    bounds = bare(long=Jet(long, 0 * long, 0 * long, 0 * long))
+    jet = DerivativeBounds(long, *(each[None] / 0.5 for each in bent))
+    bounds = bare(long=DerivativeBounds(long, 0 * long, 0 * long, 0 * long))
     bounds.course, bounds.cross_sections = lambda turn, ball: None, lambda course: (None, jet)
     found = bounds.whirl(None, None)
     for bound, true in zip((found.d, found.dd, found.ddd), whirl_by_sums(bent), strict=True):
@@ -194,8 +194,8 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
     """An eighth of int 2 |h_t| W + h (Phi + W^2) by sums, U being U(t) in sections whose length changes."""
     first, second = np.random.default_rng(8).uniform(0.02, 0.06, (2, 12))
     long, more = np.random.default_rng(9).uniform(0.5, 1.0, (2, 1, 12))
-    jet = Jet(0 * long, first[None] / long, second[None] / long)
-    bounds = bare(long=Jet(long, more, 0 * more))
+    jet = DerivativeBounds(0 * long, first[None] / long, second[None] / long)
+    bounds = bare(long=DerivativeBounds(long, more, 0 * more))
     bounds.chord, bounds.cross_sections = lambda turn: None, lambda course: (None, jet)
     bounds.bending = SimpleNamespace(change=lambda error: 0 * long)
     w, second_of, _ = whirl_by_sums(np.array([first, second + 2 * more[0] * first / long[0], 0 * first]))
@@ -208,14 +208,17 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
 def test_moments_of_tubes_beside_the_centreline_change_as_a_quotient() -> None:
     """sum c e^(theta) over k, which may fall with the same derivatives: 1 / k is (1 - c (e^t - 1))^-1 here."""
     fall, pairs, rate = 0.4, np.array([[0.0, 0.3], [0.3, 0.0]]), 0.7
-    still = Jet(*np.zeros((4, 1, 1, 2)))
-    k = Jet(*(np.full((1, 1), each) for each in (1.0, fall, fall, fall)))
+    still = DerivativeBounds(*np.zeros((4, 1, 1, 2)))
+    k = DerivativeBounds(*(np.full((1, 1), each) for each in (1.0, fall, fall, fall)))
     flat = np.zeros((1, 1, 2, 2))
     bounds = bare(
-        pull=still, pairing=Jet(flat + pairs, flat, flat, flat), offset=np.array([0.01]), zero=np.zeros((1, 1, 2))
+        pull=still,
+        pairing=DerivativeBounds(flat + pairs, flat, flat, flat),
+        offset=np.array([0.01]),
+        zero=np.zeros((1, 1, 2)),
     )
     bounds.bending = SimpleNamespace(along=lambda pulled: (None, k))
-    turn = Jet(flat, flat + rate, flat, flat)
+    turn = DerivativeBounds(flat, flat + rate, flat, flat)
     found = bounds.cross_sections((still, turn))[0]
     exact = derivatives(lambda t: 0.3 * np.exp(rate * t) / (1 - fall * (np.exp(t) - 1)), 0.02)
     assert [each[0, 0, 0] for each in parts(found)] == pytest.approx(np.array(exact), rel=1e-5)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tubeopt.planning import branch
-from tubeopt.planning.sections import SHAPE_ERROR, Bending, Constants, Drift, Jet, linear
+from tubeopt.planning.sections import SHAPE_ERROR, Constants, CurvatureBounds, DerivativeBounds, TransportBounds, linear
 from tubeopt.robots.lengthwise import Variation
 from tubeopt.typing import Array
 
@@ -26,11 +26,13 @@ def derivatives(function: Callable[[float], Any], step: float = 4e-3) -> list[Ar
     return [found[k].reshape(table.shape[1:]) * f / step**k for k, f in enumerate((1, 1, 2, 6))]
 
 
-def parts(jet: Jet) -> list[Array]:
+def parts(jet: DerivativeBounds) -> list[Array]:
     return [each for each in (jet.v, jet.d, jet.dd, jet.ddd) if each is not None]
 
 
-YIELDS = Bending(*(np.array(each) for each in ([0.4, 0.3], [[0.0, 0.2], [0.2, 0.0]], 0.5, 2.0, 0.7, 0.6, 0.8, 1.65)))
+YIELDS = CurvatureBounds(
+    *(np.array(each) for each in ([0.4, 0.3], [[0.0, 0.2], [0.2, 0.0]], 0.5, 2.0, 0.7, 0.6, 0.8, 1.65))
+)
 """Stiffness K = 2 - 0.7 x - 0.6 x^2 / 2 - 0.8 x^3 / 6 at curvature 0.5 + x; K + u K' is 1.65 there."""
 
 
@@ -53,7 +55,7 @@ def test_the_bend_of_what_yields_grows_as_the_inverse_function() -> None:
     def load(t: float) -> float:
         return 2.0 * (0.9 * t + 0.8 * t**2 + 0.5 * t**3)
 
-    u, k = YIELDS.along(Jet(*map(np.array, (0.5, 0.9, 1.6, 3.0))))
+    u, k = YIELDS.along(DerivativeBounds(*map(np.array, (0.5, 0.9, 1.6, 3.0))))
     for found, true in zip(parts(u), derivatives(lambda t: 0.5 + bent(load(t))), strict=True):
         assert found == pytest.approx(true, rel=1e-6)
     for found, true in zip(parts(k), derivatives(lambda t: softened(bent(load(t))) / 2.0), strict=True):
@@ -79,7 +81,7 @@ def test_moments_of_what_yields_change_as_a_quotient() -> None:
     one, other, step = np.array([0.2, 0.5]), np.array([0.4, 0.1]), 1e-3
     turns = [(each, each[:, None] + each) for each in (one, other)]
     bounds: Any = SimpleNamespace(bending=YIELDS, torque=np.array([0.9, 0.7]))
-    bounds.bending = Bending(*(each[None, None] for each in vars(YIELDS).values()))
+    bounds.bending = CurvatureBounds(*(each[None, None] for each in vars(YIELDS).values()))
     bounds.torque = bounds.torque[None, None]
     both = [(own[None, None], pair[None, None]) for own, pair in turns]
     first = branch._Bounds.torque_change(bounds, both[0])[0, 0]
@@ -106,7 +108,7 @@ def test_a_tube_beside_the_centreline_is_softer_where_the_arm_bends_away_from_it
     bounds: Any = SimpleNamespace(pull=rows + kb * share / offset * (1 - share), bending=rows + kb)
     direction = np.array([[0.6, 0.8]]) * offset
     constants = Constants(NONE, bounds, np.array([offset]), direction, np.ones(1))  # type: ignore[arg-type]
-    found = Bending.of(constants, np.zeros(1, dtype=int))
+    found = CurvatureBounds.of(constants, np.zeros(1, dtype=int))
     x = share * np.linspace(-1, 1, 401)
     assert found.most == pytest.approx(share / offset)
     assert found.bow == pytest.approx((2 * kb * offset**2 / (1 + x) ** 3).max())
@@ -149,7 +151,7 @@ def varying(move: Array) -> tuple[Constants, Callable[[float], tuple[Array, Arra
 def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
     move = np.array([0.3, 0.5])
     constants, at = varying(move)
-    drift = Drift.of(constants, move, np.zeros(2, dtype=int))
+    drift = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
     length = 1 - np.eye(2)
     for jet, function in (
         (drift.pulls, lambda t: at(t)[0] / at(t)[1].sum()),
@@ -179,14 +181,14 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     bounds, stretches = constants.bounds, [np.full(2, k) for k in order]
     for table, change in ((bounds.pull, 3.0), (bounds.bending, 0.5), (bounds.torsional, 0.25), (bounds.ease, 2.0)):
         table[..., 1] *= change
-    bending, drift = Bending.of(constants, *stretches), Drift.of(constants, np.ones(2), *stretches)
+    bending, drift = CurvatureBounds.of(constants, *stretches), TransportBounds.of(constants, np.ones(2), *stretches)
     assert bending.moment == pytest.approx(3 * np.array([0.7, 0.4]))
     assert bending.stiffness == pytest.approx(0.5 * 3.5)
     assert drift.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
     assert drift.ease.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
     for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.ease):
         rates[...] = 0.0
-    still = Drift.of(replace(constants), np.ones(2), *stretches)
+    still = TransportBounds.of(replace(constants), np.ones(2), *stretches)
     assert still.still
     assert still.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
 
@@ -195,7 +197,7 @@ def test_moving_along_tubes_changes_a_moment_by_the_sine_of_what_turns_them_apar
     """a_i a_j sin(theta_i - theta_j) / K by time, of angles at which the sine is steepest."""
     move = np.array([0.3, 0.5])
     constants, at = varying(move)
-    drift = Drift.of(constants, move, np.zeros(2, dtype=int))
+    drift = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
     turn = np.array([[0.0, 0.02], [0.02, 0.0]])
 
     def moment(t: float) -> Array:
@@ -226,7 +228,7 @@ def test_what_goes_linearly_is_at_most_the_larger_of_its_ends() -> None:
 
 
 def test_the_tip_moves_by_the_sum_of_all_sections() -> None:
-    sections = Jet(*(np.array([[1.0, 2.0, 3.0]]) * k for k in (1, 10, 100, 1000)))
+    sections = DerivativeBounds(*(np.array([[1.0, 2.0, 3.0]]) * k for k in (1, 10, 100, 1000)))
     assert branch.tip_of(sections).tolist() == [[600.0], [6000.0]]
-    endless = Jet(sections.v, sections.d, np.array([[1.0, np.nan, 0.0]]), np.array([[np.inf, 0.0, 0.0]]))
+    endless = DerivativeBounds(sections.v, sections.d, np.array([[1.0, np.nan, 0.0]]), np.array([[np.inf, 0.0, 0.0]]))
     assert np.isinf(branch.tip_of(endless)).all()

@@ -53,9 +53,9 @@ def test_a_clearance_under_any_force_is_less_by_the_deflection_of_a_cantilever()
 )
 def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: str, open_: str) -> None:
     kept = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "lost": ()}
-    passage: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(kept | found))
-    follower: Any = SimpleNamespace(wanted=Wanted(2e-3, 1e-5, 9), says="", flutters=False)
-    faults, unproved = proof._branch_faults(follower, passage, 0.3, np.array([0.0, 1.0]))
+    trajectory_trace: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(kept | found))
+    verifier: Any = SimpleNamespace(wanted=Wanted(2e-3, 1e-5, 9), says="", flutters=False)
+    faults, unproved = proof._branch_faults(verifier, trajectory_trace, 0.3, np.array([0.0, 1.0]))
     assert [refuted in fault for fault in faults] == [True] * bool(refuted)
     assert [open_ in fault for fault in unproved] == [True] * bool(open_)
 

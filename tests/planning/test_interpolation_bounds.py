@@ -16,7 +16,15 @@ from tests.planning.test_cross_section_bounds import derivatives
 from tests.planning.test_sharp_bounds import STEPPED, between
 from tubeopt import EccentricRobot, Tube, forward_kinematics
 from tubeopt.planning.loaded_sections import LoadedArms
-from tubeopt.planning.sections import SHAPE_ERROR, Arms, Bending, Constants, Drift, Intervals, Jet
+from tubeopt.planning.sections import (
+    SHAPE_ERROR,
+    Arms,
+    Constants,
+    CurvatureBounds,
+    DerivativeBounds,
+    Intervals,
+    TransportBounds,
+)
 
 TIP = 1e-11
 """Error of the tip as it was solved for, m."""
@@ -27,8 +35,8 @@ def series(*parts: Any) -> Any:
     return lambda s: sum(part * s**k / f for k, (part, f) in enumerate(zip(parts, (1, 1, 2, 6), strict=False)))
 
 
-def jet(*parts: float) -> Jet:
-    return Jet(*(np.full((1, 2), part) for part in parts))
+def jet(*parts: float) -> DerivativeBounds:
+    return DerivativeBounds(*(np.full((1, 2), part) for part in parts))
 
 
 EASE, WOUND = (1 / 3.0, 0.2, 0.15), (0.3, 0.25, 0.0)
@@ -81,10 +89,10 @@ def stub(offset: float, still: bool, h: float, *, wide: bool = False) -> Any:
 
 def drift_of(still: bool) -> Any:
     none = np.zeros(())
-    flat = Jet(none, none, none, none)
+    flat = DerivativeBounds(none, none, none, none)
     if still:
         return SimpleNamespace(
-            ease=Jet(np.full((1, 2), EASE[0]), none, none),
+            ease=DerivativeBounds(np.full((1, 2), EASE[0]), none, none),
             wound=flat,
             moment=lambda *_: (none, none),
             bend=lambda *_: (none, none),
@@ -95,7 +103,7 @@ def drift_of(still: bool) -> Any:
         moment=lambda pair, bow: (np.full((1, 2), DRIFTED), None),
         bend=lambda turn, bow: (FIRST, SECOND),
         pulls=jet(0.45, 0.25, 0.2),
-        give=Jet(np.full(1, 0.5), np.full(1, 0.15), np.full(1, 0.11)),
+        give=DerivativeBounds(np.full(1, 0.5), np.full(1, 0.15), np.full(1, 0.11)),
     )
 
 
@@ -110,8 +118,8 @@ def test_interpolation_along_tubes_that_vary_is_off_by_derivatives_of_what_turns
     h: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """theta' = t / kt + u*_z with t' = M and M' what turns the tubes against each other; u by turns and places."""
-    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
-    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
+    monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
+    monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
     shape, turned = found_by(Arms, "_errors", stub(0.0, False, h))
     torque = 0.45 + h * PAIRS
     winding = PAIRS * EASE[0] + torque * EASE[1] + WOUND[0]
@@ -134,8 +142,8 @@ def test_interpolation_along_tubes_beside_the_centreline_is_off_by_how_they_are_
 ) -> None:
     """theta' = g w: theta'' = g w' + (g' / g) theta', g' = d u', with g between 1 - d u and 1 + d u."""
     offset = 0.2
-    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
-    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(True))
+    monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
+    monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(True))
     shape, turned = found_by(Arms, "_errors", stub(offset, True, h))
     speed = 1.1 + h * PAIRS * EASE[0]
     bent = 2 * YIELD * speed
@@ -151,8 +159,8 @@ def test_interpolation_along_tubes_beside_the_centreline_is_off_by_how_they_are_
 
 
 def test_nothing_bounds_interpolation_across_too_many_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
-    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
+    monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
+    monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
     for found in (
         found_by(Arms, "_errors", stub(0.0, False, 0.01, wide=True)),
         found_by(LoadedArms, "_wrong", loaded_stub(0.01, wide=True)),
@@ -180,8 +188,8 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
 ) -> None:
     """t_i' = u a_i e_i + m, M' = n + u sum t + m, n' = f + n u, u = M / K + sum A_i e_i, theta_i' = t_i / kt + u*_z."""
     h = 0.01
-    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
-    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
+    monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
+    monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
     arms = loaded_stub(h)
     arms._felt = arms._felt[::order]  # the force is the most at the end or at the begin of the step
     shape, turned, twisted, lifted = found_by(LoadedArms, "_wrong", arms)
@@ -226,8 +234,8 @@ def test_an_arm_is_as_far_off_as_in_its_longest_step(
     kind: type, name: str, steps: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of two steps that are alike but for their length; rotations, torques and moments in each step as in itself."""
-    monkeypatch.setattr(Bending, "of", lambda *_: BEND)
-    monkeypatch.setattr(Drift, "of", lambda *_: drift_of(False))
+    monkeypatch.setattr(CurvatureBounds, "of", lambda *_: BEND)
+    monkeypatch.setattr(TransportBounds, "of", lambda *_: drift_of(False))
     one, both = loaded_stub(max(steps)), loaded_stub(max(steps))
     both.arc_length, both.inner = np.cumsum([0.0, *steps]), np.arange(2)
     both.owner, both.wide = np.zeros(3, dtype=int), np.zeros(2, dtype=bool)
@@ -296,7 +304,7 @@ def test_a_transmission_whose_compliance_changes_along_it_is_off_its_chord_as_a_
     whole = np.array([[0.0], [e * moved + slope * moved**2 / 2]])
     along = SimpleNamespace(compliant=lambda length: whole)
     constants = SimpleNamespace(along=along, held=lambda shift: np.zeros((2, 1)))
-    eased = Jet(*(np.full((1, 1, 1), each) for each in (slope, bend * moved, 0.0)))
+    eased = DerivativeBounds(*(np.full((1, 1, 1), each) for each in (slope, bend * moved, 0.0)))
     drift = SimpleNamespace(still=False, eased=eased)
     arms = SimpleNamespace(constants=constants, translations=None)
     intervals = SimpleNamespace(

@@ -23,7 +23,7 @@ from tubeopt import ConcentricRobot, Load, Piece, Tube, forward_kinematics
 from tubeopt.planning.branch import whirled
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, Constants, Intervals, Jet
+from tubeopt.planning.sections import PARTS, Constants, DerivativeBounds, Intervals
 from tubeopt.robots.load import PointLoad, Stretch
 from tubeopt.typing import Array
 
@@ -45,7 +45,7 @@ class Grows:
         table[orders:] = 0.0
         if value is not None:
             table[0] = value
-        self.jet, self.table = Jet(*table[:, None]), table
+        self.jet, self.table = DerivativeBounds(*table[:, None]), table
 
     def __call__(self, t: float) -> Array:
         return np.asarray(sum(self.table[k] * t**k / f for k, f in enumerate((1, 1, 2, 6))))
@@ -55,7 +55,7 @@ def ahead(table: Array) -> Array:
     return np.asarray(np.cumsum(table[::-1], axis=0)[::-1])
 
 
-def compare(jet: Jet, function: Callable[[float], Array], *orders: int) -> None:
+def compare(jet: DerivativeBounds, function: Callable[[float], Array], *orders: int) -> None:
     exact = derivatives(function, 0.02)
     for order in orders:
         assert parts_of(jet)[order][0] == pytest.approx(exact[order], rel=1e-5, abs=1e-9)
@@ -87,12 +87,14 @@ def falling(random: Any) -> Grows:
     """What falls towards the tip, as moments ahead, and so does its change."""
     found = Grows(random, K, orders=2)
     found.table[:2] = -np.sort(-found.table[:2])
-    found.jet = Jet(*found.table[:, None])
+    found.jet = DerivativeBounds(*found.table[:, None])
     return found
 
 
 def bounds_of(g: SimpleNamespace) -> Any:
-    drift = SimpleNamespace(ease=g.ease.jet, give=g.give.jet, still=False, bow=Jet(*np.zeros((4, 1, K, N))))
+    drift = SimpleNamespace(
+        ease=g.ease.jet, give=g.give.jet, still=False, bow=DerivativeBounds(*np.zeros((4, 1, K, N)))
+    )
     return bare(
         long=g.h.jet,
         spring=g.spring.jet,
@@ -161,7 +163,10 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
     turn = g.theta.table[1], g.pair.table[1]
     bounds.torque, bounds.lever = torque.jet.v, lever.jet.v
     bounds.drift = SimpleNamespace(
-        ease=g.ease.jet, give=g.give.jet, wound=Jet(wound, wound, wound), gain=lambda ones: g.pairing.jet.d.sum(3)
+        ease=g.ease.jet,
+        give=g.give.jet,
+        wound=DerivativeBounds(wound, wound, wound),
+        gain=lambda ones: g.pairing.jet.d.sum(3),
     )
     constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), most=lambda table, stretch: twist[None])
     bounds.intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None, moved=moved[None])
@@ -217,12 +222,12 @@ def test_a_tangent_of_loaded_arms_changes_as_what_bends_them_before_it_is_summed
     """Of the chord to the second derivative, of a course to the third; what holds at the end of a section is taken."""
     count = 200
     bent = np.random.default_rng(7).uniform(0.1, 0.3, (3, count)) * 6 / count
-    jet = Jet(*np.concatenate([np.zeros((1, count)), bent])[:, None])
+    jet = DerivativeBounds(*np.concatenate([np.zeros((1, count)), bent])[:, None])
     nothing = np.zeros((1, count, 1))
-    flat = Jet(nothing, nothing, nothing, nothing)
+    flat = DerivativeBounds(nothing, nothing, nothing, nothing)
     bounds = bare(lever=np.zeros((1, count)), swing=np.ones((1, count)))
     bounds._wound, bounds._bends = lambda torque: flat, lambda theta, moment: jet
-    bounds._answer = lambda theta, pair, tangent: (flat, Jet(*np.zeros((4, 1, count))))
+    bounds._answer = lambda theta, pair, tangent: (flat, DerivativeBounds(*np.zeros((4, 1, count))))
     bounds._size, bounds._response = lambda *_: np.zeros(1), lambda size: _still(nothing)
     changes: Any = _Changes((nothing, nothing[..., None]), nothing, np.zeros((1, count)), np.ones(1, dtype=bool))
     tangent = bounds._chord(changes, nothing)[2]
@@ -253,9 +258,12 @@ def test_derivatives_of_a_course_are_what_lower_ones_make_and_what_calls_them_fo
     """As of `branch`: torques t, theta = t and moments m solve S (t - made) = 0 with as much as the margin left."""
     one, convex = np.ones((1, 1, 1)), 0.4
     bounds = bare(lever=one[..., 0], swing=one[..., 0] * 0.6)
-    made = Jet(one * 2, one * 3, one * 5, one * 7), Jet(*(one[..., 0] * k for k in (11, 13, 17, 19)))
-    bounds._wound = lambda torque: Jet(one, one, one * 0.5, one * 0.7)
-    bounds._bends = lambda theta, moment: Jet(*np.zeros((4, 1, 1)))
+    made = (
+        DerivativeBounds(one * 2, one * 3, one * 5, one * 7),
+        DerivativeBounds(*(one[..., 0] * k for k in (11, 13, 17, 19))),
+    )
+    bounds._wound = lambda torque: DerivativeBounds(one, one, one * 0.5, one * 0.7)
+    bounds._bends = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
     bounds._answer = lambda theta, pair, tangent: made
     bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
     bounds._response = lambda size: _Changes(
@@ -279,12 +287,15 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     flat = one[..., 0]
     bounds = bare(torque=one * 2, lever=flat * 3, pairs=one[..., None], u=flat)
     bounds.changes = _Changes((one * 0.1, one[..., None] * 0.2), one * 0.3, flat * 0.4, np.ones(1, dtype=bool))
-    bounds.answer = Jet(one, one, one * 0.8), Jet(flat, flat, flat * 1.6)
-    bounds.theta, bounds.pair = Jet(one, one * 0.11, one), Jet(one[..., None], one[..., None] * 0.21, one[..., None])
+    bounds.answer = DerivativeBounds(one, one, one * 0.8), DerivativeBounds(flat, flat, flat * 1.6)
+    bounds.theta, bounds.pair = (
+        DerivativeBounds(one, one * 0.11, one),
+        DerivativeBounds(one[..., None], one[..., None] * 0.21, one[..., None]),
+    )
 
-    def chord(changes: Any, torque: Array) -> tuple[None, None, None, tuple[Jet, Jet]]:
+    def chord(changes: Any, torque: Array) -> tuple[None, None, None, tuple[DerivativeBounds, DerivativeBounds]]:
         asked.append([each.item() for each in (*changes.turn, changes.torque, changes.moment, torque)])
-        return None, None, None, (Jet(one, one, one * 2.2), Jet(flat, flat, flat * 2.6))
+        return None, None, None, (DerivativeBounds(one, one, one * 2.2), DerivativeBounds(flat, flat, flat * 2.6))
 
     def response(size: Array) -> Any:
         parts = (size * one, 2 * size * one[..., None]), 3 * size * one, 4 * size * flat
@@ -293,7 +304,7 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     courses: list[Any] = []
     bounds._chord, bounds._response = chord, response
     bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
-    bounds._bends = lambda theta, moment: Jet(*np.zeros((4, 1, 1)))
+    bounds._bends = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
     bounds._path = lambda course, order, left: courses.append(course)
     bounds.whirl(np.array([0.05]), np.array([convex]))
     off = 3 * 0.05 + 0.8 / 8
@@ -313,7 +324,7 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
     y, more = random.uniform(1, 2, (2, K, N))
     bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
     bounds.lever, bounds.swing = np.zeros((1, K)), np.zeros((1, K))
-    bounds.force = Jet(*np.zeros((3, 1, K)))
+    bounds.force = DerivativeBounds(*np.zeros((3, 1, K)))
     moved = _Moved((g.theta.table[1][None], g.pair.table[1][None]), g.tangent.table[1][None], g.moment.table[1][None])
     dh, dn = random.uniform(0.1, 0.2, (2, 1, K))
     bounds._stretched = lambda: (dh, more[None], np.zeros((1, K)), dn)
@@ -331,7 +342,7 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
     assert bounds.variation(none, stretched=True).item() == pytest.approx(rate(by_tubes), rel=1e-6)
     # With a load, less what the tubes take, and without psi.
     bounds.pairs = 0 * bounds.pairs
-    bounds.pairing = Jet(*np.zeros((4, 1, K, N, N)))
+    bounds.pairing = DerivativeBounds(*np.zeros((4, 1, K, N, N)))
     lever = g.random.uniform(1, 2, K)
     bounds.lever = lever[None]
 
@@ -353,7 +364,7 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
     y, more = random.uniform(1, 2, (2, K, N))
     swing, bend = np.cumsum(random.uniform(1, 2, (2, K)), axis=1)
     dh, dn = random.uniform(0.1, 0.2, (2, K))
-    bounds.pairs, bounds.pairing = 0 * bounds.pairs, Jet(*np.zeros((4, 1, K, N, N)))
+    bounds.pairs, bounds.pairing = 0 * bounds.pairs, DerivativeBounds(*np.zeros((4, 1, K, N, N)))
     bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
     bounds.lever, bounds.swing = random.uniform(1, 2, (1, K)) * 1e6, swing[None]
     bounds._stretched = lambda: (dh[None], more[None], bend[None], dn[None])
@@ -420,7 +431,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
     slope, pairs, kt = random.uniform(1, 2, (K, N)), random.uniform(1, 2, (K, N, N)), random.uniform(1, 2, (K, N))
     stiff, y, both, swing = (random.uniform(1, 2, each) for each in (K, (K, N), (K, N, N), K))
     begin, couple, (kick, along) = h.table[0] - h.table[1], falling(random), random.uniform(0.5, 1.0, (2, K, N))
-    none = Jet(*np.zeros((4,)))
+    none = DerivativeBounds(*np.zeros((4,)))
     drift = SimpleNamespace(still=True)
     bounds = bare(
         long=h.jet,
@@ -432,8 +443,8 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         stiffness=stiff[None],
         weight=(y[None], both[None]),
         swing=swing[None],
-        pairing=Jet(pairs[None], none.d, none.d, none.d),
-        pull=Jet(slope[None], none.d, none.d, none.d),
+        pairing=DerivativeBounds(pairs[None], none.d, none.d, none.d),
+        pull=DerivativeBounds(slope[None], none.d, none.d, none.d),
         theta=theta.jet,
         pair=pair.jet,
         tangent=tangent.jet,
@@ -475,7 +486,9 @@ def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_tim
     values = iter((one * 3.0, one * kt))
     constants = SimpleNamespace(bounds=stiffest, most=lambda table, stretch: next(values))
     intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None)
-    drift = SimpleNamespace(still=False, ease=Jet(one, one * ease, one), give=Jet(one, one[..., 0] * give, one))
+    drift = SimpleNamespace(
+        still=False, ease=DerivativeBounds(one, one * ease, one), give=DerivativeBounds(one, one[..., 0] * give, one)
+    )
     bounds = bare(intervals=intervals, drift=drift)
     twisting, bending = bounds._easier()
     for found, stiff, rate in ((twisting, kt, ease), (bending, 3.0, give)):
@@ -488,9 +501,9 @@ def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_
     later, bow = np.array([[0.012, 0.025]]), 1e-4
     bounds = bare(
         intervals=SimpleNamespace(length=(length, later)),
-        spring=Jet(np.array([[0.03]]), np.array([[0.01]]), np.array([[bow]])),
-        long=Jet(later, later - length, 0 * length),
-        force=Jet(length, np.array([[0.3, 0.5]]), length),
+        spring=DerivativeBounds(np.array([[0.03]]), np.array([[0.01]]), np.array([[bow]])),
+        long=DerivativeBounds(later, later - length, 0 * length),
+        force=DerivativeBounds(length, np.array([[0.3, 0.5]]), length),
         kt=np.full((1, 2, 1), 2.0),
         stiffness=np.full((1, 2), 5.0),
     )
@@ -517,13 +530,13 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
         return np.array([0.3 if stretched else 0.5])
 
     bounds = bare(
-        theta=Jet(one, 0.2 * one, one),
-        pair=Jet(one[..., None], 0.6 * one[..., None], one[..., None]),
-        tangent=Jet(flat, 0.8 * flat, flat),
-        answer=(None, Jet(flat, 1.4 * flat, flat)),
-        long=Jet(2 * flat, flat, flat),
-        force=Jet(3 * flat, flat, flat),
-        couple=Jet(flat, 0.4 * flat, 0 * flat),
+        theta=DerivativeBounds(one, 0.2 * one, one),
+        pair=DerivativeBounds(one[..., None], 0.6 * one[..., None], one[..., None]),
+        tangent=DerivativeBounds(flat, 0.8 * flat, flat),
+        answer=(None, DerivativeBounds(flat, 1.4 * flat, flat)),
+        long=DerivativeBounds(2 * flat, flat, flat),
+        force=DerivativeBounds(3 * flat, flat, flat),
+        couple=DerivativeBounds(flat, 0.4 * flat, 0 * flat),
         weight=(7 * one, 11 * one[..., None]),
         swing=13 * flat,
     )
@@ -543,7 +556,7 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
 def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm() -> None:
     """An eighth of int 2 |h_t| |t_t| + h |t_tt|, and the lever of what is in the ball."""
     h, more, rate, bend, swing = np.random.default_rng(13).uniform(1, 2, (5, 1, K))
-    bounds = bare(long=Jet(h, more, 0 * h), tangent=Jet(0 * h, rate, bend), swing=swing)
+    bounds = bare(long=DerivativeBounds(h, more, 0 * h), tangent=DerivativeBounds(0 * h, rate, bend), swing=swing)
     found = bounds.off(np.array([0.3]))[0]
     assert found == pytest.approx(np.cumsum((2 * more * rate + h * bend) / 8 + 0.3 * h * swing))
 

@@ -70,7 +70,7 @@ def test_the_turn_that_snaps_is_planned(turn: Trajectory) -> None:
     assert turn.margin.min() >= 0.05
     np.testing.assert_allclose(turn.rotations[[0, -1]], [HOME[0], TURNED[0]], atol=1e-12)
     np.testing.assert_allclose(turn.translations[[0, -1]], 0.0, atol=1e-12)
-    # The library's own follower, which knows snaps, meets none.
+    # The library's own verifier, which knows snaps, meets none.
     walked = follow(THESIS, turn.rotations, turn.translations)
     assert not walked.snaps
     np.testing.assert_allclose([e.tip_position for e in walked.equilibria], turn.tip_position, atol=1e-8)

@@ -15,7 +15,7 @@ from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
-from tubeopt.planning import passage
+from tubeopt.planning import trajectory_trace
 from tubeopt.planning.branch import branch
 from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.robots.eccentric import SegmentedEccentricRobot
@@ -207,11 +207,11 @@ def test_equilibria_are_as_close_as_asked_for(monkeypatch: pytest.MonkeyPatch) -
     way = [0.0, 1.0], [[0.0, 0.0], [1.0, 0.0]]
     turns = []
     for turn in (0.01, 0.005):
-        monkeypatch.setattr(passage, "LARGEST_TURN", turn)
+        monkeypatch.setattr(trajectory_trace, "LARGEST_TURN", turn)
         turns.append(verify_trajectory(TWO_TUBE, *way))
     assert turns[0].least_margin == pytest.approx(turns[1].least_margin, abs=1e-9)
     assert [proof.equilibria for proof in turns] == [101, 201]
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 5)
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 5)
     assert not verify_trajectory(TWO_TUBE, *way).holds
 
 
@@ -248,7 +248,7 @@ def test_a_place_beside_a_sharp_edge_is_outside_of_the_mesh() -> None:
 def test_what_cannot_be_bounded_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three tubes so curved and so far off their middle that no interval, however short, bounds how they turn."""
     robot = EccentricRobot(Tube(1.9e-3, 1.6e-3, 0.02, 0.12, 60.0))
-    monkeypatch.setattr(passage, "MOST_HALVINGS", 2)
+    monkeypatch.setattr(trajectory_trace, "MOST_HALVINGS", 2)
     proof = verify_trajectory(robot, [0, 1], [[0.5, -0.3, 0.1], [0.54, -0.3, 0.1]])
     assert proof.snap is None
     assert "nothing shows that one stable branch" in proof.faults[0]

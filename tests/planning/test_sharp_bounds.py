@@ -16,10 +16,10 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import arms as several_arms
-from tubeopt.planning import branch, loaded_branch, passage, reach_share
+from tubeopt.planning import branch, loaded_branch, reach_share, trajectory_trace
 from tubeopt.planning.clearance_bound import Cells, Sizes, Wanted, cleared
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
-from tubeopt.planning.sections import PARTS, Arms, Constants, Intervals, Jet, linear
+from tubeopt.planning.sections import PARTS, Arms, Constants, DerivativeBounds, Intervals, linear
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -42,7 +42,7 @@ def bounds_between(robot: Robot, *joints: tuple[Any, Any]) -> branch._Bounds:
 
 def rate_of_what_is_off(ball: branch._Ball) -> float:
     """Bound of |e'| of what theta is off theta~, where theta~ is at rest and only the first derivative counts."""
-    flat = Jet(NONE, NONE, NONE, NONE)
+    flat = DerivativeBounds(NONE, NONE, NONE, NONE)
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None]),
         drift=SimpleNamespace(bow=flat),
@@ -84,7 +84,7 @@ def test_what_has_a_constant_second_derivative_is_off_its_chord_by_an_eighth_of_
     bounds: Any = SimpleNamespace(
         kt=kt, stiffness=stiffness, long=SimpleNamespace(v=long), spring=SimpleNamespace(v=spring)
     )
-    bounds.answer = Jet(NONE, NONE, torque), Jet(NONE, NONE, moment)
+    bounds.answer = DerivativeBounds(NONE, NONE, torque), DerivativeBounds(NONE, NONE, moment)
     bounds._size = lambda *parts: loaded_branch._Bounds._size(bounds, *parts)
     cuts = np.concatenate([[0.0], np.cumsum(long[0])])
     s = (np.arange(6000) + 0.5) / 6000 * cuts[-1]
@@ -124,7 +124,7 @@ class Rod:
             length=(long, long), radius=nothing + radius, sagitta=lambda link, section, x: np.full(len(link), bend)
         )
         self.off, self.times = nothing + off, np.array([0.0, 1.0])
-        self.follower: Any = SimpleNamespace(over=True)
+        self.verifier: Any = SimpleNamespace(over=True)
         self.whole = True
 
     def link_at(self, t: Array) -> Array:
@@ -213,15 +213,15 @@ def test_the_clearance_of_a_rod_by_its_first_cells_is_that_of_pythagoras() -> No
 
 
 def test_a_track_is_off_its_line_by_both_ends_of_a_link_and_whole_where_all_is_shown() -> None:
-    follower: Any = SimpleNamespace(
+    verifier: Any = SimpleNamespace(
         intervals=lambda equilibria, one, other: SimpleNamespace(
             arms=SimpleNamespace(shape_error=np.array([0.1, 0.3, 0.2]))
         )
     )
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
-    steps = [passage.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
-    links = [passage.Link(a, b, off=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
-    track = several_arms.Track(follower, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
+    steps = [trajectory_trace.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
+    links = [trajectory_trace.Link(a, b, off=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
+    track = several_arms.Track(verifier, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
     assert track.off == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
     assert track.times == pytest.approx(np.array([0.0, 1.0, 2.0]))
 
@@ -232,13 +232,13 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
 ) -> None:
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
     ends = (0.0, 0.9) if missing == "time" else (0.0, 1.0)
-    steps = tuple(passage.Step(at, arm, np.zeros(4)) for at in ends)
+    steps = tuple(trajectory_trace.Step(at, arm, np.zeros(4)) for at in ends)
     followed = SimpleNamespace(
         steps=steps, snap=0.7 if missing == "a snap" else None, lost=((0.1, 0.2),) if missing == "a branch" else ()
     )
     lost = [(0.1, 0.2)] if missing == "a link" else []
     monkeypatch.setattr(several_arms, "follow", lambda *_: followed)
-    monkeypatch.setattr(several_arms, "joined", lambda follower, links: (links, lost))
+    monkeypatch.setattr(several_arms, "joined", lambda verifier, links: (links, lost))
     none: Any = None
     track = several_arms.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
     assert track.whole == (missing == "nothing")
@@ -250,16 +250,16 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
 
 def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
-    steps = [passage.Step(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
+    steps = [trajectory_trace.Step(at, arm, np.full(4, at)) for at in (0.0, 1.0)]
     none: Any = None
-    track = several_arms.Track(none, (passage.Link(steps[0], steps[1]),), none, 0.0, 1.0)
+    track = several_arms.Track(none, (trajectory_trace.Link(steps[0], steps[1]),), none, 0.0, 1.0)
 
-    def ends(follower: Any, link: Any) -> list[Any]:
-        raise passage.BranchEndsError(0.5)
+    def ends(verifier: Any, link: Any) -> list[Any]:
+        raise trajectory_trace.BranchEndsError(0.5)
 
-    monkeypatch.setattr(several_arms, "halves", lambda follower, link: [link])
+    monkeypatch.setattr(several_arms, "halves", lambda verifier, link: [link])
     for lost in ([], [(0.0, 0.5)]):
-        monkeypatch.setattr(several_arms, "joined", lambda follower, links, lost=lost: (links, lost))
+        monkeypatch.setattr(several_arms, "joined", lambda verifier, links, lost=lost: (links, lost))
         assert track.finer(np.array([0])).whole == (not lost)
     monkeypatch.setattr(several_arms, "halves", ends)
     assert not track.finer(np.array([0])).whole
@@ -281,16 +281,17 @@ def test_a_stretch_of_time_that_is_short_is_not_halved(
     """Where one cell at once cannot show the clearance, stretches are halved down to 1e-9 of the time, or
     until there are no equilibria left, of which each round takes twice as many."""
     body = Sphere((0.0, 0.0, 0.4), 0.05)
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 40)
-    follower = passage.Follower(THESIS, scene_of([body]), Wanted(0.5, 1e-9, 0), Clock(60.0))
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 40)
+    verifier = trajectory_trace.TrajectoryVerifier(THESIS, scene_of([body]), Wanted(0.5, 1e-9, 0), Clock(60.0))
     joints = [np.append(angles, THESIS.home_translations) for angles in ([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])]
     steps = [
-        passage.Step(at, forward_kinematics(THESIS, q[:3]), q) for at, q in zip((0.5, 0.5 + share), joints, strict=True)
+        trajectory_trace.Step(at, forward_kinematics(THESIS, q[:3]), q)
+        for at, q in zip((0.5, 0.5 + share), joints, strict=True)
     ]
-    links, lost = passage.joined(follower, [passage.Link(steps[0], steps[1])])
+    links, lost = trajectory_trace.joined(verifier, [trajectory_trace.Link(steps[0], steps[1])])
     assert not lost
-    passage._kept_clear(follower, links)
-    assert follower.count == more
+    trajectory_trace._kept_clear(verifier, links)
+    assert verifier.count == more
 
 
 def test_a_point_of_an_arc_that_slides_out_is_off_its_chord_by_the_bend_of_its_path() -> None:
@@ -353,7 +354,10 @@ def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
     m, g = random.uniform(1, 2, (3, 4, 2)), random.uniform(1, 2, (3, 4, 2))
     bounds: Any = branch._Bounds.__new__(branch._Bounds)
     bounds.long = linear(h[None, :, 0], (h + more)[None, :, 0])
-    bounds.transmission, bounds.ease = linear(held[None], (held + longer)[None]), Jet(ease, NONE, NONE, NONE)
+    bounds.transmission, bounds.ease = (
+        linear(held[None], (held + longer)[None]),
+        DerivativeBounds(ease, NONE, NONE, NONE),
+    )
 
     def twist(t: float) -> Array:
         moment, stretch = (a[0] + a[1] * (t - 1) + a[2] * (t - 1) ** 2 / 2 for a in (m, g))
@@ -363,7 +367,7 @@ def test_what_moments_twist_by_is_bounded_by_its_own_derivatives() -> None:
             (held + t * longer) * gain.sum(0) + np.cumsum((h + t * more) * (1 + stretch) * mean * ease, axis=0)
         )
 
-    found, step = bounds.rotation(Jet(*m[:, None]), Jet(*g[:, None])), 1e-3
+    found, step = bounds.rotation(DerivativeBounds(*m[:, None]), DerivativeBounds(*g[:, None])), 1e-3
     before, here, after = (twist(1 + k * step) for k in (-1, 0, 1))
     assert found.v[0] == pytest.approx(here, rel=1e-9)
     assert found.d[0] == pytest.approx((after - before) / (2 * step), rel=1e-5)
@@ -403,7 +407,7 @@ def test_what_a_rotation_calls_forth_is_its_energy_over_the_margin(stiffness: fl
     bounds.weight, bounds.stiffness, bounds.long = (
         (weight, both),
         np.array([stiffness]),
-        Jet(np.array([[1.0, 2.0, 0.0]]), NONE, NONE),
+        DerivativeBounds(np.array([[1.0, 2.0, 0.0]]), NONE, NONE),
     )
     bounds.energy = lambda turn: np.array([0.3])
     turn = weight * 0.1, both * 0.2
@@ -423,7 +427,7 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
 ) -> None:
     """F = e - by_time t e - by_ball e^2 / 2 - residual t (1 - t) / 2: the most of e up to half of the time.
     Half of all of it is there without what it calls forth."""
-    flat, made = Jet(NONE, NONE, NONE, NONE), iter((NONE + by_time / 2, NONE + by_ball / 2))
+    flat, made = DerivativeBounds(NONE, NONE, NONE, NONE), iter((NONE + by_time / 2, NONE + by_ball / 2))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
         bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
@@ -431,7 +435,7 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
         zero=NONE,
         chord=lambda turn: None,
         cross_sections=lambda course: (flat, flat),
-        rotation=lambda moment, stretch: Jet(NONE, NONE, NONE + residual / 2),
+        rotation=lambda moment, stretch: DerivativeBounds(NONE, NONE, NONE + residual / 2),
         torque_change=lambda y: NONE,
         torque_second=lambda y, by: NONE,
         response=lambda turn: (2 * turn[0], 2 * turn[1]),

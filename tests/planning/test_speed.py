@@ -24,11 +24,11 @@ from tubeopt import (
 from tubeopt.bodies.scene import scene_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import PlanOptions, passage
+from tubeopt.planning import PlanOptions, trajectory_trace
 from tubeopt.planning.clearance_bound import Wanted
-from tubeopt.planning.passage import Follower, Link, Step, _divided, _meetings
 from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
-from tubeopt.planning.sections import Jet, inverse, turned
+from tubeopt.planning.sections import DerivativeBounds, inverse, turned
+from tubeopt.planning.trajectory_trace import Link, Step, TrajectoryVerifier, _divided, _meetings
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -59,10 +59,10 @@ def test_second_and_third_derivatives_of_the_tip_are_bounded(
     a, b = np.append(begin, home - 0.010), np.append(end, home - 0.010 + slide * np.arange(robot.n_tubes))
     if robot is ECCENTRIC:
         a, b = np.append(begin, home), np.append(end, home)
-    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    verifier = TrajectoryVerifier(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
     arms = [forward_kinematics(robot, *np.split(q, 2), load=load) for q in (a, b)]
-    intervals = follower.intervals(arms, np.array([0]), np.array([1]))
-    known = follower.joined(intervals)
+    intervals = verifier.intervals(arms, np.array([0]), np.array([1]))
+    known = verifier.joined(intervals)
     assert known.unbroken.all()
     second, third = known.rates[:, 0]
     tips = np.array([_tip(robot, a + (b - a) * x, load) for x in np.linspace(0, 1, 5)])
@@ -147,32 +147,32 @@ def test_what_is_not_proved_of_the_speed_is_not_kept() -> None:
 def test_product_and_inverse_of_jets_are_exact_where_all_derivatives_are_positive() -> None:
     """(e^(a t), e^(b t)) at 0: derivatives of their product are powers of a + b; 1 / (1 - c (e^t - 1)) has those of a
     series without negative terms."""
-    one, other = (Jet(*(np.array(x**k) for k in range(4))) for x in (0.7, 1.9))
+    one, other = (DerivativeBounds(*(np.array(x**k) for k in range(4))) for x in (0.7, 1.9))
     product = one * other
     assert [float(x) for x in (product.v, product.d, product.dd, product.ddd)] == pytest.approx(
         [2.6**k for k in range(4)]
     )
     c = 0.4
-    found = inverse(Jet(np.array(1.0), *(np.array(c) for _ in range(3))))
+    found = inverse(DerivativeBounds(np.array(1.0), *(np.array(c) for _ in range(3))))
     exact = [1.0, c, c + 2 * c**2, c + 6 * c**2 + 6 * c**3]
     assert [float(x) for x in (found.v, found.d, found.dd, found.ddd)] == pytest.approx(exact)
 
 
 def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
     """e(phi) for phi = w t: derivatives are powers of w, exactly; for phi = t^3 the third is 6."""
-    steady = turned(Jet(np.array(0.0), np.array(1.7), np.array(0.0), np.array(0.0)))
+    steady = turned(DerivativeBounds(np.array(0.0), np.array(1.7), np.array(0.0), np.array(0.0)))
     assert [float(x) for x in (steady.v, steady.d, steady.dd, steady.ddd)] == pytest.approx([1.7**k for k in range(4)])
-    cubic = turned(Jet(np.array(0.0), np.array(0.0), np.array(0.0), np.array(6.0)))
+    cubic = turned(DerivativeBounds(np.array(0.0), np.array(0.0), np.array(0.0), np.array(6.0)))
     assert float(cubic.ddd) == 6.0
     # phi = t + t^2 at 0: |e'''| = |(i^2) 3 phi' phi'' + i^3 phi'^3| = |-6 - i|, at most 7.
-    both = turned(Jet(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
+    both = turned(DerivativeBounds(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
     assert math.hypot(6, 1) <= float(both.ddd) == 7.0
 
 
 def test_a_limit_that_the_bound_does_not_reach_is_not_proved(monkeypatch: pytest.MonkeyPatch) -> None:
     """With too few equilibria for a sharp bound the limit is neither refuted nor satisfied."""
     last = np.radians([214, 0, 0])
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 121)
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 121)
     proof = verify_trajectory(THESIS, [0, 10], [[0, 0, 0], last], rate_limits=RateLimits(tip=0.1329))
     assert proof.measured_tip_rate < 0.1329 < proof.largest_tip_rate
     assert not proof.holds
@@ -321,11 +321,11 @@ def going(joints: list[list[float]]) -> Any:
         moving = np.concatenate([translations, translations + 0.25], axis=-1)
         return np.concatenate([np.zeros((*moving.shape[:-1], 1)), moving], axis=-1)
 
-    follower = SimpleNamespace(robot=SimpleNamespace(n_tubes=2), constants=SimpleNamespace(ended=2), cuts=cuts)
+    verifier = SimpleNamespace(robot=SimpleNamespace(n_tubes=2), constants=SimpleNamespace(ended=2), cuts=cuts)
     steps = [SimpleNamespace(joints=np.array(each), equilibrium="arm") for each in joints]
     found: Any = _Row.__new__(_Row)
     vars(found).update(
-        follower=follower,
+        verifier=verifier,
         links=[SimpleNamespace(one=a, other=b) for a, b in pairwise(steps)],
         passed=np.ones(len(joints) - 1),
         steps=steps,
@@ -349,12 +349,12 @@ def test_joints_go_on_alike_along_one_line_of_one_order_of_sections(joints: list
 
 def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None = None) -> Any:
     """One link from joint values at given rates, of equilibria so close that their difference has no second order."""
-    follower = Follower(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    verifier = TrajectoryVerifier(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
     joints = [np.array(here) + np.array(rate) * t for t in (0.0, 1e-3)]
     steps = [
         Step(t, forward_kinematics(robot, *np.split(q, 2), load=load), q) for t, q in zip((0, 1), joints, strict=True)
     ]
-    return _Row(follower, [Link(*steps)], 1e-3, {})
+    return _Row(verifier, [Link(*steps)], 1e-3, {})
 
 
 @pytest.mark.parametrize("end", [0, 1])
@@ -456,5 +456,5 @@ def test_meetings_at_one_time_are_one_and_parts_beside_them_are_none() -> None:
 
 def test_sections_change_at_the_plate_behind_it_and_at_places_of_a_load() -> None:
     load = Load(points=(PointLoad(0.07, (0.03, 0.0, 0.0)),))
-    follower = Follower(TWO_TUBE, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
-    assert follower.cuts(np.array([-0.02, 0.01])).tolist() == pytest.approx([0, -0.02, 0.01, 0.08, 0.11, 0.07])
+    verifier = TrajectoryVerifier(TWO_TUBE, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    assert verifier.cuts(np.array([-0.02, 0.01])).tolist() == pytest.approx([0, -0.02, 0.01, 0.08, 0.11, 0.07])

@@ -21,7 +21,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.answer import point_of, sure_margin
-from tubeopt.planning import passage
+from tubeopt.planning import trajectory_trace
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import Constants
@@ -217,7 +217,7 @@ def test_flutter_is_no_snap(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = rod(LENGTH, BENDING, 0.8 * BENDING)
     load = Load((0, 0, -0.96 * np.pi**2 / 4 * BENDING / LENGTH**2), (0, 0, BENDING / LENGTH))
     ends = ([-LENGTH / 10], [0.0])
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 60)
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 60)
     proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load)
     assert proof.faults[0].startswith("the robot begins to flutter at 92 % of the trajectory (0.92 s)")
     with pytest.raises(SolveError, match=r"flutter at 94\.575 %"):

@@ -43,9 +43,9 @@ from ..solvers.time_limit import LEAST_SECONDS, LONG_TIME_LIMIT
 from ..typing import Array, Index
 from .clearance_bound import SHARE, Table, Wanted, parted
 from .motion import RateLimits
-from .passage import SHORTEST, BranchEndsError, Follower, Link, Step, follow, halves, joined
 from .proof import Proof, ProofStatus, verify_trajectory
 from .sections import Constants, Intervals
+from .trajectory_trace import SHORTEST, BranchEndsError, Link, Step, TrajectoryVerifier, follow, halves, joined
 
 # Each halves the intervals in which the bound is not sharp.
 MOST_ROUNDS = 12
@@ -61,7 +61,7 @@ class Track:
     """A robot that was followed through its motion, and then rests: links in order of time; where it stands; from when
     to when (s) it moves; whether all of it is one stable branch, as was shown."""
 
-    follower: Follower
+    verifier: TrajectoryVerifier
     links: tuple[Link, ...]
     frame: Frame
     begin: float
@@ -79,7 +79,7 @@ class Track:
         """Those of the links."""
         steps = [self.links[0].one, *(link.other for link in self.links)]
         first = np.arange(len(self.links))
-        return self.follower.intervals([step.equilibrium for step in steps], first, first + 1)
+        return self.verifier.intervals([step.equilibrium for step in steps], first, first + 1)
 
     @cached_property
     def off(self) -> Array:
@@ -110,8 +110,8 @@ class Track:
         if not moving:
             return self
         try:
-            split = [half for link in moving.values() for half in halves(self.follower, link)]
-            more, lost = joined(self.follower, split)
+            split = [half for link in moving.values() for half in halves(self.verifier, link)]
+            more, lost = joined(self.verifier, split)
         except BranchEndsError:  # not where one branch was shown
             return replace(self, whole=False)
         kept = [link for k, link in enumerate(self.links) if k not in moving]
@@ -119,15 +119,15 @@ class Track:
         return replace(self, links=tuple(links), whole=self.whole and not lost)
 
 
-def tracked(follower: Follower, first: Equilibrium, time: Array, joints: Array, frame: Frame) -> Track:
-    """Follow joint values (T, 2n) at times (T,), s, of a robot that stands somewhere; the follower knows no bodies."""
-    passage = follow(follower, first, time, joints)
-    steps = passage.steps
+def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joints: Array, frame: Frame) -> Track:
+    """Follow joint values (T, 2n) at times (T,), s, of a robot that stands somewhere; the verifier knows no bodies."""
+    trace = follow(verifier, first, time, joints)
+    steps = trace.steps
     if len(steps) == 1:  # it only rests
         steps = (steps[0], Step(1.0, steps[0].equilibrium, steps[0].joints))
-    links, lost = joined(follower, [Link(a, b) for a, b in pairwise(steps)])
-    whole = passage.snap is None and not passage.lost and not lost and steps[-1].at == 1.0
-    return Track(follower, tuple(links), frame, float(time[0]), float(time[-1]), whole)
+    links, lost = joined(verifier, [Link(a, b) for a, b in pairwise(steps)])
+    whole = trace.snap is None and not trace.lost and not lost and steps[-1].at == 1.0
+    return Track(verifier, tuple(links), frame, float(time[0]), float(time[-1]), whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
         if closest < measured:
             measured, when = closest, then
         short = np.flatnonzero(bound < wanted.line(measured))
-        over = one.follower.over or other.follower.over
+        over = one.verifier.over or other.verifier.over
         if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
             break
         one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
@@ -487,8 +487,8 @@ def verify_arms(
                 )
             )
         wanted = Wanted(0.0, ACCURACY, MOST_CELLS)
-        follower = Follower(arm.robot, scene_of(()), wanted, clock)
-        tracks.append(tracked(follower, first, time, np.concatenate(joints, axis=1), arm.base))
+        verifier = TrajectoryVerifier(arm.robot, scene_of(()), wanted, clock)
+        tracks.append(tracked(verifier, first, time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):

@@ -19,8 +19,8 @@ farther than `off` from the straight line between where they are at both ends.
 Of tubes made of pieces theta~ is linear but for their natural turn, which is known: it is added to both sides of F = 0.
 Along arcs and helices of constant stiffness it is linear too, and nothing else changes. Where precurvature or stiffness
 varies along a tube, a place at a fixed fraction of a section moves along it, by no more than `Intervals.moved`; what
-that adds to the derivatives by time of moments, of u and of 1 / kt is `Drift`. All else is as for the least stiffness
-and the largest bend of each section.
+that adds to the derivatives by time of moments, of u and of 1 / kt is `TransportBounds`. All else is as for the least
+stiffness and the largest bend of each section.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..typing import Array, Mask
-from .sections import PARTS, Intervals, Jet, inverse, linear, part, turned
+from .sections import PARTS, DerivativeBounds, Intervals, inverse, linear, part, turned
 
 Turn = tuple[Array, Array]
 """Bounds (B, K, n) of the changes of theta_i in every section, and (B, K, n, n) of theta_i - theta_j."""
 
-Course = tuple[Jet, Jet]
+Course = tuple[DerivativeBounds, DerivativeBounds]
 """The same of their derivatives by time."""
 
 
@@ -75,12 +75,12 @@ def least_root(first: Array, left: Array, bow: Array) -> tuple[Array, Mask]:
     return np.asarray(radius), np.asarray((left > 0) & (root > 0))
 
 
-def whirled(w: Array, spin: Array, jerk: Array | None = None) -> Jet:
+def whirled(w: Array, spin: Array, jerk: Array | None = None) -> DerivativeBounds:
     """Of what turns at phi, and so of the tangent, where |phi|, |phi'| and maybe |phi''| have these bounds."""
-    return Jet(np.ones_like(w), w, spin + w**2, None if jerk is None else jerk + 3 * w * spin + w**3)
+    return DerivativeBounds(np.ones_like(w), w, spin + w**2, None if jerk is None else jerk + 3 * w * spin + w**3)
 
 
-def tip_of(sections: Jet) -> Array:
+def tip_of(sections: DerivativeBounds) -> Array:
     """(2, B) of the second and third derivative of the tip, of those of sections (B, K)."""
     assert sections.ddd is not None
     found = np.stack([sections.dd.sum(1), sections.ddd.sum(1)])
@@ -119,12 +119,12 @@ class _Bounds:
         """|y_i| <= sqrt((|beta_i| + s) / kt_i) and so on, for |y| = 1 in the norm of torsional energy."""
         self.torque = self.bending.pairs.sum(3)
         pairs, pulls, b = self.drift.pairs, self.drift.pulls, self.bending
-        self.pairing = Jet(b.pairs, pairs.d, pairs.dd, pairs.ddd)
-        self.pull = Jet(b.moment / b.stiffness[..., None], pulls.d, pulls.dd, pulls.ddd)
+        self.pairing = DerivativeBounds(b.pairs, pairs.d, pairs.dd, pairs.ddd)
+        self.pull = DerivativeBounds(b.moment / b.stiffness[..., None], pulls.d, pulls.dd, pulls.ddd)
         """m_i m_j / k (B, K, n, n) and m_i / k (B, K, n), where places move along tubes that vary."""
         self.zero = np.zeros_like(self.torque)
 
-    def steps(self) -> Jet:
+    def steps(self) -> DerivativeBounds:
         """(B, K, 1) lengths of the pieces."""
         return self.long.map(lambda bound: bound[..., None])
 
@@ -148,22 +148,22 @@ class _Bounds:
     def chord(self, turn: Turn) -> Course:
         """That of theta~."""
         bow = self.drift.bow.dd
-        return Jet(turn[0], turn[0], bow), Jet(turn[1], turn[1], _both(bow)[1])
+        return DerivativeBounds(turn[0], turn[0], bow), DerivativeBounds(turn[1], turn[1], _both(bow)[1])
 
-    def cross_sections(self, course: Course) -> tuple[Jet, Jet]:
+    def cross_sections(self, course: Course) -> tuple[DerivativeBounds, DerivativeBounds]:
         """(B, K, n) of the moment M, and (B, K) of u, along a course."""
         bent, k = self.bending.along((self.pull * turned(course[0])).map(lambda bound: bound.sum(2)))
         moment = (self.pairing * turned(course[1])).map(lambda bound: bound.sum(3))
         return (moment * inverse(k).map(lambda bound: bound[..., None]) if self.offset.any() else moment), bent
 
-    def torques(self, moment: Jet) -> tuple[Jet, Jet]:
+    def torques(self, moment: DerivativeBounds) -> tuple[DerivativeBounds, DerivativeBounds]:
         """(B, K, n) what tubes bear at both ends of every section, N m, of moments with these bounds."""
         gain = self.steps() * moment
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
         less = None if begin.ddd is None or gain.ddd is None else begin.ddd - gain.ddd
-        return begin, Jet(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd, less)
+        return begin, DerivativeBounds(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd, less)
 
-    def rotation(self, moment: Jet, stretch: Jet) -> Jet:
+    def rotation(self, moment: DerivativeBounds, stretch: DerivativeBounds) -> DerivativeBounds:
         """|beta| w(0) + int h (1 + stretch) w (B, K, n) at the end of every section, and so all over it."""
         begin, end = self.torques(moment)
         mean = (begin + end).map(lambda bound: bound / 2)
@@ -177,8 +177,8 @@ class _Bounds:
 
     def energy(self, turn: Turn) -> Array:
         """(B,) norm, in torsional energy, of (DF - 1) of what turns theta by at most this."""
-        begin, end = self.torques(Jet(self.torque_change(turn), self.zero, self.zero))
-        whole = self.torques(Jet(self.torque, self.zero, self.zero))[0].v
+        begin, end = self.torques(DerivativeBounds(self.torque_change(turn), self.zero, self.zero))
+        whole = self.torques(DerivativeBounds(self.torque, self.zero, self.zero))[0].v
         grown = 1 + self._stretch(self.bending.most)
         more = self._stretch(self.bending.change(turn[0])) * whole
         a, b = grown * begin.v + more, grown * end.v + more
@@ -215,15 +215,17 @@ class _Bounds:
         """(B, K, n) an eighth of the square of a stretch times the change of d^2 theta / dx^2 = h d (h g w) / ds."""
         h, (moment, _) = self.steps(), self.cross_sections(self.chord(turn))
         u, du = self.bending.most, self.bending.change(turn[0])
-        g = Jet(1 + self._stretch(u), self._stretch(du), self.zero)
+        g = DerivativeBounds(1 + self._stretch(u), self._stretch(du), self.zero)
         second = h * h * g * moment * self.ease
         if not self.drift.still:
             second = second + h * h * (self.torques(moment)[0] * self.drift.eased + self.drift.wound)
         if self.offset.any():
             w = self.torques(moment)[0] * self.ease
             speed = h * g * w
-            bent = Jet(self.bending.change(speed.v), self.bending.second(turn[0], speed.v), np.zeros_like(u))
-            bent = Jet(bent.v, bent.d + self.bending.change(speed.d), bent.dd)
+            bent = DerivativeBounds(
+                self.bending.change(speed.v), self.bending.second(turn[0], speed.v), np.zeros_like(u)
+            )
+            bent = DerivativeBounds(bent.v, bent.d + self.bending.change(speed.d), bent.dd)
             second = second + h * w * bent.map(self._stretch)
         return np.asarray(second.d / (8 * PARTS**2))
 
@@ -239,8 +241,8 @@ class _Bounds:
             y = self.weight
             dy, ddy = b.change(y[0]), b.second(y[0], by[0])
             drifting = self.drift.gain(y[1]) if moving else 0.0
-            varied = Jet(self.torque_change(y), self.torque_second(y, by) + drifting, self.zero)
-            gained = Jet(dy, ddy, du).map(self._stretch)
+            varied = DerivativeBounds(self.torque_change(y), self.torque_second(y, by) + drifting, self.zero)
+            gained = DerivativeBounds(dy, ddy, du).map(self._stretch)
             made = self._varied(varied, gained, by, moving)
             added.append(self.norm(self.response(_both(made))))
         q, bow = added[0] / 2, added[1]
@@ -258,14 +260,14 @@ class _Bounds:
         orders = [turn[0] + first * own, part(self.drift.bow, 2), part(self.drift.bow, 3)]
         pairs = [turn[1] + first[..., None] * self.weight[1], *(_both(each)[1] for each in orders[1:])]
         for order in (1, 2):
-            moment, bent = self.cross_sections((Jet(own, *orders), Jet(own, *pairs)))
+            moment, bent = self.cross_sections((DerivativeBounds(own, *orders), DerivativeBounds(own, *pairs)))
             along = self.rotation(moment, bent.map(self._stretch))
             size = (self.norm(self.response(_both(part(along, order + 1)))) / ball.stretch)[:, None, None]
             orders[order] = orders[order] + size * own
             pairs[order] = pairs[order] + size[..., None] * self.weight[1]
-        return Jet(own, *orders), Jet(own, *pairs)
+        return DerivativeBounds(own, *orders), DerivativeBounds(own, *pairs)
 
-    def whirl(self, turn: Turn, ball: _Ball) -> Jet:
+    def whirl(self, turn: Turn, ball: _Ball) -> DerivativeBounds:
         """(B, K) of the tangent of the equilibria themselves, to the third derivative."""
         bent = self.long * self.cross_sections(self.course(turn, ball))[1]
         assert bent.ddd is not None
@@ -275,14 +277,14 @@ class _Bounds:
         jerk = _ends((spin + w**2).mean(0) * bent.d + 2 * w.mean(0) * bent.dd + bent.ddd)
         return whirled(w, spin, jerk).map(lambda bound: bound.mean(0))
 
-    def _varied(self, varied: Jet, gained: Jet, by: Turn, moving: bool) -> Array:
+    def _varied(self, varied: DerivativeBounds, gained: DerivativeBounds, by: Turn, moving: bool) -> Array:
         """(B, K, n) first derivative, as theta turns `by` (and sections and transmissions move), of DF - 1 applied to
         what changes moments by `varied` and stretch by `gained`."""
         b, still = self.bending, self if moving else self._still()
-        plain = Jet(self._stretch(b.most), self._stretch(b.change(by[0])), self.zero)
+        plain = DerivativeBounds(self._stretch(b.most), self._stretch(b.change(by[0])), self.zero)
         made = still.rotation(varied, plain).d
         if self.offset.any():
-            twist = still.torques(Jet(self.torque, self.torque_change(by), self.zero))[0] * still.ease
+            twist = still.torques(DerivativeBounds(self.torque, self.torque_change(by), self.zero))[0] * still.ease
             made = made + (still.steps() * gained * twist).map(lambda bound: np.cumsum(bound, axis=1)).d
         return np.asarray(made)
 
@@ -290,7 +292,8 @@ class _Bounds:
         """The same with sections and transmissions at rest."""
         other = copy(self)
         other.long, other.transmission, other.ease = (
-            Jet(jet.v, np.zeros_like(jet.v), np.zeros_like(jet.v)) for jet in (self.long, self.transmission, self.ease)
+            DerivativeBounds(jet.v, np.zeros_like(jet.v), np.zeros_like(jet.v))
+            for jet in (self.long, self.transmission, self.ease)
         )
         return other
 

@@ -22,7 +22,7 @@ makes the energy strictly convex in a ball around the chord at all times, or g s
 equilibrium in it, a stable one (Newton and Kantorovich; Browder and Minty). Along the chord it is compared with that at
 the end nearer in time, or with what is linear between both ends, whichever shows more. All bounds are in closed form,
 of what is known of both equilibria. Where tubes vary, places at fixed fractions of sections move along them, which
-changes |a_i|, K and kt: by `Drift`, as in `branch`.
+changes |a_i|, K and kt: by `TransportBounds`, as in `branch`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import numpy as np
 from ..typing import Array, Mask
 from .branch import Branch, Turn, least_root, tip_of, whirled
 from .loaded_sections import LoadedIntervals
-from .sections import PARTS, Jet, linear, part, turned
+from .sections import PARTS, DerivativeBounds, linear, part, turned
 
 SIXTH = 1 / 6
 """Share of T by which a function of time may be off a straight line, where its second derivative is at most T, and T is
@@ -170,18 +170,20 @@ class _Bounds:
         by_tubes = (self.slope * c.turn[0] + self.pull.d).sum(2)
         return np.asarray(c.moment / self.stiffness + by_tubes + self.lever * self.drift.give.d)
 
-    def _wound(self, torque: Jet) -> Jet:
+    def _wound(self, torque: DerivativeBounds) -> DerivativeBounds:
         """(B, K, n) of theta, derivatives only, as torques twist the tubes."""
         begin = self.spring * torque.map(lambda bound: bound[:, 0])
         along = self.long.map(lambda bound: bound[..., None]) * torque * self.drift.ease
         return begin.map(lambda bound: bound[:, None]) + along.map(lambda b: np.cumsum(b, axis=1)) + self.drift.bow
 
-    def _bends(self, theta: Jet, moment: Jet) -> Jet:
+    def _bends(self, theta: DerivativeBounds, moment: DerivativeBounds) -> DerivativeBounds:
         """(B, K) of h u."""
         by_tubes = (self.pull * turned(theta)).map(lambda bound: bound.sum(2))
         return self.long * replace(by_tubes + moment * self.drift.give, v=self.u)
 
-    def _answer(self, theta: Jet, pair: Jet, tangent: Jet) -> tuple[Jet, Jet]:
+    def _answer(
+        self, theta: DerivativeBounds, pair: DerivativeBounds, tangent: DerivativeBounds
+    ) -> tuple[DerivativeBounds, DerivativeBounds]:
         """T_i (B, K, n); and M, as m_w (B, K)."""
         # M(s) = int_s^L (R't) x (R'n), R of s. How far t turns against R, and R against n, makes how far t turns.
         moment = (self.long * tangent * self.force).map(_ahead) + tangent * self.couple
@@ -197,13 +199,15 @@ class _Bounds:
         held = (self.spring.v * torque[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt((self.long.v * inside).sum(1) + held))
 
-    def _chord(self, c: _Changes, torque: Array) -> tuple[Jet, Jet, Jet, tuple[Jet, Jet]]:
+    def _chord(
+        self, c: _Changes, torque: Array
+    ) -> tuple[DerivativeBounds, DerivativeBounds, DerivativeBounds, tuple[DerivativeBounds, DerivativeBounds]]:
         """What goes linearly in torques, of at most `torque`, and moments, which change by c: theta, differences of
         theta, tangents, and the answer to it."""
-        bow = self._wound(Jet(torque, c.torque, np.zeros_like(c.torque))).dd
-        theta, both = Jet(np.ones_like(bow), c.turn[0] + bow / 2, bow), _both(bow)
-        pair = Jet(np.ones_like(both), c.turn[1] + both / 2, both)
-        bent = self._bends(theta, Jet(self.lever, c.moment, np.zeros_like(c.moment)))
+        bow = self._wound(DerivativeBounds(torque, c.torque, np.zeros_like(c.torque))).dd
+        theta, both = DerivativeBounds(np.ones_like(bow), c.turn[0] + bow / 2, bow), _both(bow)
+        pair = DerivativeBounds(np.ones_like(both), c.turn[1] + both / 2, both)
+        bent = self._bends(theta, DerivativeBounds(self.lever, c.moment, np.zeros_like(c.moment)))
         turn = np.cumsum(bent.d, axis=1)
         tangent = whirled(turn, np.cumsum(turn * bent.d + bent.dd, axis=1))
         return theta, pair, tangent, self._answer(theta, pair, tangent)
@@ -223,7 +227,7 @@ class _Bounds:
         torque = _ahead(h[..., None] * ((self.pairs * pair).sum(3) + by_load) + leaning)
         return _Changes((own, pair), torque, moment, np.ones(len(size), dtype=bool))
 
-    def whirl(self, radius: Array, convex: Array) -> Jet:
+    def whirl(self, radius: Array, convex: Array) -> DerivativeBounds:
         """(B, K) of the tangent of the equilibria themselves, to the third derivative, where they are within `radius`
         (B,) of the chord, and the second variation is at least `convex` (B,) times T.
 
@@ -312,15 +316,17 @@ class _Bounds:
         grown, held = _over(h.d, np.minimum(begin, end)), _over(self.spring.d, self.spring.v - self.spring.d)
         own = np.sqrt(np.cumsum(grown[..., None] / self.kt, axis=1) + held[:, None])
         bent = np.cumsum(h.v / self.stiffness, axis=1), np.cumsum(grown / self.stiffness, axis=1)
-        y = Jet(self.weight[0], own, np.zeros_like(own))
-        pair = Jet(self.weight[1], np.hypot(own[..., :, None], own[..., None, :]), np.zeros_like(self.weight[1]))
+        y = DerivativeBounds(self.weight[0], own, np.zeros_like(own))
+        pair = DerivativeBounds(
+            self.weight[1], np.hypot(own[..., :, None], own[..., None, :]), np.zeros_like(self.weight[1])
+        )
         theta, both, tangent, moment = self.theta, self.pair, self.tangent, self.answer[1]
         by_tubes = (self.pairing * turned(both) * pair * pair).map(lambda bound: bound.sum((2, 3)) / 2)
         pulled = self.pull * turned(theta)
         by_load = (pulled * moment.map(lambda bound: bound[..., None]) * y * y).map(lambda bound: bound.sum(2))
         # Of psi: by the turns of the tubes, and by the moments.
         swing = (tangent * h * (pulled * y).map(lambda bound: bound.sum(2))).map(lambda b: np.cumsum(b, axis=1))
-        swing = replace(swing + tangent * Jet(np.sqrt(bent[0]), np.sqrt(bent[1]), none), v=self.swing)
+        swing = replace(swing + tangent * DerivativeBounds(np.sqrt(bent[0]), np.sqrt(bent[1]), none), v=self.swing)
         # By parts m_w.(psi x psi') is half of what n makes of |psi|^2, beside n.(psi x (psi x e)).
         by_turns = (tangent * self.force * swing * swing).map(lambda bound: 1.5 * bound)
         by_forces = (h * (by_tubes + by_load + by_turns)).dd.sum(1)
@@ -389,9 +395,9 @@ class _Course:
         sizes = np.ones_like(of.torque), np.ones_like(of.pairs), of.torque, of.lever, np.ones_like(of.lever)
         return _Course(*([size, *(np.zeros_like(size) for _ in range(3))] for size in sizes))
 
-    def jet(self, name: str) -> Jet:
+    def jet(self, name: str) -> DerivativeBounds:
         """One of them."""
-        return Jet(*getattr(self, name))
+        return DerivativeBounds(*getattr(self, name))
 
 
 def _over(change: Array, least: Array) -> Array:

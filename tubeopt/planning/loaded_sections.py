@@ -12,7 +12,7 @@ from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.order import outermost, twisted_tube
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
-from .sections import JUMP, SHAPE_ERROR, Arms, Bending, Drift, Intervals, Jet, turned
+from .sections import JUMP, SHAPE_ERROR, Arms, CurvatureBounds, DerivativeBounds, Intervals, TransportBounds, turned
 
 
 def uncovered(load: Load) -> str:
@@ -216,8 +216,11 @@ class LoadedArms(Arms):
         if not len(inner):
             return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
-        bend = Bending.of(c, *self.crossed)
-        drift, pull = Drift.of(c, np.array(1.0), *self.crossed), [c.most(each, *self.crossed) for each in c.bounds.pull]
+        bend = CurvatureBounds.of(c, *self.crossed)
+        drift, pull = (
+            TransportBounds.of(c, np.array(1.0), *self.crossed),
+            [c.most(each, *self.crossed) for each in c.bounds.pull],
+        )
         pulls = self._felt[0][inner], self._felt[1][inner + 1]
         force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in pulls))
         # No moment is larger than what is ahead makes on a straight arm. Torque grows by |u| |a| per length, and by
@@ -229,12 +232,12 @@ class LoadedArms(Arms):
         ease, wound = drift.ease, drift.wound
         turn = torque * ease.v + c.most(c.bounds.twist[0], *self.crossed)
         turning = grows * ease.v + torque * ease.d + wound.v
-        swing = turned(Jet(turn, turn, turning))
+        swing = turned(DerivativeBounds(turn, turn, turning))
         whole, growing = torque.sum(1), grows.sum(1)
         bending = force + u * whole + couple
         by_tubes = replace(drift.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
         du = bending / bend.stiffness + moment * drift.give.d + by_tubes.d.sum(1)
-        a = Jet(*pull[:3]) * swing
+        a = DerivativeBounds(*pull[:3]) * swing
         grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
         turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + wound.d
         bent = force * u + along + du * whole + u * growing + couple * u
@@ -275,7 +278,7 @@ class LoadedIntervals(Intervals):
         return replace(found, ordered=found.ordered & (twists[one] == twists[other]).all((1, 2)))
 
     @cached_property
-    def _loads(self) -> tuple[Jet, Jet]:
+    def _loads(self) -> tuple[DerivativeBounds, DerivativeBounds]:
         """(B, K) of the force, N, and of the moment, N m, of what is ahead. In every section both are linear along it
         and in time."""
         tables = []
@@ -286,16 +289,16 @@ class LoadedIntervals(Intervals):
         for part in (FORCE, MOMENT):
             size = np.linalg.norm(table[..., part], axis=-1).max((0, 1))
             change = np.linalg.norm((table[1] - table[0])[..., part], axis=-1).max(0)
-            jets.append(Jet(size, change, np.zeros_like(size), np.zeros_like(size)))
+            jets.append(DerivativeBounds(size, change, np.zeros_like(size), np.zeros_like(size)))
         return jets[0], jets[1]
 
     @property
-    def force(self) -> Jet:
+    def force(self) -> DerivativeBounds:
         """(B, K) of the force on the cross-sections, N."""
         return self._loads[0]
 
     @cached_property
-    def couple(self) -> Jet:
+    def couple(self) -> DerivativeBounds:
         """(B, K) of the moments that act ahead, N m, nowhere larger towards the tip."""
         return self._loads[1].map(lambda bound: np.maximum.accumulate(bound[:, ::-1], axis=1)[:, ::-1])
 
@@ -318,9 +321,9 @@ class LoadedIntervals(Intervals):
         return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1] + self.couple.v)
 
     @cached_property
-    def bending(self) -> Bending:
+    def bending(self) -> CurvatureBounds:
         """Bounds of curvature, (B, K), with what the load bends."""
-        plain = Bending.of(self.arms.constants, self.stretch)
+        plain = CurvatureBounds.of(self.arms.constants, self.stretch)
         return replace(plain, most=plain.most + self.lever / plain.stiffness)
 
     @cached_property

@@ -30,8 +30,9 @@ OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_ac
 MIN_SAMPLES, MIN_SAMPLES_OF_TIP, MAX_SAMPLES = 100, 300, 4000
 """Bounds of the number of samples of a motion; the second applies where the speed of the tip is limited."""
 
-# As far apart as the equilibria of a proof (`passage.LARGEST_TURN`), whose first steps are the samples. Measured on
-# six plans: half takes 1.4 times as many equilibria, twice changes their number by 1 %, since the proof adds its own.
+# As far apart as the equilibria of a proof (`trajectory_trace.LARGEST_TURN`), whose first steps are the samples.
+# Measured on six plans: half takes 1.4 times as many equilibria, twice changes their number by 1 %, since the proof
+# adds its own.
 SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
 

@@ -50,7 +50,7 @@ from ..stability.following import checked_waypoints
 from ..typing import Array, Delegate, Mask, StatusEnum
 from .clearance_bound import Wanted
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
-from .passage import SHORTEST, Follower, Link, Passage, Step, follow, halves, joined
+from .trajectory_trace import SHORTEST, Link, Step, TrajectoryTrace, TrajectoryVerifier, follow, halves, joined
 
 TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""
@@ -87,13 +87,13 @@ class Pace:
     measured: float
 
 
-def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) -> Pace:
+def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limit: float) -> Pace:
     """The pace of a motion that takes `span`, s, along links that follow each other, halved where its bound is not
     sharp, or does not show that a `limit`, m/s, is kept."""
     links, most, measured = list(links), 0.0, 0.0
     slopes: Slopes = {}
     for _ in range(FINEST):
-        row = _Row(follower, links, span, slopes)
+        row = _Row(verifier, links, span, slopes)
         measured = float((row.speed - row.wrong).max(initial=0.0))
         if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
             return Pace(math.inf, measured)
@@ -104,8 +104,8 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
         loose = own > (min(line, limit) if reached <= limit else line)
         loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links], dtype=bool)
         # The speed over less than the accuracy of the tips is not known better.
-        loose &= own * row.passed > TOLERANCE * follower.length
-        if not loose.any() or follower.over:
+        loose &= own * row.passed > TOLERANCE * verifier.length
+        if not loose.any() or verifier.over:
             break
         # What the bound gives away falls with the square of the length, and faster near folds; halves get the cubic.
         best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
@@ -115,10 +115,10 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
         for link, count, bound in zip(links, times, own.tolist(), strict=True):
             more = [replace(link, fastest=bound)] if count else []
             for _ in range(int(count)):
-                more = [half for each in more for half in halves(follower, each)]
+                more = [half for each in more for half in halves(verifier, each)]
             parts += more
         links = [link for link, count in zip(links, times, strict=True) if not count]
-        links += joined(follower, parts)[0]
+        links += joined(verifier, parts)[0]
         links.sort(key=lambda link: link.one.at)
     return Pace(most, measured)
 
@@ -127,7 +127,7 @@ def paced(follower: Follower, links: Sequence[Link], span: float, limit: float) 
 class _Row:
     """B links that follow each other, in a motion that takes `span`, s."""
 
-    follower: Follower
+    verifier: TrajectoryVerifier
     links: list[Link]
     span: float
     slopes: Slopes
@@ -175,7 +175,7 @@ class _Row:
     def alike(self) -> Mask:
         """(B - 1,) whether joints go on along the same straight line at the inner steps, and so do the sections of the
         arm."""
-        n, along = self.follower.robot.n_tubes, self.rate / self.pace[:, None]
+        n, along = self.verifier.robot.n_tubes, self.rate / self.pace[:, None]
         same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
             return np.asarray(same)
@@ -184,7 +184,7 @@ class _Row:
 
     def _gaps(self, translations: Array) -> Array:
         """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n)."""
-        points = self.follower.cuts(translations)
+        points = self.verifier.cuts(translations)
         return np.asarray(points[:, :, None] - points[:, None, :])
 
     def velocity(self, step: int, link: int) -> Array | None:
@@ -195,7 +195,7 @@ class _Row:
         add up. There q' is a sum of parts that keep the order which the sections have in the link: all moving tubes
         together at the rate of the slowest, then all others by what the next is faster, and so on.
         """
-        e, inwards, n = self.steps[step].equilibrium, 1 if step == link else -1, self.follower.robot.n_tubes
+        e, inwards, n = self.steps[step].equilibrium, 1 if step == link else -1, self.verifier.robot.n_tubes
         turn, shift = np.split(inwards * self.rate[link], 2)
         parts: list[tuple[int, float, Mask]] = []
         if shift.any() and self._meeting(step, shift):
@@ -214,7 +214,7 @@ class _Row:
 
     def _meeting(self, step: int, shift: Array) -> bool:
         """Whether moving breakpoints of tubes at rates (n,) meet others, the plate or a place of the load at a step."""
-        n, ended = self.follower.robot.n_tubes, self.follower.constants.ended
+        n, ended = self.verifier.robot.n_tubes, self.verifier.constants.ended
         meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
         owner = np.full(len(meet), -1)
         owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)
@@ -223,7 +223,7 @@ class _Row:
 
     def _slopes(self, e: Equilibrium, together: Mask | None = None, side: int = 1) -> Array:
         """(3, 2n) J to one side, in which some tubes (n,) share a carriage, and so do the others."""
-        carriages = self.follower.robot.moving_together
+        carriages = self.verifier.robot.moving_together
         if together is not None:
             groups = (np.flatnonzero(mask).tolist() for mask in (together, ~together))
             carriages = tuple(tuple(tubes) for tubes in groups if tubes)
@@ -474,17 +474,17 @@ def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock
     forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
     wanted = Wanted(kept.clearance + moved, ACCURACY, MOST_CELLS)
-    follower = Follower(robot, scene_of(kept.bodies), wanted, clock, load)
+    verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), wanted, clock, load)
     rate_limits = kept.rate_limits
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
-    passage = follow(follower, first, t, joints)
-    pace = paced(follower, passage.links, float(t[-1] - t[0]), tip)
-    refuted, unproved = _branch_faults(follower, passage, kept.min_margin, t)
+    trace = follow(verifier, first, t, joints)
+    pace = paced(verifier, trace.links, float(t[-1] - t[0]), tip)
+    refuted, unproved = _branch_faults(verifier, trace, kept.min_margin, t)
     unproved += _tip_faults(pace, tip, pushed=forced is not None)
     if forced is not None:
         unproved += _force_faults(forced, kept.min_margin)
-    late = bool(unproved) and follower.clock.over
-    proof = _judge(follower, (passage, pace), refuted, joint_range(robot, kept.limits), (t, alpha, shift), rate_limits)
+    late = bool(unproved) and verifier.clock.over
+    proof = _judge(verifier, (trace, pace), refuted, joint_range(robot, kept.limits), (t, alpha, shift), rate_limits)
     proof = replace(proof, faults=(*proof.faults, *unproved), open=late and not proof.faults)
     return proof if forced is None else _under_force(proof, forced)
 
@@ -560,38 +560,40 @@ def _times(time: ArrayLike, count: int) -> Array:
     return t
 
 
-def _branch_faults(follower: Follower, passage: Passage, min_margin: float, time: Array) -> tuple[list[str], list[str]]:
+def _branch_faults(
+    verifier: TrajectoryVerifier, trace: TrajectoryTrace, min_margin: float, time: Array
+) -> tuple[list[str], list[str]]:
     """What is wrong with the branch, its margin and its clearance; and what of them is not shown."""
-    faults, unproved, wanted = [], [], follower.wanted.clearance
-    if passage.snap is not None:
-        at = f"{100 * passage.snap:.3g} % of the trajectory ({time[0] + passage.snap * np.ptp(time):.3g} s)"
+    faults, unproved, wanted = [], [], verifier.wanted.clearance
+    if trace.snap is not None:
+        at = f"{100 * trace.snap:.3g} % of the trajectory ({time[0] + trace.snap * np.ptp(time):.3g} s)"
         flutter = f"the robot begins to flutter at {at} or a little later: its equilibrium becomes unstable"
-        faults.append(flutter if follower.flutters else f"the robot snaps at {at}")
-    elif passage.margin < min_margin:
-        faults.append(f"the margin falls to {passage.margin:.4g}; it must be at least {min_margin:g}")
-    reached = passage.steps[-1].at
-    if passage.snap is None and reached < 1:
+        faults.append(flutter if verifier.flutters else f"the robot snaps at {at}")
+    elif trace.margin < min_margin:
+        faults.append(f"the margin falls to {trace.margin:.4g}; it must be at least {min_margin:g}")
+    reached = trace.steps[-1].at
+    if trace.snap is None and reached < 1:
         followed = f"when {100 * reached:.4g} % of it was followed"
-        needed = f"more than {follower.count} equilibria would be needed"
-        why = "the time limit was reached" if follower.clock.over else needed
+        needed = f"more than {verifier.count} equilibria would be needed"
+        why = "the time limit was reached" if verifier.clock.over else needed
         unproved.append(f"not proved: {why} {followed}")
-    elif passage.lost and follower.says:
-        unproved.append(f"not proved: {follower.says}")
-    elif passage.lost:
-        a, b = passage.lost[0]
-        for step in passage.steps:
-            if a <= step.at <= b and (sure := follower.sure(step.equilibrium)) <= 0:
+    elif trace.lost and verifier.says:
+        unproved.append(f"not proved: {verifier.says}")
+    elif trace.lost:
+        a, b = trace.lost[0]
+        for step in trace.steps:
+            if a <= step.at <= b and (sure := verifier.sure(step.equilibrium)) <= 0:
                 at = f"{100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}"
                 least = f"the least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}"
                 why = f"not proved: at {at}, but {least}; a proof under moments needs it above 0"
                 return faults, [*unproved, why]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the trajectory"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
-    if passage.measured < wanted:
-        shown = passage.measured * 1e3
+    if trace.measured < wanted:
+        shown = trace.measured * 1e3
         faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:.6g} mm")
-    elif -math.inf < passage.clearance < wanted:
-        shown = passage.clearance * 1e3
+    elif -math.inf < trace.clearance < wanted:
+        shown = trace.clearance * 1e3
         unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
 
@@ -604,16 +606,16 @@ def _again(equilibria: Sequence[Equilibrium]) -> float:
 
 
 def _judge(
-    follower: Follower,
-    found: tuple[Passage, Pace],
+    verifier: TrajectoryVerifier,
+    found: tuple[TrajectoryTrace, Pace],
     faults: list[str],
     space: JointSpace,
     table: tuple[Array, Array, Array],
     rate_limits: RateLimits | None,
 ) -> Proof:
     """Gather what was found, with what is wrong with the table itself."""
-    (t, alpha, shift), (passage, pace) = table, found
-    steps = [step.equilibrium for step in passage.steps]
+    (t, alpha, shift), (trace, pace) = table, found
+    steps = [step.equilibrium for step in trace.steps]
     tips = np.array([e.tip_position for e in steps])
     moved = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     tip_step = float(moved.max(initial=0.0))
@@ -621,26 +623,26 @@ def _judge(
     again = _again(picked)
     rates = [rates_of(t, values) for values in (alpha, shift)]
     turning, moving = ([float(each.max(initial=0.0)) for each in kind] for kind in rates)
-    if again > AGREEMENT * follower.length:
+    if again > AGREEMENT * verifier.length:
         faults.append(f"re-integration moves the tip by {again * 1e3:.3g} mm")
     faults += out_of_range(space, alpha, shift)
     if rate_limits is not None:
         faults += too_fast(space, rates, pace.measured, rate_limits)
     return Proof(
-        snap=passage.snap,
-        least_margin=passage.margin,
-        least_clearance=passage.clearance,
-        measured_clearance=passage.measured,
+        snap=trace.snap,
+        least_margin=trace.margin,
+        least_clearance=trace.clearance,
+        measured_clearance=trace.measured,
         paces=Paces(
             *(turning[0], moving[0], turning[1], moving[1], tip_step, pace.most, pace.measured),
             tip_length=float(moved.sum()),
         ),
         reintegration=again,
-        statistics=ProofStatistics(follower.count + 1, passage.steps[-1].at),
+        statistics=ProofStatistics(verifier.count + 1, trace.steps[-1].at),
         end=steps[-1],
         faults=tuple(faults),
-        samples=_at_samples(passage.steps, t),
-        clearance_from=follower.scene.stands_for,
+        samples=_at_samples(trace.steps, t),
+        clearance_from=verifier.scene.stands_for,
     )
 
 

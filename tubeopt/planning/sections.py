@@ -1,7 +1,7 @@
 """Many equilibria as one set of arrays, the sections that neighbours share, and bounds of their cross-sections.
 
-What `Bending` and `Drift` bound is written here by hand, apart from the physics by which motions are found, since it is
-part of their proof. Tests hold it against equilibria in between.
+What `CurvatureBounds` and `TransportBounds` bound is written here by hand, apart from the physics by which motions are
+found, since it is part of their proof. Tests compare it with equilibria in between.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..typing import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
-class Jet:
+class DerivativeBounds:
     """Bounds of |f|, |f'|, |f''| and, where it is known, |f'''| by time over an interval: arrays of any shape that go
     together."""
 
@@ -30,51 +30,51 @@ class Jet:
     dd: Array
     ddd: Array | None = None
 
-    def __add__(self, other: Jet) -> Jet:
+    def __add__(self, other: DerivativeBounds) -> DerivativeBounds:
         third = None if self.ddd is None or other.ddd is None else self.ddd + other.ddd
-        return Jet(self.v + other.v, self.d + other.d, self.dd + other.dd, third)
+        return DerivativeBounds(self.v + other.v, self.d + other.d, self.dd + other.dd, third)
 
-    def __mul__(self, other: Jet) -> Jet:
+    def __mul__(self, other: DerivativeBounds) -> DerivativeBounds:
         third = None
         if self.ddd is not None and other.ddd is not None:
             third = self.ddd * other.v + 3 * (self.dd * other.d + self.d * other.dd) + self.v * other.ddd
-        return Jet(
+        return DerivativeBounds(
             self.v * other.v,
             self.d * other.v + self.v * other.d,
             self.dd * other.v + 2 * self.d * other.d + self.v * other.dd,
             third,
         )
 
-    def map(self, function: Callable[[Array], Array]) -> Jet:
+    def map(self, function: Callable[[Array], Array]) -> DerivativeBounds:
         """A linear function with no negative weights, of all of them."""
         third = None if self.ddd is None else function(self.ddd)
-        return Jet(function(self.v), function(self.d), function(self.dd), third)
+        return DerivativeBounds(function(self.v), function(self.d), function(self.dd), third)
 
 
-def part(jet: Jet, order: int) -> Array:
+def part(jet: DerivativeBounds, order: int) -> Array:
     """A derivative of it."""
     found = (jet.v, jet.d, jet.dd, jet.ddd)[order]
     assert found is not None
     return found
 
 
-def linear(begin: Array, end: Array) -> Jet:
+def linear(begin: Array, end: Array) -> DerivativeBounds:
     """Of what goes linearly from one value to another while time goes from 0 to 1."""
     zero = np.zeros_like(begin)
-    return Jet(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), zero, zero)
+    return DerivativeBounds(np.maximum(np.abs(begin), np.abs(end)), np.abs(end - begin), zero, zero)
 
 
-def turned(angle: Jet) -> Jet:
+def turned(angle: DerivativeBounds) -> DerivativeBounds:
     """Of a unit vector that turns by an angle in a plane, or its sine; of the angle only derivatives count."""
     third = None if angle.ddd is None else angle.d**3 + 3 * angle.d * angle.dd + angle.ddd
-    return Jet(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
+    return DerivativeBounds(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
 
 
-def inverse(size: Jet) -> Jet:
+def inverse(size: DerivativeBounds) -> DerivativeBounds:
     """Of 1 / f, where f is at least `size.v`."""
     one, two = size.d / size.v, size.dd / size.v
     third = None if size.ddd is None else (size.ddd / size.v + 6 * one * two + 6 * one**3) / size.v
-    return Jet(1 / size.v, one / size.v, (two + 2 * one**2) / size.v, third)
+    return DerivativeBounds(1 / size.v, one / size.v, (two + 2 * one**2) / size.v, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class Constants:
 
 
 @dataclass(frozen=True, eq=False)
-class Bending:
+class CurvatureBounds:
     """Bounds of the curvature u of cross-sections (...), whatever the rotations, and of how it changes with them.
 
     u k(u) = S, S = sum m_i e(theta_i), k = sum kb_i / g_i, g_i = 1 + d_i u.a_i; where d = 0, k is a constant. k is
@@ -160,7 +160,7 @@ class Bending:
     """(...) of |d(u k)| over |du| from below."""
 
     @staticmethod
-    def of(c: Constants, *stretches: Index) -> Bending:
+    def of(c: Constants, *stretches: Index) -> CurvatureBounds:
         """Of cross-sections in any of these stretches (..., n) of the tubes."""
         moment, kb = c.most(c.bounds.pull[0], *stretches), c.least(c.bounds.bending[0], *stretches)
         # Where no tube is present there is nothing to bend.
@@ -180,13 +180,13 @@ class Bending:
         pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
         n = moment.shape[-1]
         pairs[..., np.arange(n), np.arange(n)] = 0.0
-        return Bending(moment, pairs, most, stiffness, slope, bow, hook, yielding)
+        return CurvatureBounds(moment, pairs, most, stiffness, slope, bow, hook, yielding)
 
     def change(self, turn: Array) -> Array:
         """(...) bound of |du| where theta_i changes by at most turn (..., n)."""
         return np.asarray((self.moment * turn).sum(-1) / self.yielding)
 
-    def along(self, pulled: Jet) -> tuple[Jet, Jet]:
+    def along(self, pulled: DerivativeBounds) -> tuple[DerivativeBounds, DerivativeBounds]:
         """(...) of u, and of k over what it is at least, where S over that has the derivatives of `pulled`."""
         ratio, k = self.stiffness / self.yielding, self.stiffness
         two, three = 2 * self.slope / k + self.most * self.bow / k, (3 * self.bow + self.most * self.hook) / k
@@ -196,8 +196,8 @@ class Bending:
         if pulled.ddd is not None:
             third = ratio * (pulled.ddd + 3 * two * d * dd + three * d**3)
             stiff = (self.slope * third + 3 * self.bow * d * dd + self.hook * d**3) / k
-        size = Jet(np.ones_like(k), self.slope * d / k, (self.slope * dd + self.bow * d**2) / k, stiff)
-        return Jet(self.most, d, dd, third), size
+        size = DerivativeBounds(np.ones_like(k), self.slope * d / k, (self.slope * dd + self.bow * d**2) / k, stiff)
+        return DerivativeBounds(self.most, d, dd, third), size
 
     def second(self, one: Array, other: Array) -> Array:
         """(...) bound of the second derivative of u in directions that turn theta_i by at most these (..., n)."""
@@ -206,41 +206,41 @@ class Bending:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class TransportBounds:
     """Bounds of how cross-sections (...) change where they move along n tubes, all else at rest: what tubes that vary
     add to the derivatives by time of curvature and moments. Tubes on the centreline, else there is none."""
 
     still: bool
     """Whether nothing varies; all but 1 / kt is then a 0 of no shape."""
-    pulls: Jet
+    pulls: DerivativeBounds
     """(..., n) of a_i / k, a_i = kb_i u*_xy in the tube's own frame."""
-    pairs: Jet
+    pairs: DerivativeBounds
     """(..., n, n) of a_i a_j / k, i unlike j."""
-    ease: Jet
+    ease: DerivativeBounds
     """(..., n) of 1 / kt."""
-    eased: Jet
+    eased: DerivativeBounds
     """(..., n) of its derivative by arc length."""
-    wound: Jet
+    wound: DerivativeBounds
     """(..., n) of that of u*_z, with one derivative by time."""
-    bow: Jet
+    bow: DerivativeBounds
     """(..., n) of what the natural turn is off a straight line in time, derivatives only."""
-    give: Jet
+    give: DerivativeBounds
     """(...) of 1 / k."""
 
     @staticmethod
-    def of(c: Constants, move: Array, *stretches: Index) -> Drift:
+    def of(c: Constants, move: Array, *stretches: Index) -> TransportBounds:
         """Of cross-sections in any of these stretches (..., n), that move by `move` (..., n), m, in the time."""
         b, none = c.bounds, np.zeros(())
         kb = c.least(b.bending[0], *stretches)
         kb = np.where(kb.any(-1, keepdims=True), kb, 1.0)
         if c.still:
-            nothing, give = Jet(none, none, none, none), Jet(1 / kb.sum(-1), none, none, none)
-            ease = Jet(1 / c.least(b.torsional, *stretches), none, none, none)
-            return Drift(True, nothing, nothing, ease, nothing, nothing, nothing, give)
+            nothing, give = DerivativeBounds(none, none, none, none), DerivativeBounds(1 / kb.sum(-1), none, none, none)
+            ease = DerivativeBounds(1 / c.least(b.torsional, *stretches), none, none, none)
+            return TransportBounds(True, nothing, nothing, ease, nothing, nothing, nothing, give)
 
-        def jet(value: Array, *rates: Array) -> Jet:
+        def jet(value: Array, *rates: Array) -> DerivativeBounds:
             rows = [c.most(rate, *stretches) * move ** (k + 1) for k, rate in enumerate(rates)]
-            return Jet(value, *rows, *(np.zeros_like(value) for _ in range(3 - len(rows))))
+            return DerivativeBounds(value, *rows, *(np.zeros_like(value) for _ in range(3 - len(rows))))
 
         give = inverse(jet(kb, *b.bending[1:]).map(lambda part: part.sum(-1)))
         pull = jet(c.most(b.pull[0], *stretches), *b.pull[1:])
@@ -249,10 +249,10 @@ class Drift:
         pairs = pairs.map(lambda part: part * (1 - np.eye(part.shape[-1])))
         ease = jet(1 / c.least(b.torsional, *stretches), *b.ease)
         slope, bend, third = (c.most(rate, *stretches) for rate in b.ease)
-        eased = Jet(slope, bend * move, third * move**2)
+        eased = DerivativeBounds(slope, bend * move, third * move**2)
         wound = jet(c.most(b.twist[1], *stretches), b.twist[2])
-        bow = Jet(np.zeros_like(move), wound.v * move**2 / 2, wound.v * move**2, wound.d * move**2)
-        return Drift(False, pulls, pairs, ease, eased, wound, bow, give)
+        bow = DerivativeBounds(np.zeros_like(move), wound.v * move**2 / 2, wound.v * move**2, wound.d * move**2)
+        return TransportBounds(False, pulls, pairs, ease, eased, wound, bow, give)
 
     def bend(self, turn: Array, bow: Array) -> tuple[Array, Array]:
         """(...) what it adds to the first and second derivative of u, theta' by time being `turn` and theta'' `bow`."""
@@ -437,7 +437,7 @@ class Arms:
         if not len(self.inner):
             return out, turned
         h, owner = np.diff(self.arc_length)[self.inner], self.owner[self.inner]
-        bend, drift = Bending.of(c, *self.crossed), Drift.of(c, np.array(1.0), *self.crossed)
+        bend, drift = CurvatureBounds.of(c, *self.crossed), TransportBounds.of(c, np.array(1.0), *self.crossed)
         most, kt = bend.pairs.sum(2), c.least(c.bounds.torsional, *self.crossed)
         torque = self._torque(h[:, None] * most)
         gain = most / kt + torque * drift.ease.d + drift.wound.v
@@ -527,9 +527,9 @@ class Intervals:
         return cls(arms, one, other, sides[0], sides[1], stretch, ordered)
 
     @cached_property
-    def bending(self) -> Bending:
+    def bending(self) -> CurvatureBounds:
         """Bounds of curvature, (B, K)."""
-        return Bending.of(self.arms.constants, self.stretch)
+        return CurvatureBounds.of(self.arms.constants, self.stretch)
 
     @cached_property
     def moved(self) -> Array:
@@ -540,9 +540,9 @@ class Intervals:
         return np.asarray(np.maximum(ends[:, :-1], ends[:, 1:]))
 
     @cached_property
-    def drift(self) -> Drift:
+    def drift(self) -> TransportBounds:
         """What moving along tubes that vary adds, (B, K)."""
-        return Drift.of(self.arms.constants, self.moved, self.stretch)
+        return TransportBounds.of(self.arms.constants, self.moved, self.stretch)
 
     @cached_property
     def torsional(self) -> Array:
@@ -550,7 +550,7 @@ class Intervals:
         return self.arms.constants.least(self.arms.constants.bounds.torsional, self.stretch)
 
     @cached_property
-    def transmission(self) -> Jet:
+    def transmission(self) -> DerivativeBounds:
         """(B, n) of int ds / kt from where tubes are held to the plate, 1/(N m); its rate is 1 / kt in section 0."""
         c = self.arms.constants
         whole = c.along.compliant(-c.held(self.arms.translations))
@@ -558,7 +558,7 @@ class Intervals:
         if self.drift.still:
             return plain
         moved = self.drift.eased.map(lambda bound: bound[:, 0] * self.moved[:, 0] ** 2)
-        return Jet(plain.v, plain.d + moved.v / 2, moved.v, moved.d)
+        return DerivativeBounds(plain.v, plain.d + moved.v / 2, moved.v, moved.d)
 
     @cached_property
     def radius(self) -> Array:

@@ -12,16 +12,16 @@ from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
 from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.loaded_branch import _Bounds
-from tubeopt.planning.sections import Bending, Constants, Drift, Jet
+from tubeopt.planning.sections import Constants, CurvatureBounds, DerivativeBounds, TransportBounds
 from tubeopt.typing import Array
 
 
-def exponential(rate: float) -> Jet:
+def exponential(rate: float) -> DerivativeBounds:
     """exp(rate t) at t = 0, with its first three derivatives."""
-    return Jet(*(np.array([rate**order]) for order in range(4)))
+    return DerivativeBounds(*(np.array([rate**order]) for order in range(4)))
 
 
-def parts(jet: Jet) -> list[float]:
+def parts(jet: DerivativeBounds) -> list[float]:
     return [float(each[0]) for each in (jet.v, jet.d, jet.dd, jet.ddd) if each is not None]
 
 
@@ -30,7 +30,7 @@ def test_the_product_of_exponentials_is_that_of_the_sum_of_their_rates(a: float,
     assert parts(exponential(a) * exponential(b)) == pytest.approx(parts(exponential(a + b)))
     total = exponential(a) + exponential(b)
     assert parts(total) == pytest.approx([a**k + b**k for k in range(4)])
-    short = Jet(*(np.array([a**order]) for order in range(3)))
+    short = DerivativeBounds(*(np.array([a**order]) for order in range(3)))
     assert parts(short * exponential(b)) == pytest.approx([(a + b) ** k for k in range(3)])
     assert parts(exponential(a).map(lambda x: 3 * x)) == pytest.approx([3 * a**k for k in range(4)])
 
@@ -42,7 +42,11 @@ def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations()
     robot = EccentricRobot(tube)
     constants = Constants.of(robot)
     inside = constants.stretch(np.array(0.01), constants.breakpoints(robot.home_translations))
-    bound, kb, m = Bending.of(constants, inside), tube.bending_stiffness, tube.bending_stiffness * tube.curvature
+    bound, kb, m = (
+        CurvatureBounds.of(constants, inside),
+        tube.bending_stiffness,
+        tube.bending_stiffness * tube.curvature,
+    )
     places = 2 * np.pi / 3 * np.arange(3)
     lever = robot.distance * np.stack([np.sin(places), -np.cos(places)], axis=-1)  # d a
 
@@ -92,11 +96,11 @@ def test_a_bent_patch_of_an_arm_takes_sagitta_and_radius_off_the_clearance(
 def test_between_its_ends_a_parabola_is_no_steeper_than_its_chord_by_more_than_half_its_bow(bow: float) -> None:
     # f = t (change + bow (1 - t) / 2): f' is change + bow / 2 where it begins, |f''| the bow.
     change, t = 0.3, np.linspace(0, 1, 101)
-    curve = Jet(np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.full((1, 1, 1), bow))
+    curve = DerivativeBounds(np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.full((1, 1, 1), bow))
     still = SimpleNamespace(
         lever=np.zeros((1, 1)),
         _wound=lambda torque: curve,
-        _bends=lambda theta, moment: Jet(*np.zeros((3, 1, 1))),
+        _bends=lambda theta, moment: DerivativeBounds(*np.zeros((3, 1, 1))),
         _answer=lambda theta, pair, tangent: None,
     )
     turn = np.full((1, 1, 1), change), np.full((1, 1, 1, 1), change)
@@ -114,12 +118,12 @@ def test_between_its_ends_a_parabola_is_no_steeper_than_its_chord_by_more_than_h
 def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_turns(which: str) -> None:
     """Of a(t) exp(i theta(t)), but for a theta'^2, which is there without drift; sharp where terms are parallel."""
     random = np.random.default_rng(0)
-    none = Jet(*np.zeros((3, 1, 1)))
+    none = DerivativeBounds(*np.zeros((3, 1, 1)))
     for _ in range(50):
         v, d, dd, turn, bow = random.uniform(0.0, 2.0, 5)
         for change, speed, curve in ((d, dd, bow), (0.0, dd, 0.0), (d, 0.0, bow)):
-            pulls = Jet(*(np.array([[each]]) for each in (v, change, speed)))
-            drift = Drift(False, pulls, pulls, none, none, none, none, none)
+            pulls = DerivativeBounds(*(np.array([[each]]) for each in (v, change, speed)))
+            drift = TransportBounds(False, pulls, pulls, none, none, none, none, none)
             first, second = getattr(drift, which)(np.array([[turn]]), np.array([[curve]]))
             true = speed + 2j * change * turn + 1j * v * curve
             assert first.item() == pytest.approx(change)
@@ -129,12 +133,12 @@ def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_t
 
 
 def test_what_drift_adds_to_a_bend_is_the_sum_over_the_tubes_of_a_cross_section() -> None:
-    none = Jet(*np.zeros((3, 1, 1)))
+    none = DerivativeBounds(*np.zeros((3, 1, 1)))
     v, d, dd, turn, bow = np.random.default_rng(1).uniform(0.0, 2.0, (5, 2, 3))
 
     def added(tubes: slice) -> Array:
-        pulls = Jet(v[:, tubes], d[:, tubes], dd[:, tubes])
-        drift = Drift(False, pulls, pulls, none, none, none, none, none)
+        pulls = DerivativeBounds(v[:, tubes], d[:, tubes], dd[:, tubes])
+        drift = TransportBounds(False, pulls, pulls, none, none, none, none, none)
         return np.array(drift.bend(turn[:, tubes], bow[:, tubes]))
 
     assert added(slice(3)) == pytest.approx(sum(added(slice(i, i + 1)) for i in range(3)))

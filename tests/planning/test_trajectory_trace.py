@@ -1,4 +1,4 @@
-"""What a passage takes from its equilibria: how soft they are, how close the arm comes, and the least margin."""
+"""What the trace of a trajectory takes from its equilibria: stiffness, closest place of the arm, least margin."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import scene_of
 from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
-from tubeopt.planning import passage, proof
+from tubeopt.planning import proof, trajectory_trace
 from tubeopt.planning.clearance_bound import Wanted
-from tubeopt.planning.passage import BranchEndsError, Follower, Link, Step, follow
 from tubeopt.planning.sections import Arms
+from tubeopt.planning.trajectory_trace import BranchEndsError, Link, Step, TrajectoryVerifier, follow
 from tubeopt.robots.robot import Robot
 
 
-def follower_of(robot: Robot, *bodies: Sphere) -> Follower:
-    return Follower(robot, scene_of(bodies), Wanted(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0))
+def verifier_of(robot: Robot, *bodies: Sphere) -> TrajectoryVerifier:
+    return TrajectoryVerifier(robot, scene_of(bodies), Wanted(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0))
 
 
 def test_the_stiffness_of_two_opposed_tubes_is_that_of_a_column() -> None:
@@ -31,17 +31,17 @@ def test_the_stiffness_of_two_opposed_tubes_is_that_of_a_column() -> None:
     robot = nested((0.0, length, curvature), (0.0, length, curvature))
     one, other = ((tube.bending_stiffness, tube.torsional_stiffness) for tube in robot.tubes)
     pulled = curvature**2 * one[0] * other[0] / (one[0] + other[0]) * (1 / one[1] + 1 / other[1])
-    follower = follower_of(robot)
-    arms = Arms.of(follower.constants, [forward_kinematics(robot, [np.pi, 0.0])])
-    assert follower._stiffness(arms) == pytest.approx([1 - pulled * (2 * length / np.pi) ** 2], rel=1e-6)
+    verifier = verifier_of(robot)
+    arms = Arms.of(verifier.constants, [forward_kinematics(robot, [np.pi, 0.0])])
+    assert verifier._stiffness(arms) == pytest.approx([1 - pulled * (2 * length / np.pi) ** 2], rel=1e-6)
 
 
 @pytest.mark.parametrize("turn", [1.0, 2.0])
 def test_the_stiffness_of_an_eccentric_arm_is_the_least_that_its_equations_make_of_a_turn(turn: float) -> None:
     """|H y| >= stiffness |y| for all y, and one y attains it."""
     robot = eccentric_robot()
-    follower, arm = follower_of(robot), forward_kinematics(robot, np.array([1.0, -0.5, -0.5]) * turn)
-    found, equations = follower._stiffness(Arms.of(follower.constants, [arm])), linearised(arm)
+    verifier, arm = verifier_of(robot), forward_kinematics(robot, np.array([1.0, -0.5, -0.5]) * turn)
+    found, equations = verifier._stiffness(Arms.of(verifier.constants, [arm])), linearised(arm)
     assert found == pytest.approx([1 / np.linalg.norm(np.linalg.inv(equations), 2)], rel=1e-9)
     random = np.random.default_rng(0).normal(size=(len(equations), 100))
     assert (np.linalg.norm(equations @ random, axis=0) >= found * np.linalg.norm(random, axis=0)).all()
@@ -55,8 +55,8 @@ def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
     outwards = middle.tip_position * [1, 1, 0] / np.linalg.norm(middle.tip_position[:2])
     bend = curvature * length
     ahead = middle.tip_position + 8e-3 * (np.sin(bend) * outwards + np.cos(bend) * np.array([0.0, 0.0, 1.0]))
-    follower = follower_of(robot, Sphere(tuple(ahead.tolist()), radius))
-    found = follow(follower, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
+    verifier = verifier_of(robot, Sphere(tuple(ahead.tolist()), radius))
+    found = follow(verifier, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
     true = 8e-3 - radius - robot.tubes[0].outer_diameter / 2
     assert not found.lost
     assert true - proof.ACCURACY <= found.clearance <= true + 1e-9
@@ -65,11 +65,11 @@ def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
 
 def test_no_clearance_is_shown_where_a_branch_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two steps far apart, and no equilibria left to put between them."""
-    monkeypatch.setattr(passage, "LARGEST_TURN", 1.0)
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 1)
+    monkeypatch.setattr(trajectory_trace, "LARGEST_TURN", 1.0)
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 1)
     begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [1.0, 0.0, 0.0, 0.0]])
-    follower = follower_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3))
-    found = follow(follower, begin, np.array([0.0, 1.0]), turned)
+    verifier = verifier_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3))
+    found = follow(verifier, begin, np.array([0.0, 1.0]), turned)
     assert found.lost
     assert found.clearance == -np.inf
     assert np.isfinite(found.measured)
@@ -80,22 +80,22 @@ def test_no_clearance_is_shown_where_a_branch_is_lost_between_more_equilibria(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [0.02, 0.0, 0.0, 0.0]])
-    ball, found = Sphere((0.0, 0.0, 1.0), 1e-3), passage.joined
+    ball, found = Sphere((0.0, 0.0, 1.0), 1e-3), trajectory_trace.joined
     answers = {"nothing": [], "a half": [[], [(0.25, 0.25)]], "the branch": []}[lost]
 
-    def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
-        return found(follower, links)[0], answers.pop(0) if answers else []
+    def joined(verifier: TrajectoryVerifier, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
+        return found(verifier, links)[0], answers.pop(0) if answers else []
 
-    def halves(follower: Follower, link: Link) -> list[Link]:
+    def halves(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
         raise BranchEndsError(0.25)
 
-    monkeypatch.setattr(passage, "joined", joined)
+    monkeypatch.setattr(trajectory_trace, "joined", joined)
     if lost == "the branch":
-        monkeypatch.setattr(passage, "halves", halves)
-    monkeypatch.setattr(passage, "MOST_EQUILIBRIA", 9)
-    follower = follower_of(TWO_TUBE, ball)
-    follower.wanted = Wanted(1.0, 1e-9, 0)
-    shown = follow(follower, begin, np.arange(2.0), turned)
+        monkeypatch.setattr(trajectory_trace, "halves", halves)
+    monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 9)
+    verifier = verifier_of(TWO_TUBE, ball)
+    verifier.wanted = Wanted(1.0, 1e-9, 0)
+    shown = follow(verifier, begin, np.arange(2.0), turned)
     assert shown.lost == (() if lost == "nothing" else ((0.25, 0.25),))
     assert np.isfinite(shown.clearance) == (lost == "nothing")
 
@@ -112,10 +112,10 @@ def test_the_least_of_a_parabola_lies_an_eighth_of_its_rise_below_samples(high: 
         return step(t, high * (t - 0.5) ** 2)
 
     dip = [step(t, high * (t - 0.5) ** 2) for t in (-1.0, 0.0, 1.0, 2.0)]
-    follower: Any = SimpleNamespace(between=between, over=False)
+    verifier: Any = SimpleNamespace(between=between, over=False)
     for elsewhere in (9.0, 0.01):
         steps = [*dip, step(3.0, elsewhere * high)]
-        assert passage._least_margin(follower, steps) <= passage.DIP
+        assert trajectory_trace._least_margin(verifier, steps) <= trajectory_trace.DIP
 
 
 def test_no_step_is_made_to_an_unstable_equilibrium(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,7 +124,7 @@ def test_no_step_is_made_to_an_unstable_equilibrium(monkeypatch: pytest.MonkeyPa
     joints = np.array([np.pi, 0.0, 0.0, 0.0])
     flat = forward_kinematics(robot, [0.0, 0.0])
     saddle = SimpleNamespace(stable=False)
-    follower = follower_of(robot)
+    verifier = verifier_of(robot)
     for name, find in (("step", "forward_kinematics"), ("near", "one_step")):
-        monkeypatch.setattr(passage, find, lambda *_, **__: saddle)
-        assert getattr(follower, name)(Step(0.0, flat, 0 * joints), 1.0, joints) is None
+        monkeypatch.setattr(trajectory_trace, find, lambda *_, **__: saddle)
+        assert getattr(verifier, name)(Step(0.0, flat, 0 * joints), 1.0, joints) is None

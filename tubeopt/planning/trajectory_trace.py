@@ -88,7 +88,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Passage:
+class TrajectoryTrace:
     """What was found on the way."""
 
     steps: tuple[Step, ...]
@@ -116,7 +116,7 @@ class BranchEndsError(Exception):
 
 
 @dataclass(eq=False)
-class Follower:
+class TrajectoryVerifier:
     """Follows a robot past bodies, maybe one that bears a load, until the clock is over."""
 
     robot: Robot
@@ -250,35 +250,35 @@ def _least_singular(e: Equilibrium) -> float:
     return float(np.linalg.svd(linearised(e), compute_uv=False).min(initial=1.0))
 
 
-def follow(follower: Follower, first: Equilibrium, t: Array, joints: Array) -> Passage:
+def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: Array) -> TrajectoryTrace:
     """Follow joint values (T, 2n), linear between times (T,), from an equilibrium at the first of them."""
     begin = Step(0.0 if len(joints) > 1 else 1.0, first, joints[0])
-    steps, snap = _through(follower, begin, t, joints)
+    steps, snap = _through(verifier, begin, t, joints)
     while True:
         pairs = pairwise([step for step in steps if snap is None or step.at < snap or step is begin])
         try:
-            links, lost = joined(follower, [Link(a, b) for a, b in pairs])
+            links, lost = joined(verifier, [Link(a, b) for a, b in pairs])
             break
         except BranchEndsError as error:
             snap = error.at
     clearance = measured = math.inf
-    if follower.scene.bodies:
+    if verifier.scene.bodies:
         shown = [link for link in links if np.isfinite(link.off).all()]
-        kept, more, measured = _kept_clear(follower, shown or [Link(begin, begin)])
+        kept, more, measured = _kept_clear(verifier, shown or [Link(begin, begin)])
         lost += more
         clearance = min(link.bound for link in kept) if not lost else -math.inf
         links = links if lost else [link for link in kept if link.one is not link.other]
     steps = [begin, *(link.other for link in links)]
-    margin = 0.0 if snap is not None else _least_margin(follower, steps)
-    return Passage(tuple(steps), snap, tuple(lost), margin, clearance, measured, tuple(links))
+    margin = 0.0 if snap is not None else _least_margin(verifier, steps)
+    return TrajectoryTrace(tuple(steps), snap, tuple(lost), margin, clearance, measured, tuple(links))
 
 
-def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[list[Step], float | None]:
+def _through(verifier: TrajectoryVerifier, here: Step, t: Array, joints: Array) -> tuple[list[Step], float | None]:
     """Steps all along, and the fraction of the time where the branch ends."""
     steps, n = [here], joints.shape[1] // 2
     span = float(t[-1] - t[0]) or 1.0
-    size = np.array([LARGEST_TURN] * n + [LARGEST_SHIFT * follower.length] * n)
-    meetings = _meetings(follower.cuts(joints[:, n:]))
+    size = np.array([LARGEST_TURN] * n + [LARGEST_SHIFT * verifier.length] * n)
+    meetings = _meetings(verifier.cuts(joints[:, n:]))
     for k in range(len(joints) - 1):
         a, b = joints[k], joints[k + 1]
         count = max(1, int(np.ceil((np.abs(b - a) / size).max() - 1e-9)))
@@ -288,10 +288,10 @@ def _through(follower: Follower, here: Step, t: Array, joints: Array) -> tuple[l
             last = k == len(joints) - 2 and x == 1  # whole, however times are rounded
             at = 1.0 if last else float(t[k] + (t[k + 1] - t[k]) * x - t[0]) / span
             try:
-                steps.append(follower.onwards(steps[-1], at, there))
+                steps.append(verifier.onwards(steps[-1], at, there))
             except BranchEndsError as error:
                 return steps, error.at
-            if follower.over:
+            if verifier.over:
                 return steps, None
     return steps, None
 
@@ -320,67 +320,67 @@ def _divided(parts: Array, meetings: Array) -> Array:
     return np.union1d(parts[apart | (parts == 1)], meetings)
 
 
-def joined(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
+def joined(verifier: TrajectoryVerifier, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
     """Links that are joined by one stable branch, in order of time; and between which times none is shown."""
     done: list[Link] = []
     lost: list[tuple[float, float]] = []
     while links:
         fresh: list[Link] = []
-        for some, intervals in batches(follower, links):
-            found = follower.joined(intervals)
+        for some, intervals in batches(verifier, links):
+            found = verifier.joined(intervals)
             told = zip(some, found.turned.tolist(), found.unbroken.tolist(), found.off, found.rates.T, strict=True)
             for link, turned, unbroken, off, rates in told:
                 unbounded = 0 if turned else link.unbounded + 1
-                short = link.other.at - link.one.at < SHORTEST or unbounded > follower.halvings
+                short = link.other.at - link.one.at < SHORTEST or unbounded > verifier.halvings
                 if unbroken:
                     done.append(replace(link, off=off, unbounded=unbounded, rates=rates))
-                elif follower.over or short:
+                elif verifier.over or short:
                     lost.append((link.one.at, link.other.at))
                     done.append(replace(link, off=np.full_like(off, np.inf), unbounded=unbounded))
                 else:
-                    fresh += halves(follower, replace(link, unbounded=unbounded))
+                    fresh += halves(verifier, replace(link, unbounded=unbounded))
         links = fresh
     return sorted(done, key=lambda link: link.one.at), lost
 
 
-def halves(follower: Follower, link: Link) -> list[Link]:
+def halves(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
     """Both halves of a link; raises BranchEndsError where the branch ends in it."""
-    middle = follower.between(link.one, link.other)
+    middle = verifier.between(link.one, link.other)
     if middle is None:
-        end = follower.ends(link.one, link.other.at, link.other.joints)
+        end = verifier.ends(link.one, link.other.at, link.other.joints)
         raise BranchEndsError(link.one.at if end is None else end)
     parts = Link(link.one, middle), Link(middle, link.other)
     return [replace(half, unbounded=link.unbounded, fastest=link.fastest) for half in parts]
 
 
-def batches(follower: Follower, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
+def batches(verifier: TrajectoryVerifier, links: Sequence[Link]) -> Iterator[tuple[Sequence[Link], Intervals]]:
     """Links, so many at once as memory allows, with the intervals between their ends."""
     for k in range(0, len(links), BATCH):
         some = links[k : k + BATCH]
         steps = {id(step): step for link in some for step in (link.one, link.other)}
         number = {key: j for j, key in enumerate(steps)}
         one, other = (np.array([number[id(getattr(link, end))] for link in some]) for end in ("one", "other"))
-        yield some, follower.intervals([step.equilibrium for step in steps.values()], one, other)
+        yield some, verifier.intervals([step.equilibrium for step in steps.values()], one, other)
 
 
-def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]], float]:
+def _kept_clear(verifier: TrajectoryVerifier, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]], float]:
     """Links with bounds of their clearance, as many as it takes for the least of them to be sharp; between which times
     no branch was shown; and the least distance that was measured."""
     done: dict[int, Link] = {}
     lost: list[tuple[float, float]] = []
     closest = math.inf
     while links:
-        for some, intervals in batches(follower, links):
+        for some, intervals in batches(verifier, links):
             off = np.array([link.off if len(link.off) else np.zeros(intervals.begin.shape[1] - 1) for link in some])
-            bounds, closest = cleared(intervals, off, follower.scene, follower.wanted, closest)
+            bounds, closest = cleared(intervals, off, verifier.scene, verifier.wanted, closest)
             for link, bound in zip(some, bounds.tolist(), strict=True):
                 done[id(link)] = replace(link, bound=bound)
-        line = follower.wanted.line(closest)
+        line = verifier.wanted.line(closest)
         short = [key for key, link in done.items() if link.bound < line and link.other.at - link.one.at >= SHORTEST]
-        if follower.over:
+        if verifier.over:
             break
         try:
-            links, more = joined(follower, [half for key in short for half in halves(follower, done[key])])
+            links, more = joined(verifier, [half for key in short for half in halves(verifier, done[key])])
         except BranchEndsError as error:  # not where one branch was shown
             lost.append((error.at, error.at))
             break
@@ -390,7 +390,7 @@ def _kept_clear(follower: Follower, links: list[Link]) -> tuple[list[Link], list
     return sorted(done.values(), key=lambda link: link.one.at), lost, closest
 
 
-def _least_margin(follower: Follower, steps: Sequence[Step]) -> float:
+def _least_margin(verifier: TrajectoryVerifier, steps: Sequence[Step]) -> float:
     """The least margin, also between steps: where three neighbours have it in their middle, halves are looked at."""
     margins = np.array([step.equilibrium.margin for step in steps])
     least = float(margins.min())
@@ -398,7 +398,7 @@ def _least_margin(follower: Follower, steps: Sequence[Step]) -> float:
     dips = np.flatnonzero((margins <= padded[:-2]) & (margins <= padded[2:]))
     for k in dips[np.argsort(margins[dips], kind="stable")]:
         around = list(steps[max(k - 1, 0) : k + 2])
-        while len(around) > 1 and not follower.over:
+        while len(around) > 1 and not verifier.over:
             values = [step.equilibrium.margin for step in around]
             # A smooth dip is no deeper than an eighth of how much its sides rise; a fourth is safe.
             depth = 0.25 * (max(values) - min(values))
@@ -406,7 +406,7 @@ def _least_margin(follower: Follower, steps: Sequence[Step]) -> float:
                 break
             finer = [around[0]]
             for one, other in pairwise(around):
-                middle = follower.between(one, other)
+                middle = verifier.between(one, other)
                 finer += [other] if middle is None else [middle, other]
             best = int(np.argmin([step.equilibrium.margin for step in finer]))
             around = finer[max(best - 1, 0) : best + 2]
