@@ -33,7 +33,7 @@ TIP_MM = [72.83688204, -41.40882527, 169.68901052]
 def test_every_command_has_help_with_an_example_and_the_common_flags(run: Run, command: list[str]) -> None:
     outcome = run(*command, "--help")
     assert outcome.code == 0
-    assert f"Example: tubeopt {' '.join(command)} configs/" in outcome.out
+    assert f"Example: tubeopt {' '.join(command)} thesis_" in outcome.out
     assert "--json" in outcome.out
     assert "--out" in outcome.out
 

@@ -238,3 +238,7 @@ def test_six_lines_are_a_robot(run: Run) -> None:
     assert answer(run("fk", "six.yaml", "--rotations-deg", "0,60,120", "--json"))["stable"]
     assert run("init", "robot", "three.yaml", "--tubes", "3").code == 0
     assert tubeopt.load_robot("six.yaml").tubes == tubeopt.load_robot("three.yaml").tubes
+
+
+def test_a_file_without_an_ending_is_refused(run: Run) -> None:
+    assert refused(run("init", "study", "plan")) == ["plan: the name of the file must end in .yaml"]

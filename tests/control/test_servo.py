@@ -178,6 +178,8 @@ def test_a_free_robot_close_to_the_middle_of_its_ranges_is_there_in_one_step() -
 
 
 def test_commands_and_options_that_make_no_sense_are_refused(seed: Equilibrium) -> None:
+    with pytest.raises(InputError, match=r"command is \[0, 0, 0\.1\]; it must be a Command"):
+        Servo(THESIS, seed).step([0, 0, 0.1], 1e-3)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="both given"):
         Command(position=(0, 0, 0), velocity=(0, 0, 0))
     with pytest.raises(InputError, match="direction has no length"):

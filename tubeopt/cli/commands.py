@@ -54,7 +54,7 @@ COMMANDS: dict[str, Asked | str] = {
         "forward_kinematics",
         "Forward kinematics: compute the stable shape at given joint values, and its stability margin.",
         flags={"tolerance_rad": "--tolerance-rad,--tolerance"},
-        example="tubeopt fk configs/robots/thesis_ctr.yaml --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0",
+        example="tubeopt fk thesis_ctr --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0",
     ),
     "ik": Asked(
         "inverse_kinematics",
@@ -64,29 +64,28 @@ COMMANDS: dict[str, Asked | str] = {
         the table if the robot would jump to another branch. Exit code 3: no target was reached; the output names every
         missed target.""",
         flags={"start": "--from"},
-        example="tubeopt ik configs/robots/thesis_ctr.yaml --target-mm 50,30,150 --all --out results",
+        example="tubeopt ik thesis_ctr --target-mm 50,30,150 --all --out results",
     ),
     "equilibria": Asked(
         "equilibria",
         "Find all equilibria at given joint values, stable and unstable, lowest energy first.",
-        example="tubeopt equilibria configs/robots/two_tube.yaml --rotations-deg 190,0",
+        example="tubeopt equilibria two_tube --rotations-deg 190,0",
     ),
     "snap": Asked(
         "snap",
         "Find the first snap on the straight joint path between two configurations, and the jump of the tip.",
-        example="tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results",
+        example="tubeopt snap thesis_ctr --to-deg 360,0,0 --out results",
     ),
     "follow": Asked(
         "follow",
         "Simulate slow motion through waypoints, with history: snaps, and the equilibria after them.",
         arguments={"robot": ROBOT, "path": ("PATH.csv", PATH)},
-        example="tubeopt follow configs/robots/thesis_ctr.yaml configs/paths/turn_and_back.csv",
+        example="tubeopt follow thesis_ctr turn_and_back",
     ),
     "load-limit": Asked(
         "load_limit",
         "Find the load factor at which the robot snaps or buckles, and the equilibrium after it.",
-        example="tubeopt load-limit configs/robots/thesis_ctr.yaml --from-deg 0,0,0 --rotations-deg 200,0,0 "
-        "--tip-force-mN=-10,0,0",
+        example="tubeopt load-limit thesis_ctr --from-deg 0,0,0 --rotations-deg 200,0,0 --tip-force-mN=-10,0,0",
     ),
     "force": Asked(
         "force",
@@ -97,7 +96,7 @@ COMMANDS: dict[str, Asked | str] = {
             "robot": ROBOT,
             "measurements": ("MEASURED.csv", "Measured positions of the arm and joint readings (CSV or YAML)."),
         },
-        example="tubeopt force configs/robots/thesis_ctr.yaml configs/experiments/synthetic_forces.csv --noise-mm 0.1",
+        example="tubeopt force thesis_ctr synthetic_forces --noise-mm 0.1",
         pictures=False,
     ),
     "certify": Asked(
@@ -107,12 +106,12 @@ COMMANDS: dict[str, Asked | str] = {
         Exit code 0: proved that it cannot snap. 3: a snap was found. 4: undecided. With --box, the search runs at the
         translations with the smallest certificate found. With --max-tip-force-mN, exit code 0 means proved under that
         force.""",
-        example="tubeopt certify configs/robots/crl_ctr.yaml --translations-mm -20,0,0",
+        example="tubeopt certify crl_ctr --translations-mm -20,0,0",
     ),
     "stability-map": Asked(
         "stability_map",
         "Map the margin over the rotations of two tubes, started at home, and the snap boundary.",
-        example="tubeopt stability-map configs/robots/crl_ctr.yaml --out results",
+        example="tubeopt stability-map crl_ctr --out results",
     ),
     "run": "studies.run",
     "validate": Asked(
@@ -122,19 +121,18 @@ COMMANDS: dict[str, Asked | str] = {
             "robot": ROBOT,
             "measurements": ("MEASURED.csv", "Measured tip positions and joint readings (CSV or YAML)."),
         },
-        example="tubeopt validate configs/robots/thesis_etr.yaml configs/experiments/synthetic_etr.csv --fit curvature",
+        example="tubeopt validate thesis_etr synthetic_etr --fit curvature",
     ),
     "measure": Asked(
         "measure",
         "Choose the configurations to measure that determine parameters best, and a snap-free path through them.",
-        example="tubeopt measure configs/robots/crl_ctr.yaml --fit rotation_2,rotation_3,curvature_1 --count 12 "
-        "--out results",
+        example="tubeopt measure crl_ctr --fit rotation_2,rotation_3,curvature_1 --count 12 --out results",
         pictures=False,
     ),
     "design": Asked(
         "design",
         "Optimise tube dimensions. Free parameters, constraints and objective come from a study file.",
-        example="tubeopt design configs/studies/design_thesis_snap_free.yaml --out results",
+        example="tubeopt design design_thesis_snap_free --out results",
         from_file=True,
     ),
     "design-pair": Asked(
@@ -142,7 +140,7 @@ COMMANDS: dict[str, Asked | str] = {
         """Optimise two robots together for the number of point pairs of a region that both tips reach.
 
         Free parameters, constraints, base poses and region come from a study file.""",
-        example="tubeopt design-pair configs/studies/design_pair.yaml --out results",
+        example="tubeopt design-pair design_pair --out results",
         from_file=True,
     ),
     "figure": "studies.figure",
@@ -152,7 +150,7 @@ COMMANDS: dict[str, Asked | str] = {
         """Compute the workspace within the joint limits: volume, directions, margin, and the part lost to snapping.
 
         With --out, samples are saved during the run, memory stays constant, and an interrupted run resumes.""",
-        example="tubeopt workspace configs/robots/crl_ctr.yaml --samples 20000 --out results",
+        example="tubeopt workspace crl_ctr --samples 20000 --out results",
     ),
     "fabricate": Asked(
         "fabrication",
@@ -162,8 +160,7 @@ COMMANDS: dict[str, Asked | str] = {
         window, limit, ramp or current limits, or fewer than half of the random rigs succeed without a sensor. Also if
         mold and heating do not match. All results are still shown and saved.""",
         defaults={"charges_percent": CHARGES},
-        example="tubeopt fabricate configs/robots/thesis_etr.yaml --rig configs/rigs/thesis_calcium_silicate.yaml "
-        "--sensor thermocouple --out results",
+        example="tubeopt fabricate thesis_etr --rig thesis_calcium_silicate --sensor thermocouple --out results",
     ),
     "heat plan": Asked(
         "heating",
@@ -173,7 +170,7 @@ COMMANDS: dict[str, Asked | str] = {
         succeed without a sensor. The best plan and possible remedies are still shown and saved.""",
         arguments={"rig": RIG},
         defaults={"charges_percent": CHARGES},
-        example="tubeopt heat plan configs/rigs/thesis_calcium_silicate.yaml --sensor thermocouple --out results",
+        example="tubeopt heat plan thesis_calcium_silicate --sensor thermocouple --out results",
     ),
     "heat firmware": Asked(
         "led_heating",
@@ -184,15 +181,14 @@ COMMANDS: dict[str, Asked | str] = {
         results are still shown and saved.""",
         arguments={"rig": RIG},
         defaults={"objective": "margin"},
-        example="tubeopt heat firmware configs/rigs/thesis_calcium_silicate.yaml --board uno --out results",
+        example="tubeopt heat firmware thesis_calcium_silicate --board uno --out results",
     ),
     "heat run": "studies.run_heating",
     "heat calibrate": Asked(
         "heating_calibration",
         "Estimate heat loss and contacts of a rig from a heating log.",
         arguments={"log": ("LOG.csv", LOG)},
-        example="tubeopt heat calibrate configs/experiments/heating_log.csv "
-        "--rig configs/rigs/thesis_calcium_silicate.yaml --out results",
+        example="tubeopt heat calibrate heating_log --rig thesis_calcium_silicate --out results",
     ),
     "view": "view.view",
     "plan": Asked(
@@ -201,7 +197,7 @@ COMMANDS: dict[str, Asked | str] = {
 
         Exit code 0: proved. 3: no trajectory found. 4: a trajectory was found and saved, but its proof did not finish
         within the time limit.""",
-        example="tubeopt plan configs/studies/plan_thesis_turn.yaml --out results",
+        example="tubeopt plan plan_thesis_turn --out results",
         from_file=True,
     ),
     "plan-arms": Asked(
@@ -209,7 +205,7 @@ COMMANDS: dict[str, Asked | str] = {
         """Plan snap-free trajectories of several robots that do not touch each other, and prove them.
 
         Exit code 0: proved. 3: no trajectories found. 4: trajectories were found and saved, but not proved.""",
-        example="tubeopt plan-arms configs/studies/plan_two_arms.yaml --out results",
+        example="tubeopt plan-arms plan_two_arms --out results",
         from_file=True,
     ),
     "verify": Asked(
@@ -224,24 +220,24 @@ COMMANDS: dict[str, Asked | str] = {
     "mold plan": Asked(
         "mold_plan",
         "Design a mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet.",
-        example="tubeopt mold plan configs/robots/thesis_etr.yaml --out results",
+        example="tubeopt mold plan thesis_etr --out results",
     ),
     "mold mandrel": Asked(
         "mandrel",
         "Design a mandrel for a helix or another space curve: STL, rotation and feed table, G-code for a 4th axis.",
-        example="tubeopt mold mandrel configs/robots/example_pieces.yaml --tube 1 --out results",
+        example="tubeopt mold mandrel example_pieces --tube 1 --out results",
     ),
     "mold calibrate": Asked(
         "mold_calibration",
         "Estimate spring-back from trials: the fraction of the mold's curvature that tubes lose.",
         arguments={"trials": ("TRIALS.csv", "Trials, one per row: columns mold_radius_mm and obtained_radius_mm.")},
-        example="tubeopt mold calibrate configs/molds/example_trials.csv --out results",
+        example="tubeopt mold calibrate example_trials --out results",
     ),
     "mold materials": Asked(
         "mold_materials",
         "Rank mold materials for a tube: heat loss, limit temperature, leakage current, and reasons.",
         arguments={"robot": ("[ROBOT.yaml]", "Robot file with the tube; default a tube with the given sizes.")},
-        example="tubeopt mold materials configs/robots/thesis_ctr.yaml --tube 1",
+        example="tubeopt mold materials thesis_ctr --tube 1",
     ),
     "init robot": "init.robot",
     "init rig": "init.rig",

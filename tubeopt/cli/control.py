@@ -43,7 +43,7 @@ class ExportEntry(Entry):
 
 @asks(
     ExportEntry,
-    example="tubeopt export configs/robots/thesis_ctr.yaml --c thesis_in_c",
+    example="tubeopt export thesis_ctr --c thesis_in_c",
     note="Build and test it: cmake -B build -S thesis_in_c && cmake --build build && ctest --test-dir build",
     without=OF_PICTURES,
 )
@@ -108,7 +108,7 @@ class ServeEntry(Posed):
 
 @asks(
     ServeEntry,
-    example="tubeopt serve configs/robots/thesis_ctr.yaml --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
+    example="tubeopt serve thesis_ctr --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
     without=("out", *OF_PICTURES),
 )
 def serve(study: ServeEntry, output: Output) -> None:

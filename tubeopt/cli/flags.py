@@ -1,6 +1,6 @@
 """Commands whose flags are the keys of a study.
 
-    @asks(SnapStudy, example="tubeopt snap configs/robots/thesis_ctr.yaml --to-deg 360,0,0 --out results")
+    @asks(SnapStudy, example="tubeopt snap thesis_ctr --to-deg 360,0,0 --out results")
     def snap(study: SnapStudy, output: Output) -> None:
         \"\"\"The first snap on the straight path from one set of joint values to another.\"\"\"
         answer(study, output)
@@ -153,7 +153,14 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
     Keys that are mappings, or lists of them, have no flag.
     """
     kind, keys = _kind_of(study), _Keys(study)
-    keyed = [_argument("study", "STUDY.yaml", f"Study of kind {kind}.", required=True)]
+    keyed = [
+        _argument(
+            "study",
+            "STUDY.yaml",
+            f"Study of kind {kind}; `tubeopt init study --kind {kind}` writes one.",
+            required=True,
+        )
+    ]
     keyed += [_option(key, field, keys.called[key], None, shown=_else(field)) for key, field in keys.fields.items()]
 
     @contextmanager

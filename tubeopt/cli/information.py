@@ -16,7 +16,7 @@ from .flags import command, files, words
 from .output import OF_PICTURES, Output, can_be_saved, present
 
 
-@command("tubeopt robot show configs/robots/thesis_ctr.yaml", without=OF_PICTURES)
+@command("tubeopt robot show thesis_ctr", without=OF_PICTURES)
 def show(
     robot: Annotated[
         str,

@@ -109,6 +109,8 @@ def _free(path: Path, force: bool) -> Path:
     """The path, where a file may be written; raises InputError where one is there that is not to be replaced."""
     if path.is_dir():
         raise InputError(f"{path}: this is a directory; it must be a file")
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{path}: the name of the file must end in .yaml")
     if path.exists() and not force:
         raise InputError(f"{path}: the file is there already; --force replaces it")
     return path

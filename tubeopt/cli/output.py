@@ -49,7 +49,7 @@ class Output:
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Directory to save all results and plots in; created if missing.",
+            help="Directory for result files and plots; created if missing.",
             show_default=False,
         ),
     ] = None

@@ -26,7 +26,7 @@ from .interruption import keeping
 from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
 
-@command("tubeopt run configs/studies/thesis_actuated.yaml --out results")
+@command("tubeopt run thesis_actuated --out results")
 def run(
     study: Annotated[
         str,
@@ -87,12 +87,15 @@ def figure(
         FONTS.reset(token)
 
 
-@command("tubeopt sweep configs/studies/sweep_tips.yaml --workers 1 --out results", without=("plot", "width_mm"))
+@command("tubeopt sweep sweep_tips --workers 1 --out results", without=("plot", "width_mm"))
 def sweep(
     study: Annotated[
         str,
         typer.Argument(
-            metavar="STUDY.yaml", help="Study of kind sweep.", show_default=False, autocompletion=files("study")
+            metavar="STUDY.yaml",
+            help="Study of kind sweep; `tubeopt init study --kind sweep` writes one.",
+            show_default=False,
+            autocompletion=files("study"),
         ),
     ],
     output: Output,
@@ -149,7 +152,7 @@ def sweep(
 @asks(
     HeatingRunStudy,
     arguments={},
-    example="tubeopt heat run --simulate configs/rigs/thesis_calcium_silicate.yaml --out results",
+    example="tubeopt heat run --simulate thesis_calcium_silicate --out results",
     without=OF_PICTURES,
 )
 def run_heating(study: HeatingRunStudy, output: Output) -> None:

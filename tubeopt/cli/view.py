@@ -59,7 +59,7 @@ class ViewEntry(Loaded):
 
 @asks(
     ViewEntry,
-    example="tubeopt view configs/robots/thesis_ctr.yaml --trajectory configs/paths/turn_and_back.csv",
+    example="tubeopt view thesis_ctr --trajectory turn_and_back",
     without=OF_PICTURES,
 )
 def view(study: ViewEntry, output: Output, robot: str) -> None:

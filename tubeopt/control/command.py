@@ -77,7 +77,9 @@ class Command(Displayed):
 
 
 def check_places(command: Command, robot: Robot) -> None:
-    """Raise InputError for a place of a command that is in other units than m, by the tubes of a robot."""
+    """Raise InputError for what is no command, and for a position that is not in m, by the tubes of a robot."""
+    if not isinstance(command, Command):
+        raise InputError(f"command is {command!r}; it must be a Command, such as Command(position=(0.01, 0, 0.1))")
     for name in ("position", "pivot"):
         if (place := getattr(command, name)) is not None:
             check_target(robot.tubes, name, place)

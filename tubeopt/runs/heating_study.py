@@ -220,7 +220,7 @@ class HeatingStudy(HeatedTube):
     kind: Literal["heating"]
     charges_percent: list[Charge] = Field(
         [],
-        description="additional states of charge for tables of the duty cycle, percent; as a flag, none for no tables",
+        description="states of charge of further duty-cycle tables, percent; --charges-percent none for no tables",
     )
     loss_percent: NotNegative | None = Field(
         None,
@@ -357,9 +357,11 @@ class HeatingCalibrationStudy(TubeOnRig):
         "its distance from the middle of the curved part, mm",
         examples=["FILE.csv"],
     )
-    noise_K: Positive | None = Field(None, description="stated noise of the thermometers, compared with the residuals")
-    noise_V: Positive | None = Field(None, description="stated noise of the voltage")
-    noise_A: Positive | None = Field(None, description="stated noise of the current")
+    noise_K: Positive | None = Field(
+        None, description="known noise of the thermometers, standard deviation; larger residuals are reported"
+    )
+    noise_V: Positive | None = Field(None, description="known noise of the voltage, standard deviation")
+    noise_A: Positive | None = Field(None, description="known noise of the current, standard deviation")
     position_mm: Number = Field(
         Decimal(0), description="position of the thermometer, from the middle of the curved part"
     )
@@ -429,7 +431,7 @@ class FabricationStudy(Timed):
     )
     charges_percent: list[Charge] = Field(
         [],
-        description="additional states of charge for tables of the duty cycle, percent; as a flag, none for no tables",
+        description="states of charge of further duty-cycle tables, percent; --charges-percent none for no tables",
     )
     samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
     sensor: SensorName | None = SENSOR

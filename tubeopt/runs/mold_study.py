@@ -51,7 +51,7 @@ MoldPath = Annotated[
 MandrelMold = Annotated[
     Annotated[MoldSpec, MOLD] | None,
     Field(
-        description="mold file: grooves, plates, clamps, machine and heat; by default all its keys have their defaults",
+        description="mold file: grooves, plates, clamps, machine and heat; without it all keys have default values",
         examples=["MOLD.yaml"],
     ),
 ]

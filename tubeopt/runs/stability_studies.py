@@ -189,10 +189,10 @@ class CertifyStudy(Timed):
         False, description="search the smallest certificate over all translations within the limits of the robot"
     )
     lower_mm: OnePerTube | None = Field(
-        None, description="lower end of the translations to search, in place of box; default the lower limits"
+        None, description="lower end of the searched translations, instead of box; default the lower limits"
     )
     upper_mm: OnePerTube | None = Field(
-        None, description="upper end of the translations to search, in place of box; default the upper limits"
+        None, description="upper end of the searched translations, instead of box; default the upper limits"
     )
     max_tip_force_mN: Annotated[Positive | None, Typical(1e-4, 20.0)] = Field(
         None, description="certify also under any dead tip force up to this size, in any direction"

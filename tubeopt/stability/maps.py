@@ -119,10 +119,10 @@ def stability_map(
 
     Args:
         tubes: the rotated tubes, from 0.
-        samples: samples per axis, from -180 to 180 deg.
+        samples: number of samples of each rotation, between -180 and 180 deg.
         directions: number of directions for the snap boundary. They are evenly around home. Where the boundary ends or
             jumps between two of them, directions are added until that place is known to 1/100 of their distance.
-        workers: number of processes. With 0 it is one per core.
+        workers: number of processes; 0 for one per core.
         progress: called with the tasks done and their number.
         time_limit: maximum run time, s.
 
