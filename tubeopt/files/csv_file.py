@@ -135,6 +135,7 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
         raise InputError(f"{path}: the file is empty; its first line must name the columns")
     separator = separator or separator_of(numbered[0][1])
     cells = [_cells(line, separator) for _, line in numbered]
+    # Spreadsheets end lines with separators: columns that are empty in every row are none.
     width = max(len(row) - next((k for k, cell in enumerate(reversed(row)) if cell), len(row)) for row in cells)
     header, *rows = [row[:width] for row in cells]
     problems = [f"column {k} has no name" for k, name in enumerate(header, start=1) if not name]
@@ -143,6 +144,7 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
         problems.append("there are no rows below the header")
     for k, (row, (line, _)) in enumerate(zip(rows, numbered[1:], strict=True), start=1):
         if len(row) != len(header):
+            # Two cells a column: every number was cut at its decimal comma.
             hint = "; decimal commas need semicolons between the cells" if len(row) == 2 * len(header) else ""
             problems.append(f"row {k} (line {line}) has {len(row)} cells; the header names {len(header)} columns{hint}")
     refuse(path, problems)
@@ -184,6 +186,8 @@ def _wide(content: bytes) -> str:
     """The encoding of text in units of two bytes, with a mark of their order or by its zeros; "" for other text."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
+    # Latin letters and digits in UTF-16 have a zero as one of their two bytes. 0.9 leaves room for a few signs such as
+    # a degree sign or Greek letters; text in UTF-8 has no zeros, and binary files have them in both places.
     even, odd = content[:400:2].count(0), content[1:400:2].count(0)
     half = len(content[:400]) / 2
     return "utf-16-le" if odd > 0.9 * half and not even else "utf-16-be" if even > 0.9 * half and not odd else ""
@@ -202,6 +206,7 @@ def decoded(content: bytes) -> str:
 def separator_of(header: str) -> str:
     """What separates the cells of a header: the likeliest of tab, semicolon, comma and blanks."""
     bare = re.sub(r'"[^"]*"', "", header)
+    # A comma may be a decimal comma where cells are separated by tabs or semicolons, never the other way round.
     for one in ("\t", ";", ","):
         if one in bare:
             return one

@@ -263,6 +263,7 @@ def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
 
 def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
     scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
+    # Rounded to a float: a bound of pi/2 rad is 90 deg in messages and schemas, not 90.000000000000002.
     limits = {
         name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(marks).items()
     }

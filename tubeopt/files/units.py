@@ -24,6 +24,7 @@ DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
 PER_M = RAD = Decimal(1)
 ZERO_CELSIUS = Decimal(str(constants.ZERO_CELSIUS))
 
+# Degrees are known to 50 digits, floats have 17: products are exact long before they are rounded to a float.
 _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
 
@@ -186,6 +187,7 @@ def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
     An int or a float where that holds the digits, else a `Decimal`.
     """
     exact = _CONTEXT.divide(Decimal(value), unit)
+    # A float has 15 to 17 digits. Units that are no power of ten (deg, rpm) need more to come back.
     for digits in range(15, 30):
         number = Context(prec=digits).plus(exact)
         if to_si(number, unit) == value:

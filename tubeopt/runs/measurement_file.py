@@ -40,9 +40,13 @@ from .recorded_table import QUATERNION, Columns, Recorded, columns_of, read_reco
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 
+# A wrapped angle jumps by a turn less the step of the path. At pi, the default of NumPy, a drive that moves by half a
+# turn between rows would be unwrapped; at two turns no jump would be found.
 A_TURN = 1.5 * math.pi
 """rad: between rows on end, a larger step of a rotation is a turn that was counted away."""
 
+# Tips of an arm of length L spread by at most 2 sqrt(3) L. Metres taken for millimetres change that by 1000, so half or
+# twice these bounds separate the two as well.
 SMALL, LARGE = 0.02, 8.0
 """Parts of the arm's length between which the spread of tips that move must lie."""
 
@@ -53,9 +57,11 @@ STEADY = 2e-3
 """m, of the noise of trackers: two sensors on one piece of the arm stay so close to its thickness, or their distance
 changes by no more."""
 
+# Trackers record 10 to 1000 rows a second. Times in ms that are taken for s are 1 to 100 s apart.
 SLOW = 1.0
 """s: recorders of a moving arm are faster."""
 
+# A path shares out its range over its rows; configurations in random order step by a third of it on average.
 PATH, ROWS = 0.1, 20
 """Rows that are at least so many are a path where the joints usually move by less than this part of their range."""
 

@@ -39,6 +39,7 @@ QUATERNIONS, EULER = ("q0", "qx", "qy", "qz"), ("rz", "ry", "rx")
 """Names of NDI for the parts of a rotation."""
 
 QUATERNION = ("qw", "qx", "qy", "qz")
+# Positions in mm are below 1e5 and quaternions below 1, so any bound up to 1e28 tells them apart.
 BAD_FLOAT = 1e20
 """NDI writes -3.697314e28 for a number that there is not."""
 
@@ -79,6 +80,7 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     if not ndi and names[:1] != ["format version"]:
         return Recorded(read_csv(path), {})
     cells = list(csv.reader(lines, delimiter=separator))
+    # Exports have many cells: they are searched for decimal commas only where there is a comma.
     if separator != "," and any("," in line for line in lines[1:]):
         cells = [cells[0], *with_points(path, cells[1:])]
     return _ndi(path, cells, frame_rate) if ndi else _optitrack(path, cells)

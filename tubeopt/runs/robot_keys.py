@@ -85,6 +85,7 @@ def check_within(robot: Robot, name: str, rotations: Array, translations: Array)
                 raise InputError(f"{name} is out of range: {kind} of tube {i} is {value * by:.6g} {unit}; {allowed}")
 
 
+# With six digits 1 rad is 57.2958 deg in a file, which is 4e-7 rad more.
 SLACK = 1e-6
 """rad and m, by which a joint value may be beyond its limits: numbers of a file are rounded."""
 

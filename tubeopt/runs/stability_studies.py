@@ -280,6 +280,7 @@ def map_stability(
 
 # --- load limits ------------------------------------------------------------------------------------------------------
 
+# The unit of the report: with a load of 1 mN the load factor is the force in mN.
 PUSH = 1e-3
 """N that a robot whose stroke force is asked pushes with, so that times are mN."""
 

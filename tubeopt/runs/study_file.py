@@ -137,6 +137,7 @@ class Question:
 
     def study(self, kind: str) -> type[Study]:
         """The model of a study of this kind; its name is that of the kind."""
+        # The order of the parameters is that of the flags in the help, and of the keys in docs/files.md.
         keys: dict[str, Any] = {"kind": (Literal[kind], ...)}
         bases, readers = list[type[Entry]](), dict[str, Callable[[Any], Any]]()
         parts = inspect.signature(self.function, eval_str=True).parameters
@@ -153,6 +154,7 @@ class Question:
             else:
                 keys[name] = (part.annotation, ... if part.default is part.empty else part.default)
             readers[name] = attrgetter(name) if mark is None else mark.of
+        # The name of the model is its heading in docs/files.md, and links there must not change with the function.
         title = "".join(map(str.title, kind.split("_"))) + "Study"
         document = (self.function.__doc__ or "").partition("\n\n")[0]
         base: tuple[type[Entry], ...] = (*bases, Answered, Timed if self.timed else Study)

@@ -115,6 +115,7 @@ class Points(Sequence[dict[str, Value]]):
         return {key: value for axis, value in zip(self.axes, chosen, strict=True) for key in axis.keys}
 
 
+# Every point takes its row of the whole sample, which would be drawn anew for each.
 @functools.lru_cache(maxsize=4)
 def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
     """(count, dimension) numbers from 0 to 1."""
@@ -127,6 +128,7 @@ def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
 
 # --- table: a row per point, in CSV to read and in npz to compute with ------------------------------------------------
 
+# Six joint values, three coordinates and nine entries of a rotation are columns; shapes of 100 points are not.
 LONGEST_LIST = 16
 """Longer lists of an answer, curves and maps, are left out of the table."""
 
