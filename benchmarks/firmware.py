@@ -24,7 +24,6 @@ from tubeopt.shaping.firmware.boards import BOARDS, Wiring
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import schedules, tabled, write_sketch
 from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.robust import fleet_of
 from tubeopt.shaping.heating.uncertainty import Uncertainty
 from tubeopt.typing import Array
 
@@ -65,7 +64,7 @@ def measure(rigs: int, seed: int) -> list[Pair]:
     rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=BOARDS["uno"].frequencies[0]))
     plan = plan_heating(rig.tube, rig, HeatingSpec(objective="margin"))
     led = design_feedback(plan, Thermocouple(), samples=20)
-    fleet, _ = fleet_of(plan, led.sensor, Uncertainty.of_a_workshop(), rigs - 1, seed)
+    fleet = Uncertainty.of_a_workshop().ensemble(plan.tube, plan.rig, rigs - 1, seed=seed).model
     tables, model, found = schedules(plan, led), fleet.model, []
     with tempfile.TemporaryDirectory() as directory:
         write_sketch(plan, led, Wiring(), Path(directory), host=True)

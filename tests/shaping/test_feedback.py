@@ -29,11 +29,11 @@ from tubeopt.shaping.heating.controller import begin, decide, run_loop, wilson
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Leader, planner_for
-from tubeopt.shaping.heating.robust import ENSEMBLE, RESET, Response, fleet_of, nominal_law, regulator
+from tubeopt.shaping.heating.robust import RESET, Response, nominal_law, regulator
 from tubeopt.shaping.heating.sensors import followed
 from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import joined, stack, thermal_model
-from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -68,7 +68,8 @@ def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_no
 
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
     law, sensor = led().law, Thermocouple()
-    fleet, bias, _ = fleet_of(plan(), sensor, Uncertainty.of_a_workshop(), 3, 5)
+    rigs = Uncertainty.of_a_workshop().ensemble(plan().tube, plan().rig, 3, sensor_bias=sensor.bias, seed=5)
+    fleet, bias = rigs.model, rigs.bias
     history = run_loop(fleet, law, sensor, bias=bias)
     for b in range(1, 4):
         member = replace(fleet, properties=fleet.properties[b : b + 1], volumes=fleet.volumes[b : b + 1])
@@ -141,7 +142,8 @@ def test_a_dead_sensor_ends_the_heating() -> None:
 
 
 def test_uncertain_rigs_begin_at_their_own_ambient() -> None:
-    model, draws = Uncertainty(0, 0, 0, ambient=5.0).models(TUBE, thesis_rig(), 4, ENSEMBLE)
+    rigs = Uncertainty(0, 0, 0, ambient=5.0).ensemble(TUBE, thesis_rig(), 4)
+    model, draws = rigs.model, rigs.draws
     assert np.allclose(at_rest(model).cells[1:, 0, 0] - thesis_rig().ambient, 5.0 * draws[:, 0])
 
 

@@ -32,9 +32,8 @@ from tubeopt.shaping.firmware.sketch_files import (
     write_sketch,
 )
 from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
-from tubeopt.shaping.heating.robust import ENSEMBLE, fleet_of
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
-from tubeopt.shaping.heating.uncertainty import Uncertainty
+from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.show.firmware_report import LedHeatingReport
 from tubeopt.show.rig_page import HeatingRunReport
 from tubeopt.typing import Array
@@ -74,7 +73,9 @@ def law_for(rig: SimulatedRig) -> HeatingLaw:
 
 @needs_a_compiler
 def test_the_firmware_leads_as_the_law_does(heater: Path) -> None:
-    fleet, bias, _ = fleet_of(plan(), Thermocouple(), Uncertainty.of_a_workshop(), 2, 7)
+    made = plan()
+    rigs = Uncertainty.of_a_workshop().ensemble(made.tube, made.rig, 2, sensor_bias=Thermocouple().bias, seed=7)
+    fleet, bias = rigs.model, rigs.bias
     for b in range(3):
         rigs = [
             SimulatedRig(

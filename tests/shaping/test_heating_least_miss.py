@@ -85,7 +85,7 @@ def test_shooting_finds_no_hold_that_misses_by_much_less(
     for trial in range(25):
         knots = dice.uniform(0.3 * cap, 1.1 * cap, 6) if trial % 2 else cap - dice.uniform(0, 40, 6)
         profile = np.minimum(np.interp(np.linspace(0, 1, longest + hold), np.linspace(0, 1, 6), knots), cap)
-        shot = paced(model, spec, rig, (profile, np.zeros(len(profile), bool)), at_start(model, span))
+        shot = paced(model, spec, rig, profile, np.zeros(len(profile), bool), at_start(model, span))
         best = min(best, float(missed_by(model, spec, shot, hold)[1 : longest + 1].min()))
     assert own <= 1.05 * best + 0.5
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -503,6 +503,19 @@ class _Logged:
         return False
 
 
+class _Fitted(NamedTuple):
+    """The solution of a calibration."""
+
+    x: Array
+    """(P,) logarithms of the factors, and biases over `BIAS_SIZE`."""
+    noise: dict[str, float]
+    """Of the channels, K, V, A."""
+    jacobian: Array
+    """(N, P) of the residuals over the noise."""
+    errors: Array
+    """(P,) standard errors of x."""
+
+
 class _Problem:
     """Residuals of a log over logarithms of factors."""
 
@@ -556,7 +569,7 @@ class _Problem:
         """(N,) noise of every reading."""
         return np.concatenate([np.full(int(read.sum()), sigma[c]) for c, read in self.read.items()])
 
-    def solve(self, names: Sequence[str]) -> tuple[Array, dict[str, float], Array, Array]:
+    def solve(self, names: Sequence[str]) -> _Fitted:
         """Logarithms of the factors, noise of the channels, Jacobian of the residuals, and standard errors."""
         x = np.zeros(len(names))
         sigma = {c: NOISE[kind_of(c)] for c in self.read}
@@ -574,7 +587,7 @@ class _Problem:
         values, vectors = np.linalg.eigh(J.T @ J)
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
         errors = np.sqrt((vectors**2 / np.maximum(values, floor)).sum(1))
-        return x, sigma, J, errors
+        return _Fitted(x, sigma, J, errors)
 
     def shift(self, names: Sequence[str], x: Array, sigma: dict[str, float], J: Array) -> Array:
         """By how much the grid's own error moves the logarithms: grids are of second order, so that it is a third of

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,21 +124,21 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     """
     sums = COUNTS * np.cumsum(duty)
     counts = np.zeros(len(duty), dtype=np.int64)
-    given, asked = 0.0, kept_by_one(model, spec, rig)
-    now = Instant.of(model, at_rest(model), asked)
+    given, limits = 0.0, kept_by_one(model, spec, rig)
+    now = Instant.of(model, at_rest(model), limits)
     slow, fast = idle_rates(model, now.state)
     owed = 0.5 + COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
-    hurried = hurried and asked != (spec, rig)
+    hurried = hurried and limits != (spec, rig)
     heated = int(np.count_nonzero(duty))
     watched = heated - spec.hold_slots + math.ceil(WATCHED / spec.slot)
     k = 0
     # Without a look, all that is owed would be given at once.
     while k < heated and (k < watched or sums[k - 1] - given > 0.5 + 1e-9):
         due = math.floor(sums[k] - given + 0.5)
-        before, now = now, sustained(model, now, asked, float(min(max(due, 0), int(now.most))), spec.slot)
+        before, now = now, sustained(model, now, limits, float(min(max(due, 0), int(now.most))), spec.slot)
         more = now.count + 1
         if hurried and more <= before.by_current and now.count < sums[k] - given - owed - 1e-9:
-            now = Instant.of(model, advance(model, before.state, more / COUNTS, spec.slot), asked, more)
+            now = Instant.of(model, advance(model, before.state, more / COUNTS, spec.slot), limits, more)
         counts[k] = int(now.count)
         given += now.count
         if not hurried:
@@ -146,6 +147,13 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     rest = np.maximum(np.floor(sums[k:heated] - given + 0.5), 0.0)
     counts[k:heated] = np.minimum(np.diff(rest, prepend=0.0), COUNTS)
     return counts
+
+
+class Limits(NamedTuple):
+    """What counts must keep: ramp and window of the question, and the mean current of the rig."""
+
+    spec: HeatingSpec
+    rig: Rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +172,9 @@ class Instant:
     """That was kept until now."""
 
     @classmethod
-    def of(cls, model: ThermalModel, state: State, asked: tuple[HeatingSpec, Rig], count: float = 0.0) -> Instant:
+    def of(cls, model: ThermalModel, state: State, limits: Limits, count: float = 0.0) -> Instant:
         """That of a state."""
-        spec, rig = asked
+        spec, rig = limits
         slow, fast, now = warming_span(model, state.cells, state.lumped)
         room = ((1 - SPARED) * spec.ramp - slow[0]) / np.maximum(fast[0] - slow[0], 1e-9)
         # What a pulse loses does not warm, but it flows.
@@ -177,7 +185,7 @@ class Instant:
 
 
 def sustained(
-    model: ThermalModel, now: Instant, asked: tuple[HeatingSpec, Rig], count: float, span: float, *, whole: bool = True
+    model: ThermalModel, now: Instant, limits: Limits, count: float, span: float, *, whole: bool = True
 ) -> Instant:
     """What follows `span` s with the greatest count, up to `count`, that keeps ramp and mean current all the time.
 
@@ -185,7 +193,7 @@ def sustained(
     """
 
     def tried(count: float) -> tuple[Instant, float]:
-        course = _followed(model, now, asked, count, span)
+        course = _followed(model, now, limits, count, span)
         return course[-1], min(at.most for at in course) - count
 
     above, spare = tried(count)
@@ -205,43 +213,41 @@ def sustained(
     return found
 
 
-def _followed(
-    model: ThermalModel, now: Instant, asked: tuple[HeatingSpec, Rig], count: float, span: float
-) -> list[Instant]:
+def _followed(model: ThermalModel, now: Instant, limits: Limits, count: float, span: float) -> list[Instant]:
     """What follows at a count, looked at as often as ramp and mean current need, the end of `span` s last."""
     looks, course = math.ceil(span / LOOK - 1e-9) if count > now.calm else 1, [now]
     for _ in range(looks):
         state = advance(model, course[-1].state, count / COUNTS, span / looks)
-        course.append(Instant.of(model, state, asked, count))
+        course.append(Instant.of(model, state, limits, count))
     return course[1:]
 
 
 def most_count(model: ThermalModel, state: State, spec: HeatingSpec, rig: Rig) -> int:
     """Greatest count that keeps the ramp, less what is `spared`, and the mean current at a state."""
-    return int(Instant.of(model, state, (spec, rig)).most)
+    return int(Instant.of(model, state, Limits(spec, rig)).most)
 
 
-def kept_by_one(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> tuple[HeatingSpec, Rig]:
-    """What is asked for, with the least ramp and mean current that one count keeps for a slot from rest where it breaks
+def kept_by_one(model: ThermalModel, spec: HeatingSpec, rig: Rig) -> Limits:
+    """The limits, with the least ramp and mean current that one count keeps for a slot from rest where it breaks
     the limits: no count that heats breaks them by less."""
     kept = 1 - SPARED
     warms = count_warms(model, rig, spec)
     if warms > kept * spec.ramp:
         spec = replace(spec, ramp=(1 + 1e-6) * warms / kept)
-    allowed = Instant.of(model, at_rest(model), (spec, rig)).by_current
+    allowed = Instant.of(model, at_rest(model), Limits(spec, rig)).by_current
     if allowed < one_count(rig):
         limit = (1 + 1e-6) * rig.circuit.current_limit * one_count(rig) / allowed
         rig = replace(rig, circuit=replace(rig.circuit, current_limit=limit))
-    return spec, rig
+    return Limits(spec, rig)
 
 
 def stops(model: ThermalModel, spec: HeatingSpec, rig: Rig, counts: Counts, states: Sequence[State]) -> list[str]:
     """(T,) what allows no count more from each of the states for a slot: "duty", "current" or "ramp"; "" where all
     allow one more."""
-    found, asked = [], (spec, rig)
+    found, limits = [], Limits(spec, rig)
     for count, state in zip((counts + 1).tolist(), states, strict=True):
-        now = Instant.of(model, state, asked)
-        course = [now, *_followed(model, now, asked, count, spec.slot)] if count <= COUNTS else []
+        now = Instant.of(model, state, limits)
+        course = [now, *_followed(model, now, limits, count, spec.slot)] if count <= COUNTS else []
         if not course:
             found.append("duty")
         elif min(at.by_current for at in course) < count:
@@ -261,16 +267,27 @@ def idle_rates(model: ThermalModel, state: State) -> tuple[Array, Array]:
 # --- the soonest schedule ---------------------------------------------------------------------------------------------
 
 
-def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> tuple[Counts, Array, float] | None:
-    """Counts and mean duties (T,) of heating and hold, and when the hold begins, s; None where the window is not
+class Soonest(NamedTuple):
+    """A schedule of the soonest hold."""
+
+    counts: Counts
+    """(T,) of heating and hold."""
+    levels: Array
+    """(T,) mean duties in their place."""
+    start: float
+    """Of the hold, s."""
+
+
+def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) -> Soonest | None:
+    """The greatest counts that keep the limits until the window is reached, then the hold; None where it is not
     reached in time, or the coldest point warms ever slower and far too slowly for it.
 
     Args:
         model: one member. reserve: kept from the window's ends and the limit, K.
     """
     low, high = spec.window_degC[0] + reserve, min(spec.window_degC[1], spec.limit) - reserve
-    counts, looked, asked = [], [], (spec, rig)
-    now = Instant.of(model, at_rest(model), asked)
+    counts, looked, limits = [], [], Limits(spec, rig)
+    now = Instant.of(model, at_rest(model), limits)
     slots, apart = int(spec.longest_heating / spec.slot), max(round(STALL / spec.slot), 1)
     for k in range(slots):
         coldest = float(seen(model, now.state.cells[0, :, 0])[0])
@@ -280,14 +297,14 @@ def soonest(model: ThermalModel, spec: HeatingSpec, rig: Rig, reserve: float) ->
             looked.append(coldest)
             if _stalls(looked, low, SOONER * (slots - k) / apart):
                 return None
-        now = _greatest(model, now, asked, float(int(now.most)), (spec.slot, high))
+        now = _greatest(model, now, limits, float(int(now.most)), spec.slot, high)
         counts.append(int(now.count))
     else:
         return None
     held = _hold(model, spec, rig, now.state, high)
     heating = np.array(counts, dtype=np.int64)
     levels = np.concatenate([heating / COUNTS, held])
-    return np.concatenate([heating, sum_up_rounding(held)]), levels, spec.slot * len(heating)
+    return Soonest(np.concatenate([heating, sum_up_rounding(held)]), levels, spec.slot * len(heating))
 
 
 def _stalls(seen: Sequence[float], goal: float, left: float) -> bool:
@@ -302,19 +319,20 @@ def _stalls(seen: Sequence[float], goal: float, left: float) -> bool:
 def _greatest(
     model: ThermalModel,
     now: Instant,
-    asked: tuple[HeatingSpec, Rig],
+    limits: Limits,
     most: float,
-    goal: tuple[float, float],
+    span: float,
+    target: float,
     *,
     whole: bool = True,
 ) -> Instant:
     """What follows the greatest count, up to `most`, that keeps ramp and mean current, and every point below a
-    temperature after a time (`goal`: s, degC)."""
-    found = sustained(model, now, asked, most, goal[0], whole=whole)
-    if _hottest(found.state) <= goal[1]:
+    temperature `target` (degC) after `span` s."""
+    found = sustained(model, now, limits, most, span, whole=whole)
+    if _hottest(found.state) <= target:
         return found
-    count = COUNTS * _level(model, now.state, found.count / COUNTS, (*goal, PROBE))
-    return sustained(model, now, asked, float(int(count + 1e-9)) if whole else count, goal[0], whole=whole)
+    count = COUNTS * _level(model, now.state, found.count / COUNTS, span, target)
+    return sustained(model, now, limits, float(int(count + 1e-9)) if whole else count, span, whole=whole)
 
 
 def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: float) -> Array:
@@ -329,7 +347,7 @@ def _hold(model: ThermalModel, spec: HeatingSpec, rig: Rig, state: State, high: 
         most = most_count(model, state, spec, rig)
         # One count is left for what changes within the slots that share a duty, but the tube need not cool for it.
         for spared in (1, 0):
-            level = _level(model, state, max(most - spared, 0) / COUNTS, (span, target, PROBE))
+            level = _level(model, state, max(most - spared, 0) / COUNTS, span, target)
             after = advance(model, state, level, span)
             if level < (most - spared) / COUNTS or seen(model, after.cells[0, :, 0])[0] >= coldest:
                 break
@@ -368,23 +386,25 @@ def paced(
     model: ThermalModel,
     spec: HeatingSpec,
     rig: Rig,
-    policy: tuple[Array, NDArray[np.bool_]],
+    caps: Array,
+    centred: NDArray[np.bool_],
     known: Pace,
 ) -> Pace:
-    """The greatest duties within ramp and current that a policy, caps and whether to centre, allows; as far as it is
-    that of a pace that is `known`, its states are taken over."""
-    caps, centred = policy
+    """The greatest duties within ramp and current that a policy, caps and whether to centre, allows.
+
+    As far as the policy is that of a `known` pace, its states are taken over.
+    """
     shared = min(len(caps), len(known.levels))
     other = np.flatnonzero((caps[:shared] != known.caps[:shared]) | (centred[:shared] != known.centred[:shared]))
     first, middle = int(other[0]) if len(other) else shared, 0.5 * sum(spec.window_degC)
-    states, levels, asked = list(known.states[: first + 1]), known.levels[:first].tolist(), (spec, rig)
-    hopeless = kept_by_one(model, spec, rig) != asked
-    now = Instant.of(model, states[-1], asked)
+    states, levels, limits = list(known.states[: first + 1]), known.levels[:first].tolist(), Limits(spec, rig)
+    hopeless = kept_by_one(model, spec, rig) != limits
+    now = Instant.of(model, states[-1], limits)
     for cap, centre in zip(caps[first:].tolist(), centred[first:].tolist(), strict=True):
         target = min(cap, _centred(model, now.state, middle)) if centre else cap
         # Counts that change within the span would break at the greater ones what their mean keeps.
         most = now.most if hopeless else float(int(now.most))
-        now = _greatest(model, now, asked, most, (known.span, target), whole=False)
+        now = _greatest(model, now, limits, most, known.span, target, whole=False)
         levels.append(now.count / COUNTS)
         states.append(now.state)
     return Pace(known.span, np.array(levels), caps, centred, tuple(states))
@@ -401,10 +421,9 @@ def _hottest(state: State) -> float:
     return float(state.cells[0, :, 0].max()) - ZERO_CELSIUS
 
 
-def _level(model: ThermalModel, state: State, most: float, goal: tuple[float, float, float]) -> float:
-    """Duty up to `most` with which the hottest point has a temperature after a time (`goal` as above), or less."""
-    span, target, probe = goal
-    less = max(most - probe / COUNTS, 0.0)
+def _level(model: ThermalModel, state: State, most: float, span: float, target: float) -> float:
+    """Duty up to `most` with which the hottest point is at `target` (degC) after `span` s, or less."""
+    less = max(most - PROBE / COUNTS, 0.0)
     top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
     if top <= target or most <= less:
         return most

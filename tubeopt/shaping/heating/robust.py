@@ -1,6 +1,6 @@
 """A plan on uncertain rigs: band of temperatures, more likely schedule, other charges, feedback controller.
 
-All are simulated on one ensemble (`Uncertainty.models`): the nominal rig, which is the first member, and sampled ones.
+All are simulated on one ensemble (`Uncertainty.ensemble`): the nominal rig, which is the first member, and others.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 
 from ...errors import InputError, instance
-from ...physics.heat import Resolution
 from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
 from ...typing import Array
@@ -26,10 +25,7 @@ from .schedule import Run, checked
 from .sensors import Felt, Sensor
 from .simulation import State, current, resimulate, simulate, simulate_feedback
 from .thermal import FINE, ThermalModel, seen, thermal_model
-from .uncertainty import Uncertainty
-
-ENSEMBLE = Resolution(2, 4, 6, 8, 6)
-"""Grid of the ensemble; what the fine grid adds is taken from the nominal member."""
+from .uncertainty import ENSEMBLE, Uncertainty
 
 PROBES = (0.94, 1.06)
 SCALES = np.linspace(0.8, 1.2, 401)
@@ -114,8 +110,8 @@ def assess(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, samples
     """
     if samples < 2:
         raise InputError(f"samples is {samples}; it must be at least 2")
-    model, _ = (uncertainty or Uncertainty.of_a_workshop()).models(plan.tube, plan.rig, samples, ENSEMBLE)
-    return _band(plan, model, plan.duty[:-1])
+    rigs = (uncertainty or Uncertainty.of_a_workshop()).ensemble(plan.tube, plan.rig, samples)
+    return _band(plan, rigs.model, plan.duty[:-1])
 
 
 def _band(plan: HeatingPlan, model: ThermalModel, counts: Counts) -> Band:
@@ -168,7 +164,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     """
     uncertainty = uncertainty or Uncertainty.of_a_workshop()
     before = assess(plan, uncertainty, samples=samples)
-    model, _ = uncertainty.models(plan.tube, plan.rig, samples, ENSEMBLE)
+    model = uncertainty.ensemble(plan.tube, plan.rig, samples).model
     levels = plan.ideal_duty[:-1] / COUNTS
     low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in PROBES)
     part = ((SCALES - PROBES[0]) / (PROBES[1] - PROBES[0]))[:, None]
@@ -256,8 +252,8 @@ def design_feedback(
         raise InputError(f"samples is {samples}; it must be at least 20")
     unknown = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
     law = _tuned(plan, sensor, unknown, seed)
-    fleet, bias, draws = fleet_of(plan, sensor, unknown, samples, seed + 1)
-    history = corrected(plan, law, sensor, run_loop(fleet, law, sensor, bias=bias, seed=seed))
+    rigs = unknown.ensemble(plan.tube, plan.rig, samples, sensor_bias=sensor.bias, seed=seed + 1)
+    history = corrected(plan, law, sensor, run_loop(rigs.model, law, sensor, bias=rigs.bias, seed=seed))
     lowest, highest = (row[1:] for row in history.extremes(law))
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
@@ -266,18 +262,9 @@ def design_feedback(
     return Feedback(
         sensor=sensor, law=law, uncertainty=unknown, history=history, lowest=lowest, highest=highest, top=top,
         kept=kept, open_loop=assess(plan, unknown, samples=samples).probability,
-        contributions=_contributions(names, np.column_stack([draws, bias[1:]]), lowest, highest),
+        contributions=_contributions(names, np.column_stack([rigs.draws, rigs.bias[1:]]), lowest, highest),
         window=plan.spec.window_degC, limit=plan.spec.limit,
     )  # fmt: skip
-
-
-def fleet_of(
-    plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, samples: int, seed: int
-) -> tuple[ThermalModel, Array, Array]:
-    """The rig of a plan and `samples` others, the biases of their sensors, and the draws of the others."""
-    model, draws = unknown.models(plan.tube, plan.rig, samples, ENSEMBLE, seed)
-    bias = sensor.bias * np.random.default_rng(seed).uniform(-1, 1, samples)
-    return model, np.concatenate([[0.0], bias]), draws
 
 
 def nominal_law(plan: HeatingPlan, sensor: Sensor) -> HeatingLaw:
@@ -318,12 +305,12 @@ def _tuned(plan: HeatingPlan, sensor: Sensor, unknown: Uncertainty, seed: int) -
     law = nominal_law(plan, sensor)
     nominal = thermal_model(plan.tube, plan.rig, ENSEMBLE)
     found = response(nominal, sensor, law)
-    fleet, bias, _ = fleet_of(plan, sensor, unknown, RIGS, seed)
+    rigs = unknown.ensemble(plan.tube, plan.rig, RIGS, sensor_bias=sensor.bias, seed=seed)
     best: tuple[float, HeatingLaw] | None = None
     for share in (0.002, 0.005, 0.01, 0.02, 0.04):  # per K, from gentle to quick
         proportional, integral = regulator(found, law.slot, share)
         trial = replace(law, proportional=proportional, integral=integral)
-        history = corrected(plan, trial, sensor, run_loop(fleet, trial, sensor, bias=bias, seed=seed))
+        history = corrected(plan, trial, sensor, run_loop(rigs.model, trial, sensor, bias=rigs.bias, seed=seed))
         low, high = history.extremes(trial)
         value, shift = _best_shift(plan, low, high, history.top.max(0))
         if best is None or value > best[0]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...constants import ZERO_CELSIUS
 from ...robots.tubes import Tube
 from ...typing import Array
-from .counts import DECIDED, Counts, Pace, guarded_counts, paced, ripple, soonest, would_centre
+from .counts import DECIDED, Counts, Pace, Soonest, guarded_counts, paced, ripple, soonest, would_centre
 from .optimal_schedule import Ideal, Shift, planned_ramp, solve_ideal
 from .outcome import MeshError, Outcome, hold_slots, mesh_error, outcome_of
 from .rig import COUNTS, Rig
@@ -139,8 +139,8 @@ def nearest_hold(tube: Tube, rig: Rig, spec: HeatingSpec) -> Nearest:
 
 def capped(model: ThermalModel, rig: Rig, spec: HeatingSpec, found: Nearest, higher: float) -> Nearest:
     """The same policy with caps that are so much `higher`, K."""
-    policy = found.pace.caps + higher, found.pace.centred
-    pace = paced(model, spec, rig, policy, at_start(model, found.pace.span))
+    caps = found.pace.caps + higher
+    pace = paced(model, spec, rig, caps, found.pace.centred, at_start(model, found.pace.span))
     return Nearest(pace, found.first, float(missed_by(model, spec, pace, len(pace.levels) - found.first)[-1]))
 
 
@@ -158,7 +158,7 @@ def placed(model: ThermalModel, rig: Rig, spec: HeatingSpec, cap: float) -> Near
     tried: list[tuple[float, int, Pace]] = []
 
     def follow(caps: Array, centred: NDArray[np.bool_], known: Pace, least: int = 1) -> Pace:
-        pace = paced(model, spec, rig, (caps, centred), known)
+        pace = paced(model, spec, rig, caps, centred, known)
         missed = missed_by(model, spec, pace, hold)[: longest + 1]
         missed[:least] = np.inf
         # The soonest of those that are as good.
@@ -328,34 +328,34 @@ def _hastened(tube: Tube, rig: Rig, spec: HeatingSpec) -> Schedule | None:
     answer = _soonest(tube, rig, spec)
     if answer is None:
         return None
-    counts, levels, start = answer
-    found = checked(spec, _run(tube, rig, spec, levels, start), counts)
+    found = checked(spec, _run(tube, rig, spec, answer.levels, answer.start), answer.counts)
     return found if found.kept else None
 
 
 def foreseen(tube: Tube, rig: Rig, spec: HeatingSpec) -> Outcome | None:
     """What the soonest schedule of whole counts keeps; None where it misses the window."""
     answer = _soonest(tube, rig, spec)
-    return None if answer is None else _outcome(tube, rig, spec, answer[0], answer[-1])
+    return None if answer is None else _outcome(tube, rig, spec, answer.counts, answer.start)
 
 
-def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> tuple[Counts, Array, float] | None:
-    """Counts and mean duties of the soonest schedule, and when the hold begins, s; None where it misses the window."""
+def _soonest(tube: Tube, rig: Rig, spec: HeatingSpec) -> Soonest | None:
+    """The soonest schedule on the fine grid, with its cooling; None where it misses the window."""
     # Other charges are rounded anew: half a count is left for that.
     least, model = RESERVE + ripple(tube, rig, spec), thermal_model(tube, rig, COARSE)
     # What the mesh adds is told by the same on a coarse one.
     rough = soonest(model, spec, rig, least)
     if rough is None:
         return None
-    coarse, fine = simulate(model, spec.slot, rough[1]), thermal_model(tube, rig, FINE)
-    if _far(model, spec, coarse, rough[-1]):
+    coarse, fine = simulate(model, spec.slot, rough.levels), thermal_model(tube, rig, FINE)
+    if _far(model, spec, coarse, rough.start):
         return None
-    error = mesh_error((model, coarse), (fine, simulate(fine, spec.slot, rough[1])), spec, rough[-1])
+    error = mesh_error((model, coarse), (fine, simulate(fine, spec.slot, rough.levels)), spec, rough.start)
     answer = soonest(fine, spec, rig, error.most + least)
     if answer is None:
         return None
     cooling = np.zeros(math.ceil(COOLING / spec.slot))
-    return np.concatenate([answer[0], cooling.astype(np.int64)]), np.concatenate([answer[1], cooling]), answer[-1]
+    counts = np.concatenate([answer.counts, cooling.astype(np.int64)])
+    return Soonest(counts, np.concatenate([answer.levels, cooling]), answer.start)
 
 
 # --- the least miss ---------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -84,15 +85,26 @@ def warming(model: ThermalModel, cells: Array, lumped: Array, duty: Array | floa
     return rate.reshape(*cells.shape[:2], 2)
 
 
-def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> tuple[Array, Array, Array]:
-    """(B, n) rates of the tube at no duty and at full duty, K/s, and (B,) the current while the MOSFET conducts, A."""
+class WarmingSpan(NamedTuple):
+    """Between which rates a duty warms the tube of B members."""
+
+    idle: Array
+    """(B, n) at no duty, K/s."""
+    full: Array
+    """(B, n) at full duty, K/s."""
+    current: Array
+    """(B,) while the MOSFET conducts, A."""
+
+
+def warming_span(model: ThermalModel, cells: Array, lumped: Array) -> WarmingSpan:
+    """The rates of the tube at no duty and at full duty, and the current, at cells (B, n, 1+M) and lumped (B, 6)."""
     marcher = marcher_of(model) if len(cells) == model.members == 1 else None
     if marcher is not None:
         n = model.resolution.cells
         found = marcher.spread(cells, lumped)
-        return found[None, :n], found[None, n:-1], found[-1:]
+        return WarmingSpan(found[None, :n], found[None, n:-1], found[-1:])
     idle, full, ampere = _evaluated("span", model, cells, lumped)
-    return idle, full, ampere[:, 0]
+    return WarmingSpan(idle, full, ampere[:, 0])
 
 
 _bound = threading.local()

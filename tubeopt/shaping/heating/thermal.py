@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -161,11 +162,20 @@ def shell_radii(rig: Rig, tube: Tube, shells: int) -> tuple[Array, Array]:
     return faces, np.sqrt(faces[:-1] * faces[1:])
 
 
-def half_lengths(tube: Tube, rig: Rig) -> tuple[float, float, float, float]:
+class HalfLengths(NamedTuple):
+    """Lengths of half the tube, from a clamp to its middle, m; in the order of the zones of `physics.heat`."""
+
+    grip: float
+    clearance: float
+    lead: float
+    curved: float
+
+
+def half_lengths(tube: Tube, rig: Rig) -> HalfLengths:
     """Lengths of the zones from the clamp to the middle of the curved part, m; raises InputError without a curve."""
     if tube.curved_length <= 0:
         raise InputError(f"curved_length is {tube.curved_length:g} m; a tube to be shape-set must have a curved part")
-    return rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length
+    return HalfLengths(rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, 0.5 * tube.curved_length)
 
 
 def gap_of(tube: Tube, rig: Rig) -> float:
@@ -278,7 +288,18 @@ def joined(model: ThermalModel, tube: Array) -> Array:
     return np.concatenate([edge[..., None], tube[..., first:]], axis=-1)
 
 
-def seen(model: ThermalModel, tube: Array) -> tuple[Array, Array, Array]:
+class Seen(NamedTuple):
+    """Temperatures of the tube that limits are about, (...,) degC."""
+
+    coldest: Array
+    """Of the curved part."""
+    hottest: Array
+    """Of the curved part."""
+    top: Array
+    """Of all points."""
+
+
+def seen(model: ThermalModel, tube: Array) -> Seen:
     """(...,) coldest and hottest of the curved part, and the hottest point, degC, where the cells have (..., n), K."""
     curved = joined(model, tube) - ZERO_CELSIUS
-    return curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS
+    return Seen(curved.min(-1), curved.max(-1), tube.max(-1) - ZERO_CELSIUS)

@@ -23,6 +23,24 @@ PART = Range(least=0.0, most=0.99)
 """Of half-widths that are fractions."""
 
 
+# 20 cells, the fine grid has 46: hundreds of members are simulated, and what the fine grid adds is nearly the same in
+# all. It is taken from the nominal one.
+ENSEMBLE = Resolution(2, 4, 6, 8, 6)
+"""Grid of uncertain rigs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Rigs that are simulated together: the nominal one, which is the first member, and S sampled ones."""
+
+    model: ThermalModel
+    """Of the 1 + S members."""
+    draws: Array
+    """(S, number of `Uncertainty.unknown`) in -1 to 1."""
+    bias: Array
+    """(1 + S,) of the members' sensors where the tube is hot, K; 0 for the nominal one."""
+
+
 @dataclass(frozen=True)
 class Uncertainty(Displayed):
     """Half-widths of the uncertain parameters of a rig and its tube, uniformly distributed and independent; 0 is exact.
@@ -112,12 +130,10 @@ class Uncertainty(Displayed):
             other = FACTORS[name](other, 1 + by[name])
         return replace(tube, inner_diameter=inner, material=replace(tube.material, thermal=data)), other
 
-    def models(
-        self, tube: Tube, rig: Rig, samples: int, resolution: Resolution, seed: int = 0
-    ) -> tuple[ThermalModel, Array]:
-        """The nominal rig followed by `samples` random ones as one model, and their draws (samples, number of
-        `unknown`).
-        """
+    def ensemble(self, tube: Tube, rig: Rig, samples: int, *, sensor_bias: float = 0.0, seed: int = 0) -> Ensemble:
+        """The nominal rig and `samples` random ones; `sensor_bias` is the half-width of their sensors' bias, K."""
         draws = self.draws(samples, seed)
         members = [(tube, rig), *(self.member(tube, rig, draw) for draw in draws)]
-        return stack([thermal_model(*member, resolution) for member in members]), draws
+        bias = sensor_bias * np.random.default_rng(seed).uniform(-1, 1, samples)
+        model = stack([thermal_model(*member, ENSEMBLE) for member in members])
+        return Ensemble(model, draws, np.concatenate([[0.0], bias]))

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -105,6 +106,17 @@ class Arc:
         return replace(self, start=(self.start[0] + shift[0], self.start[1] + shift[1]))
 
 
+class Samples(NamedTuple):
+    """Places of a curve."""
+
+    arc_length: Array
+    """(N,) m."""
+    points: Array
+    """(N, 2) m."""
+    tangents: Array
+    """(N, 2) unit."""
+
+
 @dataclass(frozen=True)
 class Centreline:
     """Lead-in, bend and lead-out of a groove, tangent to one another, from the tube's proximal to its distal end.
@@ -149,15 +161,16 @@ class Centreline:
 
     def sample(self, step: float) -> Array:
         """(N, 2) points (m) at most `step` (m) apart, with the ends of all pieces."""
-        return self.along(step)[1]
+        return self.along(step).points
 
-    def along(self, step: float) -> tuple[Array, Array, Array]:
-        """Arc lengths (N,), m, points (N, 2) and unit tangents (N, 2) of a sample."""
+    def along(self, step: float) -> Samples:
+        """Places at most `step` (m) apart, with the ends of all pieces."""
         begins = np.cumsum([0.0, *(piece.length for piece in self.pieces)])
         places = [spaced(piece.length, step) for piece in self.pieces]
         both = list(zip(self.pieces, places, strict=True))
         points, tangents = np.vstack([p.point(s) for p, s in both]), np.vstack([p.tangent(s) for p, s in both])
-        return np.concatenate([begin + s for begin, s in zip(begins, places, strict=False)]), points, tangents
+        arc_length = np.concatenate([begin + s for begin, s in zip(begins, places, strict=False)])
+        return Samples(arc_length, points, tangents)
 
     def bend_point(self, s: Array) -> Array:
         """(N, 2) points at arc lengths `s` (N,) of the bend, m."""

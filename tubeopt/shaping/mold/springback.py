@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -165,17 +165,29 @@ def calibrate_springback(
     )
 
 
-def _least_squares(kappa: Array, lost: Array, order: int) -> tuple[Array, list[tuple[float, float]], float]:
-    """Coefficients, their 95 % intervals, none of too few trials, and the standard deviation about them."""
+class PolynomialFit(NamedTuple):
+    """A polynomial fitted to trials."""
+
+    values: Array
+    """Coefficients, constant first."""
+    intervals: list[tuple[float, float]]
+    """95 % intervals; empty where trials are too few."""
+    noise: float
+    """Standard deviation about it; NaN where trials are too few."""
+
+
+def _least_squares(kappa: Array, lost: Array, order: int) -> PolynomialFit:
+    """The lost fraction as a polynomial of the mold's curvature, with `order` coefficients."""
     matrix = np.vander(kappa, order, increasing=True)
     values = np.asarray(np.linalg.lstsq(matrix, lost, rcond=None)[0], dtype=float)
     free = len(lost) - order
     if free < 1:
-        return values, [], math.nan
+        return PolynomialFit(values, [], math.nan)
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
     reach = scipy.special.stdtrit(free, (1 + 0.95) / 2) * spread
-    return values, [(float(v - r), float(v + r)) for v, r in zip(values, reach, strict=True)], noise
+    intervals = [(float(v - r), float(v + r)) for v, r in zip(values, reach, strict=True)]
+    return PolynomialFit(values, intervals, noise)
 
 
 def _radii(name: str, values: Sequence[float] | Array) -> Array:
