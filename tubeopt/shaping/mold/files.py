@@ -74,8 +74,8 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
     spec = mold.spec.clamps
     lines = _around(clamp_corners(clamp, spec))
     if clamp.slides:
-        _, far, beyond, _ = clamp_corners(clamp, spec, clamp.travel)
-        lines.append(Arc.between(beyond, far))
+        _, right, left, _ = clamp_corners(clamp, spec, clamp.travel)
+        lines.append(Arc.between(right, left))
     return lines
 
 
