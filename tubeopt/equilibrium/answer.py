@@ -30,6 +30,7 @@ from .problem import (
 )
 from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
 
+# The shape of one piece of a tube is integrated with an error that is a fraction of the piece, not of the arm.
 SHORT = 0.01
 """Length (m) over which the tip of tubes made of pieces is right: to 1e-10 m where 1e-8 is asked for."""
 

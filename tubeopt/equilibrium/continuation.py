@@ -20,6 +20,8 @@ from .result import Equilibrium
 
 P = TypeVar("P", bound=Place)
 
+# A shift is compared with the length of the arm. Without this lower bound an arm of length zero, as at full retraction,
+# could not move at all.
 SHORT_ARM = 0.1
 """Length of an arm over that of the longest tube: in shorter arms tubes hardly couple."""
 
@@ -224,6 +226,8 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
     there = family.member(t)
     x = there.carried(point)
     change = there.tangent(point)
+    # Where only the load grows, the tangent costs one solve with the known Hessian. Where joints move, the secant of
+    # the last two points is as good, and free.
     if change is not None:
         x = x + change
     elif before is not None and point.t > before.t:
@@ -232,6 +236,8 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
     result = there.solve(x, iterations=8)
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
+    # Newton's method may converge well to a neighbouring branch: only a short way from the last point is the same
+    # branch.
     if there.moved(point, result.state) > largest_twist(point.margin):
         return None
     return Point.of(there, result, t)  # type: ignore[return-value]

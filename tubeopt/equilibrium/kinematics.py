@@ -173,6 +173,7 @@ def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) 
 
 def along(family: Family, start: Milestone, request: SolveRequest | None = None) -> Iterator[Milestone]:
     """Equilibria after `start` as far as t = 1, or to where the kernel declines even short steps."""
+    # The kernel itself checks the same limits: a step that it declines costs one failed solve.
     longest = family.path.largest_step()
     if longest < 1.0:
         longest *= 1 - 1e-9  # a round-off may make a step longer than the kernel takes
@@ -338,6 +339,8 @@ def _descended(member: Unloaded, by: Method) -> tuple[Place, str]:
             return point, "tubes without torsion"
     except SolveError as error:
         failure = f" ({error})"
+    # From tubes without torsion Newton's method ended in a saddle or nowhere: symmetric tubes that oppose one another
+    # are such a case. On the path from home every step ends in a minimum.
     result = member.from_home()
     point = Point.of(member, result)
     if point.margin <= 0 or not result.converged:

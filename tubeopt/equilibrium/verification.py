@@ -28,6 +28,7 @@ from ..robots.tubes import stretches
 from ..typing import Array, Index, Mask
 from .result import Equilibrium, Verification, refuse_friction, small_turn
 
+# Four orders below the accuracy of an equilibrium, 1e-8: differences are then errors of the solver, not of the check.
 TOLERANCE = 1e-12
 
 ROUND_OFF = 4e-16
@@ -56,6 +57,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
         own[:n] - arms.transmitted(assembly, own[n : 2 * n]) - each.rotations
         for each, assembly, own in zip(equilibria, arms.assemblies, state, strict=True)
     ]
+    # Sections are integrated one by one: at a breakpoint the right-hand side jumps, which would cost DOP853 its order.
     worst, loose, bent = np.zeros((3, len(equilibria)))
     for k in range(arms.n_sections):
         section = arms.section(k)

@@ -303,6 +303,8 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     turned = np.zeros((2 * count, problem.size))
     turned[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
     turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
+    # The quaternions are linear in the curvature of each piece, so that they are eliminated. One adjoint sweep from the
+    # tip to the plate gives what they add to the gradient of the work, for all curvatures at once.
     along = orient(mesh, curvature)
     push = _push(problem, along)
     forms = ((2 * weight[:, None] * push.ahead[:, FORCE]) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
@@ -326,6 +328,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     gradient = x + factor * pull
     gradient[:split] += (moment.ravel()[torsion.flat] * torsion.flat_weight) @ torsion.factor
     hessian = _hessian(problem, factor, turned[:, :split], softened, work)
+    # Dead moments have no energy: their torques enter the equations only, whose Jacobian is then not symmetric.
     if couples is not None:
         hessian[:split] -= factor * (couples.row.T @ twisted)
     if problem.load.frame == "tip":

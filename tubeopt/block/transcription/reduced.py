@@ -310,6 +310,8 @@ def reduce(assembly: Assembly, mesh: Mesh, unknown: Mask | None = None) -> Reduc
 
 def _factor(mesh: Mesh, here: Compliant, unknowns: tuple[Index, Index]) -> Array:
     """(U, U) L: for every tube the root of its compliance. `unknowns` are point (U,) and tube (U,) of each unknown."""
+    # With theta = L z the torsional energy is |z|^2 / 2. The Hessian in z is the identity plus the coupling, so that
+    # its least eigenvalue is the margin, and Newton's method needs no scaling.
     (point, tube), elements = unknowns, np.flatnonzero(mesh.collocated)
     factor, begin = np.zeros((len(point), len(point))), reach(mesh, here)[elements].T
     green = green_of(mesh.tableau, begin, mesh.length[elements], here.rate[elements].transpose(2, 0, 1))
