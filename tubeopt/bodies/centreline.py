@@ -18,10 +18,12 @@ from ..typing import Array, Index, Mask
 from .corridors import Corridor
 from .distance_field import DistanceField
 
-# Nodes that are looked at, at most; else every second, third, ... along each axis.
+# Nodes that are searched at most, in a few seconds by Dijkstra's method; otherwise every second, third, ... along
+# each axis.
 MOST = 400_000
 
-# Of the distance from the wall by which a step is divided.
+# Power of the distance from the wall that divides a step. With 1 a path cuts corners; larger ones prefer wide
+# detours.
 POWER = 2
 
 

@@ -31,7 +31,8 @@ from .obstacles import as_points, distance_of_numbers, unit_vectors
 # Length (m) by which the table is lowered, for the rounding of its numbers.
 ROUND_OFF = 1e-9
 
-# Sizes of a cell from the surface up to which gradients are those of distances, beyond it of their squares.
+# Sizes of a cell from the surface up to which gradients are those of distances, beyond it of their squares: near the
+# surface a square has no slope, far away it is the smoother of both.
 NEAR = 1.5
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -189,7 +190,7 @@ class DistanceField:
         return out
 
 
-# Cells along the longest side at most.
+# Cells along the longest side of a picture of the surface: its triangles grow with the square.
 MOST = 72
 
 

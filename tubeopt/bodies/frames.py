@@ -39,14 +39,16 @@ AXES = ("RAS", "LPS")
 # Landmarks that fix a frame.
 FEWEST = 3
 
-# Share of their size by which landmarks must lie off a line.
+# Fraction of their size by which landmarks must lie off a line: below, the rotation about the line is known to no
+# better than 1000 times their relative error.
 FLAT = 1e-3
 
 
-# Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it.
+# Standard deviation (m) of a coordinate of landmarks, as careful hands and trackers reach it; used where a file
+# states none.
 DOUBT = 0.5e-3
 
-# Uncertainty of a place (m) that no clearance need cover.
+# Uncertainty of a place (m) that no clearance need cover: a micrometre is below what is milled or measured.
 NEGLIGIBLE = 1e-6
 
 
@@ -199,19 +201,21 @@ def register(patient: Mapping[str, ArrayLike], plate: Mapping[str, ArrayLike]) -
     return found
 
 
-# Standard error of the turn beyond which a registration is refused.
+# Standard error of the rotation above which a registration is refused: at 100 mm, 5 deg are 9 mm.
 MOST = math.radians(5.0)
 
-# Spread across over spread along, below which points are taken as near to a line.
+# Spread across over spread along, below which points are near a line, and the rotation about it is ten times less
+# certain.
 NARROW = 0.1
 
-# A mirror image whose residual is below this part of the registration's is worth a remark.
+# A mirror image whose residual is below this fraction of the registration's is worth a remark: where points are
+# nearly plane both residuals are about equal.
 MIRRORED = 0.7
 
 # Residual over the spread of the points, below which it is round-off, and tells nothing about a mirror image.
 EXACT = 1e-6
 
-# Least eigenvalue of H over its trace, below which the turn is open.
+# Smallest eigenvalue of H over its trace, below which the rotation is open: H is then singular to round-off.
 OPEN = 1e-9
 
 
@@ -377,7 +381,7 @@ def needed(path: str | PathLike[str], axes: str | None) -> str:
     return known
 
 
-# Sine of the angle between two ways from which on they span a plane.
+# Sine of the angle between two vectors from which on they span a plane: its normal is then known to 1e-10.
 COLLINEAR = 1e-6
 
 

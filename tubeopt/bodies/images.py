@@ -34,13 +34,13 @@ MOST_BYTES = 1_200_000_000
 # Sizes (m) that voxels of scans have.
 USUAL = 1e-5, 2e-2
 
-# Cosine between axes of an image up to which they count as square to each other.
+# Cosine between axes of an image up to which they count as square to each other: rounding of the numbers in a header.
 SKEW = 1e-3
 
-# Share of a voxel by which two headers may differ.
+# Fraction of a voxel by which two headers may differ: less moves no label.
 AGREE = 0.1
 
-# Distinct values beyond which an image is not one of labels.
+# Distinct values above which an image is not one of labels: scans have 12 bits and more.
 MOST_LABELS = 4096
 
 # Of a voxel, by what is in the names that NRRD has for its kinds of numbers; the first that fits.
@@ -385,7 +385,8 @@ def _nrrd(path: Path, axes: str | None) -> tuple[Any, Array, float, dict[int, tu
 # Nodes of a distance field at most, which take a few seconds and half a gigabyte; else voxels are taken together.
 MOST_NODES = 12_000_000
 
-# Voxels around the body, or the way within it, that the lattice has beside them.
+# Voxels around the body, or the path within it, that the lattice has in addition: gradients at its border need a
+# neighbour.
 ROUND = 2
 
 # Length (m) by which a way that meets the border of the image goes on beyond it.

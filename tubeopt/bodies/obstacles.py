@@ -23,10 +23,11 @@ from ..files.field_metadata import POSITIVE, Typical, check_usual, unit
 from ..typing import Array
 from .scene import scene_of
 
-# Length (m) within which kinks of `distance` are rounded off; a distance changes by no more than a few times that.
+# Length (m) within which kinks of `distance` are rounded off, so that second derivatives exist for IPOPT; a distance
+# changes by no more than a few times that.
 SMOOTH = 1e-7
 
-# Balls at most that cover a long body.
+# Balls at most that cover a long body for the search of what is near: more balls are tighter, and each is asked.
 PIECES = 16
 
 Point3 = tuple[float, float, float]

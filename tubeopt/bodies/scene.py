@@ -21,7 +21,8 @@ from ..typing import Array, Index
 # Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do.
 BRUTE_FORCE_LIMIT = 16
 
-# Balls in one tree differ in radius by no more than this factor, so that few of them are asked in vain.
+# Balls in one tree differ in radius by no more than this factor: a tree is asked within the largest radius, and small
+# balls would be found in vain.
 SIZES = 2.0
 
 # Points at once: bounds the memory.
@@ -236,7 +237,7 @@ class Scene:
         return out
 
 
-# How much farther than it must a lookout sees, m.
+# Distance (m) that a lookout sees farther than it must: it then serves several steps of a motion.
 AHEAD = 10e-3
 
 

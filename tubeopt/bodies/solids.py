@@ -32,7 +32,7 @@ LOGGER = logging.getLogger(__name__)
 # Ways to keep to a closed surface.
 KEEP = ("out", "in")
 
-# Nodes of a field by default, which take some seconds.
+# Nodes of a field by default, which take some seconds to compute and 3 MB.
 MOST_NODES = 400_000
 
 # Size (m) of cells by default where that does not take too many nodes.
@@ -41,7 +41,8 @@ FINEST = 5e-4
 # Nodes beside the body, or beside the way within it.
 AROUND = {"out": 10, "in": 2}
 
-# Sizes of a cell from the surface up to which distances at nodes are exact.
+# Sizes of a cell from the surface up to which distances at nodes are exact: cells that the surface crosses and their
+# neighbours.
 BAND = 2.0
 
 # Sizes r of the uncovered parts between samples, and distances below which finer samples are asked, by that of a
@@ -241,7 +242,8 @@ def _samples(corners: Array, gap: float) -> tuple[Array, float]:
     return points[new], float(side / np.sqrt(3))
 
 
-# Of each point, from which the tree is made first.
+# Neighbours of each point from which the tree is made first: of points on a surface nearly all edges of the shortest
+# tree are among them.
 NEIGHBOURS = 8
 
 # Distances that are computed at most to join what the nearest neighbours leave apart.

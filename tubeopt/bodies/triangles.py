@@ -31,7 +31,8 @@ DIRECTIONS = scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matr
 # Share of the square of the size below which round-off may decide on which side of an edge a ray passes.
 ROUND_OFF = 1e-13
 
-# Columns in which triangles are looked up, along either side.
+# Columns in which triangles are looked up, along either side: a ray then meets a few triangles, and the table has
+# 260,000 entries at most.
 MOST_COLUMNS = 512
 
 
@@ -130,13 +131,14 @@ FIRST = 3
 # Points at once: bounds the memory.
 CHUNK = 4096
 
-# Triangles are equally near to within this share of the size of the body.
+# Triangles are equally near within this fraction of the size of the body: at an edge or corner both neighbours are,
+# to round-off.
 TIE = 1e-9
 
 # Distance (m) up to which a point is on the surface.
 ON = 1e-12
 
-# Height of a triangle over its longest side up to which it counts as its longest side.
+# Height of a triangle over its longest side up to which it counts as that side: its normal would be round-off.
 THIN = 1e-12
 
 

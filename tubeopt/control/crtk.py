@@ -25,14 +25,14 @@ from .c_binding import CServo
 from .command import Command, Why
 from .servo import Servo
 
-# Distance (m) and angle (rad) at which a move ends.
+# Distance (m) and angle (rad) at which a move ends: far below the accuracy of drives.
 ARRIVED = 1e-6
 
 # A move that comes no closer than by CLOSER (m or rad), or half of what is left where that is less, for so long (s)
 # ends.
 STUCK, CLOSER = 0.5, 1e-4
 
-# Margin above the floor below which a snap is warned of.
+# Margin above its lower bound below which a snap is reported as near: the margin falls steeply towards a snap.
 WARNING = 0.1
 
 # Share of the time which the quicker of the last two steps took that the next one is sure to take as well. What is

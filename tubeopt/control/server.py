@@ -31,7 +31,7 @@ from .crtk import CrtkRobot
 LOGGER = logging.getLogger("tubeopt")
 logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
 
-# Steps of the loop whose times are kept.
+# Steps of the loop whose times are kept, 100 s at 1 kHz: 1.6 MB.
 REMEMBERED = 100_000
 
 # The server is for programs of one machine: who reaches its port could move the robot.

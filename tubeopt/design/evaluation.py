@@ -20,16 +20,18 @@ from .program import BOUNDED, Program, Reached, slack_name
 from .state import FreePose, State
 from .task import DesignTask, gaps_of, order_gaps
 
-# Part of a step by which limits are held inside, so that what a solver leaves open does not violate them.
+# Fraction of a step by which limits are kept inside: IPOPT satisfies constraints to 1e-8, and a design that is off by
+# that would fail its verification.
 HELD = 5e-8
 
-# The same for joints and the order of tubes, in steps of 10 mm: planning allows no more than round-off.
+# The same for joints and the order of tubes, in steps of 10 mm: 0.9 nm. Inverse kinematics and planning allow no more
+# than round-off.
 ORDERED = 9e-8
 
 # Limits whose rows stay, though their derivative may be 0 for a while: where nothing softens.
 POSED = ("margin in use", "certified margin")
 
-# How exactly (m) the pose of the objective reach_radius keeps its depth.
+# Tolerance (m) on the depth of the pose of reach_radius: an equation would leave IPOPT no interior.
 DEPTH_TOLERANCE = 1e-6
 
 
@@ -157,10 +159,11 @@ def cubed(group: Rows) -> Rows:
     return replace(group, values=values, jacobian=jacobian)
 
 
-# Largest violation, in steps of each limit, of what counts as kept.
+# Largest violation, in steps of each limit, of a feasible design: ten times the tolerance of IPOPT.
 FEASIBLE = 1e-7
 
-# Size (SI) of an objective that is next to 0, unless all unknowns together change it by less.
+# Size (SI) of an objective that is next to 0, unless all unknowns together change it by less: dividing by its value
+# would make its slope huge.
 LEAST_SIZE = 1e-3
 
 

@@ -34,7 +34,8 @@ from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
 from .solve import LEAST_SLACK, NEARLY_FEASIBLE, best_from, improve, to_feasibility
 from .task import DesignTask, extreme_lengths
 
-# Steps of a limit, or part of a margin, by which a bound must miss it: far more than round-off.
+# Steps of a limit, or part of a margin, by which a bound must miss it: far above round-off of the bound, far below
+# what a designer changes.
 SURELY = 1e-6
 
 

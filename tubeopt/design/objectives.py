@@ -65,13 +65,15 @@ POSED = (
 # What is told under a force on the tip.
 PUSHED = ("tip_deflection", "tip_stiffness")
 
-# Translation (m) that counts as much as a rotation of 1 rad.
+# Translation (m) that counts as much as a rotation of 1 rad: at that distance from the axis, 1 rad moves the tip by
+# as much.
 PER_TURN = 0.05
 
-# Length (m) in which singular values are counted, and what is added to their squares, so that none is 0.
+# Length (m) in which singular values are counted, and what is added to their squares: the fourth power of an inverse
+# overflows without it where one is 0. It changes a singular value of 1 mm by 5e-7.
 UNIT, REGULAR = 0.01, 1e-8
 
-# What is added to squares of singular values of a turn, rad^2.
+# Added to squares of singular values of a rotation, rad^2: the root has no derivative at 0.
 SLIGHT = 1e-7
 
 

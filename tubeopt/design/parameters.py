@@ -29,7 +29,8 @@ PIECE_FIELDS = {
     "piece_torsion_factor": ("torsion factor", "", 1.0),
 }
 
-# Curvature (1/m) of a piece that may be curved, in place of 0: it has a direction.
+# Curvature (1/m) of a piece that may be curved, in place of 0: without a direction its derivative would be undefined.
+# It moves no tip by more than round-off.
 LEAST_BEND = 1e-9
 
 Place = tuple[int, int]
@@ -301,7 +302,7 @@ UNITS = {
 # Dimensions of whole tubes that may be free where tubes are made of pieces.
 WHOLE = ("straight_length", "curved_length", *DIAMETERS)
 
-# Of the curvature along a piece.
+# Coefficients of the curvature along a piece: higher degrees add oscillations along the piece that no mold shapes.
 MOST_COEFFICIENTS = 12
 
 # What a design is differentiated into, n each.

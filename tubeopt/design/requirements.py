@@ -352,7 +352,7 @@ class Deployment(Checked, CustomRequirement):
         return self.limit - ca.sqrt(ca.sum1(gaps**2).T + ROUNDED**2)
 
 
-# Length (m) within which what may be 0 is rounded off.
+# Length (m) within which what may be 0 is rounded off: the norm has no derivative there.
 ROUNDED = 1e-6
 
 

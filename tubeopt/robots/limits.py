@@ -21,7 +21,8 @@ Ranges = tuple[tuple[float, float], ...]
 """Least and greatest value, one pair per tube."""
 
 
-# Lengths of itself by which nobody draws a tube back, and of the longest tube beyond which no target is one.
+# Lengths of itself by which no tube is withdrawn, and of the longest tube beyond which no target lies: a number in mm
+# that is taken for m is 1000 times too large, one in cm 100 times.
 FAR = 10.0
 
 # Rotation (rad) of tubes against one another, three turns, beyond which degrees were probably meant: 20 deg taken for

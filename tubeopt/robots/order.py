@@ -16,7 +16,7 @@ from .assembly import ROUND_OFF
 from .limits import JointLimits, default_limits
 from .tubes import Tube
 
-# Distance (m) of two ends that are at one place: round-off of lengths and translations.
+# Distance (m) of two ends that are at one place: round-off of lengths and translations that a file states in mm.
 SAME_END = 1e-9
 
 

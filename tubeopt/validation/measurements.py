@@ -23,7 +23,7 @@ from ..files.field_metadata import unit
 from ..robots.calibration import Calibration
 from ..typing import Array, Index
 
-# Sensors whose distances behind the tip differ by less (m) sit at one station.
+# Sensors whose distances behind the tip differ by less (m) are at one station: rounding of distances in files.
 SAME_PLACE = 1e-6
 
 Z = (0.0, 0.0, 1.0)
@@ -342,7 +342,7 @@ def middles_of(drives: Calibration, measurements: Measurements) -> tuple[Calibra
     return replace(drives, rotation_middles=tuple(known.tolist())), turns
 
 
-# rad: joint values that are nearer than this are the same.
+# Joint values that are nearer than this are the same (rad, about 0.01 deg).
 STILL = 2e-4
 
 

@@ -245,7 +245,8 @@ CLEARLY, SEEN = 0.9, 1e-9
 # The same of joint values, rad and m.
 JOINT_STEP = 1e-6
 
-# Turns to each side of the calibrated motion in which the begin of a recording is searched.
+# Full turns to each side of the calibrated motion in which the begin of a recording is searched: limits of most
+# robots allow two, and a calibration may be off by one.
 TURNS = 3
 
 # Directions along which a sensor may lie in its own frame.

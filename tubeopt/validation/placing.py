@@ -35,8 +35,8 @@ from .parameters import Parameter, choose_parameters
 PLANNED_REGISTRATIONS = ("rigid", "base-axis", "none")
 
 
-# Random configurations that are chosen from. The exchange picks the best of them: with twice as many the standard
-# errors fall by a few per cent, and the slopes of all take twice the time.
+# Random configurations that are chosen from. For curvature and rotations of the thesis robot, 300 give standard
+# errors up to 2.6 times larger; 1200 change them by -21 to +8 % and take 10 s in place of 6 s.
 CANDIDATES = 600
 
 # Times as many are drawn at most, until enough are admissible: where fewer than one in 60 is, the limits leave a

@@ -22,7 +22,8 @@ FREEDOMS = {"rigid": 6, "base-axis": 1, "none": 0, "saved": 0}
 # Methods that leave nothing of the plate's pose to be found otherwise.
 FITS_PLATE = tuple(name for name, count in FREEDOMS.items() if count == 6)
 
-# Tips that lie within this distance (m, root mean square) of a line do not tell how the frame is turned about it.
+# Tips that lie within this distance (m, root mean square) of a line leave the rotation about it open: below the noise
+# of any sensor, above round-off.
 IN_LINE = 1e-6
 
 
@@ -46,10 +47,11 @@ class BasePose:
         object.__setattr__(self, "axis", tuple((axis / np.linalg.norm(axis)).tolist()))
 
 
-# Standard deviations of positions (m) and directions (rad) before they are estimated.
+# Standard deviations of positions (m) and directions (rad) before they are estimated: those of electromagnetic
+# trackers. They only weigh directions against positions in the first fit.
 FIRST_GUESS = 1e-3, math.radians(1.0)
 
-# At most, until the noise that weighs directions against positions has settled.
+# Alternations of fit and noise at most. They converge linearly, and slowly where directions and positions disagree.
 ROUNDS = 200
 
 # Base at the origin of the device, axis along its z: data that were brought into place before.
