@@ -15,6 +15,7 @@ from tubeopt import (
     InputError,
     Load,
     find_equilibria,
+    find_snap,
     follow,
     forward_kinematics,
     load_robot,
@@ -115,7 +116,7 @@ def test_angles_in_the_ball_are_in_the_box() -> None:
     y = form.boxes(r)
     u = y
     for _ in range(500):
-        u = form.image(y, u)[0]
+        u = form.image(y, u)
     low, high = -u[:, : len(form.psi)].max(0), u[:, len(form.psi) :].max(0)
     random = np.random.default_rng(4)
     touched = 0.0
@@ -150,7 +151,7 @@ def test_the_range_of_h_is_its_range() -> None:
     # With G = 1 and w = 1 the image of a box is the range of h itself.
     form = PairForm(psi, np.ones(count), one, one, one, np.zeros(count))
     u = random.uniform(0, 3, (1, 2 * count))
-    image = form.image(np.zeros((1, 2 * count)), u)[0][0]
+    image = form.image(np.zeros((1, 2 * count)), u)[0]
     for k in range(count):
         h = form.h(np.linspace(-u[0, k], u[0, count + k], 4001)[:, None] * one[k])[:, k]
         assert image[count + k] == pytest.approx(h.max(), abs=1e-6)
@@ -215,3 +216,72 @@ def test_a_search_that_stops_early_proves_less(monkeypatch: pytest.MonkeyPatch) 
     whole = snap_distance(e).turn
     monkeypatch.setattr(sys.modules[snap_distance.__module__], "NEWTON_STEPS", 1)
     assert snap_distance(e).turn < 0.5 * whole
+
+
+BOXES = (
+    # degrees; proved box of turns (deg) with 10 mm of slide per rad, by intervals on meshes of its own
+    ([0.0, 0.0, 0.0], 70.460),
+    (np.degrees([0.0, 1.0, 2.0]).tolist(), 43.650),
+    ([200.0, 0.0, 0.0], 5.945),
+)
+
+
+@pytest.mark.parametrize(("degrees", "box"), BOXES)
+def test_all_joints_may_move_for_that_long(degrees: list[float], box: float) -> None:
+    e = turned(THESIS, degrees)
+    distance = snap_distance(e)
+    seconds = distance.time(1.0, 0.01)
+    assert np.degrees(seconds) == pytest.approx(box, rel=3e-3)
+    assert distance.time(2.0, 0.02) == pytest.approx(seconds / 2, rel=3e-3)
+    assert distance.time(2.0, 0.0) == distance.turn / 2
+    random = np.random.default_rng(7)
+    signs = random.choice([-1.0, 1.0], (16, 2, 3)) * seconds * 0.999
+    path = follow(
+        THESIS,
+        np.vstack([e.rotations, e.rotations + signs[:, 0], e.rotations]),
+        np.vstack([e.translations, e.translations + 0.01 * signs[:, 1], e.translations]),
+        start=e,
+    )
+    assert not path.snaps
+    assert path.equilibria[-1].tip_position == pytest.approx(e.tip_position, abs=1e-8)
+
+
+def test_slides_alone_are_shorter_than_the_first_snap() -> None:
+    # At 200 deg the robot snaps when tube 2 slides by -18.475431 mm, the least of all tubes and directions.
+    e = turned(THESIS, [200.0, 0.0, 0.0])
+    back = (e.rotations, e.translations - np.array([0.0, 0.03, 0.0]))
+    snap = find_snap(THESIS, (e.rotations, e.translations), back, equilibrium=e)
+    assert snap is not None
+    assert (snap.translations - e.translations)[1] == pytest.approx(-18.475431e-3, abs=1e-8)
+    assert 0.3 * 18.475e-3 < snap_distance(e).slide < 18.475e-3
+
+
+@pytest.mark.parametrize("tube", range(3))
+@pytest.mark.parametrize("slide", [-2e-3, -1e-5, 1e-5, 2e-3])
+def test_the_image_of_a_slide_has_the_angles_after_it(tube: int, slide: float) -> None:
+    e = turned(THESIS, [150.0, -20.0, 30.0])
+    by = slide * np.eye(3)[tube]
+    there = forward_kinematics(THESIS, e.rotations, e.translations + by, start=e)
+    form = PairForm.sliding(e, by)
+    x = PairForm.sliding(there, -by).psi - form.psi  # cut at the same places
+    u = np.concatenate([np.maximum(-x, 0), np.maximum(x, 0)])
+    image = form.image(np.zeros(len(u)), u)
+    assert (image >= u - 1e-9).all()
+    assert image.max() < 5 * u.max()  # turned bases and strips, which may cancel, are bounded one by one
+    assert np.abs(x).max() > abs(slide) / 2
+
+
+def test_a_form_without_slides_is_that_of_turns() -> None:
+    e = turned(THESIS, [150.0, -20.0, 30.0])
+    still = PairForm.sliding(e, np.zeros(3))
+    r = snap_distance(e).turn
+    assert still.proves(still.boxes(0.99 * r))
+    assert not still.proves(still.boxes(1.02 * r))
+
+
+def test_slides_of_other_tubes_are_refused() -> None:
+    pieces = load_robot(CONFIGS / "example_pieces.yaml")
+    with pytest.raises(InputError, match="made of pieces"):
+        _ = snap_distance(forward_kinematics(pieces, np.zeros(pieces.n_tubes))).slide
+    with pytest.raises(InputError, match="turn_rate and shift_rate are both 0"):
+        snap_distance(forward_kinematics(THESIS, [0, 0, 0])).time(0.0, 0.0)

@@ -19,28 +19,39 @@ S is {max d - min d <= 2 r}: all tubes turned by at most r each, since turning a
 the union of n! simplices, conv(0, 2 r 1_T along a chain of sets T). Two of them share a simplex with 0 in it, and
 therefore the same equilibria. The numbers are floating point: H must exceed 1e-9, and the box closes with room to
 spare.
+
+Slides delta_k of the tubes add two terms. At a fixed arc length, a slide turns the base of tube k by
+delta_k T_k / kt_k, where T = D' w' sin(psi + x) are the torques. Couplings change from w to w' between the old and the
+new breakpoints:
+
+    x = J (d + delta T / kt) + G (w h(x) - (w' - w) sin(psi + x)).
+
+The arm is cut at the breakpoints before and after the slides, once for each choice of their directions. H is taken at
+the longest transmissions, which are the softest, and at the coupling that makes it least.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
 from ..arguments import typed
-from ..block.transcription.reduced import ReducedProblem, evaluate, to_unknowns
+from ..block.transcription.green import green_of
+from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
 from ..equilibrium.answer import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_friction
-from ..errors import InputError
+from ..errors import InputError, positive
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
-from ..typing import Array, StatusEnum
+from ..typing import Array, Mask, StatusEnum
 from .certificate import snap_free_certificate
 from .following import find_snap
 
@@ -56,8 +67,17 @@ SPARE = 1e-10
 NEWTON_STEPS = 40
 """Newton's method from below needs 4 to 10 steps, and up to 25 beside the largest ball, where two fixed points meet."""
 
+SWEEPS, ROOM = 200, 1.3
+"""Most images of a box with slides, and by how much more than the steps that are left the box takes."""
+
+POLISH = 3
+"""Newton steps on the given equilibrium: one that was saved, or solved on another mesh, is right to 1e-9 only."""
+
 PRECISION = 1e-6
 """Relative precision of the radius. At 1e-3 it takes half the time, and the ball is up to 0.1 % smaller."""
+
+SLIDING_PRECISION = 1e-3
+"""The same with slides, where a try takes 2^n times as long."""
 
 SECTORS = 4
 """Number of tubes up to which S is proved by its n! simplices. They give a median of 0.93 of the true distance, one box
@@ -134,12 +154,53 @@ class SnapDistance(Displayed):
                 step /= 2
         return best
 
+    @cached_property
+    def slide(self) -> float:
+        """Largest translation of every tube, either way and in any order at fixed rotations, that is proved to cause no
+        snap, m. A tube at the end of its actuator moves backward only.
+
+        Raises:
+            InputError: eccentric tubes, and tubes made of pieces, for which no such distance is known.
+        """
+        return self._largest(0.0, 1.0)
+
+    def time(self, turn_rate: float, shift_rate: float) -> float:
+        """Time within which nothing snaps if all joints move at up to these rates, in any way: proved, s.
+
+        Args:
+            turn_rate: of every rotation, rad/s.   shift_rate: of every translation, m/s.
+
+        Raises:
+            InputError: rates that are negative or both 0; tubes as for `slide`.
+        """
+        turn, shift = (positive(n, r, zero=True) for n, r in (("turn_rate", turn_rate), ("shift_rate", shift_rate)))
+        if not turn and not shift:
+            raise InputError("turn_rate and shift_rate are both 0; one of them must be above 0")
+        return self._largest(turn, shift) if shift else self.turn / turn
+
+    def _largest(self, turn: float, shift: float) -> float:
+        """Largest factor of a turn (rad) and a slide (m) of all tubes that is proved."""
+        e = self.equilibrium
+        if e.robot.assembly(e.translations).eccentric or not e.robot.even:
+            raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
+        longest = max(tube.length for tube in e.robot.tubes)
+        most = max(longest / shift, math.pi / turn if turn else 0.0)
+
+        def proves(factor: float) -> bool:
+            for signs in itertools.product((-1.0, 1.0), repeat=e.robot.n_tubes):
+                form = PairForm.sliding(e, np.array(signs) * (shift * factor))
+                if not form.proves(form.boxes(turn * factor)):
+                    return False
+            return True
+
+        return _largest(proves, most / 16, most, SLIDING_PRECISION)[0]
+
     def _radius(self, direction: Array) -> float:
         """Half of max - min of the turns at the first fold along a direction (n,), rad; inf without one."""
         if not np.ptp(direction):
             return math.inf
-        result = float(np.ptp(self._fold(direction))) / 2
-        return math.inf if math.isnan(result) else result
+        found = float(np.ptp(self._fold(direction))) / 2
+        return math.inf if math.isnan(found) else found
 
     def _fold(self, direction: Array) -> Array:
         """(n,) turns at the first fold along a direction (n,), rad; NaN without one."""
@@ -148,6 +209,22 @@ class SnapDistance(Displayed):
         end = e.rotations + direction * (FARTHEST / longest)
         snap = find_snap(e.robot, (e.rotations, e.translations), (end, e.translations), equilibrium=e)
         return np.full(len(direction), np.nan) if snap is None else snap.rotations - e.rotations
+
+
+@dataclass(frozen=True, eq=False)
+class Slides:
+    """Slides of the n tubes, each between 0 and its own, and what they change at P couplings."""
+
+    least: Array
+    """(P,) smallest coupling, J."""
+    most: Array
+    """(P,) largest coupling, J."""
+    turn: Array
+    """(n,) turn of the base of a tube per torque on it at the whole slide, rad/(N m)."""
+    D: Array
+    """(P, n) incidence."""
+    A: Array
+    """(P, U) A at the longest transmissions, rad per sqrt(J)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +243,8 @@ class PairForm:
     """(P, n) change of the angles by the rotations of the tubes."""
     defect: Array
     """(P,) change of psi that the residual of the equations stands for, rad; about 1e-16."""
+    slides: Slides | None = None
+    """Slides that are allowed beside the turns."""
 
     @staticmethod
     def of(equilibrium: Equilibrium) -> PairForm:
@@ -174,76 +253,169 @@ class PairForm:
         problem = reduced_problem(equilibrium.robot, shift, discretisation_of(equilibrium))
         z = to_unknowns(problem, equilibrium.rotations, sample_rotation(equilibrium, problem.arc_length))
         state = evaluate(problem, equilibrium.rotations, z)
-        # Saved equilibria, and those of other meshes, are right to 1e-9 only.
-        for _ in range(2 if problem.size else 0):
+        for _ in range(POLISH if problem.size else 0):
             z = z - np.linalg.solve(state.hessian, state.gradient)
             state = evaluate(problem, equilibrium.rotations, z)
-        return _pair_form(problem, state.theta + problem.phase, z)
+        theta, moment = state.theta + problem.phase, problem.moment
+        first, second = np.triu_indices(moment.shape[1], 1)
+        product = (problem.weight / problem.stiffness.sum(1))[:, None] * moment[:, first] * moment[:, second]
+        a, pair = np.nonzero(product)
+        i, j = first[pair], second[pair]
+        # A tube curved backwards pulls the other way: half a turn is in the angle, and w > 0 as the signs of G ask.
+        w, half = np.abs(product[a, pair]), np.where(product[a, pair] < 0, np.pi, 0.0)
+        D = np.eye(moment.shape[1])[i] - np.eye(moment.shape[1])[j]
+        return _at(theta[a, i] - theta[a, j] + half, w, problem.spread[a, i] - problem.spread[a, j], D, z)
+
+    @staticmethod
+    def sliding(equilibrium: Equilibrium, slide: Array) -> PairForm:
+        """That of even concentric tubes, on a mesh cut at the breakpoints before and after slides (n,), m."""
+        robot, shift, n = equilibrium.robot, equilibrium.translations, equilibrium.robot.n_tubes
+        slide = np.minimum(slide, np.array([tube.straight_length for tube in robot.tubes]) - shift)
+        before, after = robot.assembly(shift), robot.assembly(shift + slide)
+        kb, kt, m = before.bending_stiffness, before.torsional_stiffness, before.bending_stiffness * before.curvature
+        begin = np.maximum([before.transition, after.transition], 0)
+        end = np.array([before.end, after.end])
+
+        meshes = [
+            reduced_problem(robot, tuple(at.tolist()), discretisation_of(equilibrium)).mesh
+            for at in (shift, shift + slide)
+        ]
+        longest = min((mesh.length[mesh.collocated].max(initial=0.0) or mesh.length.max()) for mesh in meshes)
+        cuts = np.unique(np.maximum([begin, end], 0).round(12))
+        counts = np.ceil(np.diff(cuts) / longest).astype(int)
+        tableau = meshes[0].tableau
+        length = np.repeat(np.diff(cuts) / counts, counts)
+        start = cuts[0] + np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        s = (start[:, None] + length[:, None] * tableau.nodes).ravel()
+        at = np.repeat(start + length / 2, tableau.degree)[:, None]
+        ever, always = (begin.min(0) < at) & (at < end.max(0)), (begin.max(0) < at) & (at < end.min(0))
+        now = (begin[0] < at) & (at < end[0])
+
+        first, second = np.triu_indices(n, 1)
+        a, pair = np.nonzero((ever & (m != 0))[:, first] & (ever & (m != 0))[:, second])
+        i, j = first[pair], second[pair]
+        D, both = np.eye(n)[i] - np.eye(n)[j], (np.eye(n)[i] + np.eye(n)[j]) > 0
+        product = np.outer(length, tableau.weights).ravel()[a] * np.abs(m[i] * m[j])
+        # K of the tubes that are there: before, always, and for any of the slides.
+        whole, least_whole, most_whole = (((at[a] < ends) | both) @ kb for ends in (end[0], end.min(0), end.max(0)))
+        w = np.where(now[a, i] & now[a, j], product / whole, 0.0)
+        least, most = np.where(always[a, i] & always[a, j], product / most_whole, 0.0), product / least_whole
+
+        rate = np.broadcast_to(1 / kt[:, None, None], (n, len(length), tableau.degree))
+        A, softest = (
+            _factors(green_of(tableau, (held[:, None] + start) / kt[:, None], length, rate), ever)
+            for held in (before.transmission, np.maximum(before.transmission, after.transmission))
+        )
+        A, softest = (each[i, a] - each[j, a] for each in (A, softest))
+        half = np.where(m[i] * m[j] < 0, np.pi, 0.0)
+        theta = np.where(
+            s[:, None] > end[0], equilibrium.tip_rotations, sample_rotation(equilibrium, np.minimum(s, end[0].max()))
+        )
+        psi = theta[a, i] - theta[a, j] + half
+        z = -A.T @ (w * np.sin(psi))
+        for _ in range(POLISH):
+            psi = D @ equilibrium.rotations + half + A @ z
+            H = np.eye(len(z)) + A.T @ ((w * np.cos(psi))[:, None] * A)
+            z = z - np.linalg.solve(H, z + A.T @ (w * np.sin(psi)))
+        form = _at(D @ equilibrium.rotations + half + A @ z, w, A, D, z)
+        turn = (before.transmission - after.transmission) / kt
+        return replace(form, slides=Slides(least, most, turn, D, softest))
 
     def h(self, x: Array) -> Array:
         """h(x) of changes (..., P)."""
         return np.asarray(np.sin(self.psi) * (1 - np.cos(x)) + np.cos(self.psi) * (x - np.sin(x)))
-
-    def h_slope(self, x: Array) -> Array:
-        """dh / dx."""
-        return np.asarray(np.sin(self.psi) * np.sin(x) + np.cos(self.psi) * (1 - np.cos(x)))
 
     @cached_property
     def extremum(self) -> Array:
         """(P,) the x in [-pi, pi) other than 0 at which h' = 2 sin(x / 2) sin(psi + x / 2) is 0."""
         return np.asarray(np.mod(np.pi - 2 * self.psi, FULL_TURN) - np.pi)
 
-    @cached_property
-    def spread(self) -> Array:
-        """(2 P, 2 P) how the ranges of h, by largest value and by least one with the other sign, widen the box."""
-        positive, negative = np.maximum(self.G, 0) * self.w, np.maximum(-self.G, 0) * self.w
-        return np.block([[negative, positive], [positive, negative]])
+    def image(self, y: Array, u: Array) -> Array:
+        """The box (..., 2 P) to which [x] is mapped. Boxes are u = (-low, high) (..., 2 P), for which the map grows; y:
+        that of J d over S."""
+        low, high, values = self._range_of_h(u)
+        found = y + np.concatenate([-values.min(0), values.max(0)], axis=-1) @ _widening(self.G * self.w).T
+        return found if self.slides is None else found + self.slid(self.slides, low, high)
 
-    def image(self, y: Array, u: Array) -> tuple[Array, Array]:
-        """The box to which [x] is mapped, and its derivatives (..., 2 P, 2 P) by [x].
-
-        Boxes are u = (-low, high) (..., 2 P), for which the map grows; y: that of J d over S.
-        """
+    def slope(self, u: Array) -> Array:
+        """(..., 2 P, 2 P) derivatives of the image by [x], without slides."""
+        low, high, values = self._range_of_h(u)
         count = len(self.psi)
-        low, high = -u[..., :count], u[..., count:]
+        by_low, by_high = (np.sin(self.psi) * np.sin(x) + np.cos(self.psi) * (1 - np.cos(x)) for x in (low, high))
+        out, k = np.zeros((*u.shape, 2 * count)), np.arange(count)
+        for row, which, sign in ((0, values.argmin(0), -1.0), (count, values.argmax(0), 1.0)):
+            out[..., row + k, k] = np.where(which == 0, -sign * by_low, 0.0)
+            out[..., row + k, count + k] = np.where(which == 1, sign * by_high, 0.0)
+        return _widening(self.G * self.w) @ out
+
+    def _range_of_h(self, u: Array) -> tuple[Array, Array, Array]:
+        """Ends of the boxes u, and h at both, at 0 and at the other extremum if it is inside, (4, ..., P)."""
+        low, high = -u[..., : len(self.psi)], u[..., len(self.psi) :]
         inside = (low <= self.extremum) & (self.extremum <= high)
-        nothing = np.zeros_like(low)
-        values = np.stack([self.h(low), self.h(high), nothing, np.where(inside, self.h(self.extremum), 0.0)])
-        which = np.concatenate([values.argmax(0), values.argmin(0)], axis=-1)
-        result = y + np.concatenate([values.max(0), -values.min(0)], axis=-1) @ self.spread.T
-        by_low, by_high = -self.h_slope(low), self.h_slope(high)
-        slope, k = np.zeros((*u.shape, 2 * count)), np.arange(count)
-        for row, sign in ((0, 1.0), (count, -1.0)):
-            slope[..., row + k, k] = np.where(which[..., row + k] == 0, sign * by_low, 0.0)
-            slope[..., row + k, count + k] = np.where(which[..., row + k] == 1, sign * by_high, 0.0)
-        return result, self.spread @ slope
+        other = np.where(inside, self.h(self.extremum), 0.0)
+        return low, high, np.stack([self.h(low), self.h(high), np.zeros_like(low), other])
+
+    def slid(self, slides: Slides, low: Array, high: Array) -> Array:
+        """(..., 2 P) by how much slides widen the image of a box."""
+        bottom, top = _range_of_cosine(self.psi + low - np.pi / 2, self.psi + high - np.pi / 2)  # of the sine
+        # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
+        least, most = (
+            np.minimum(slides.least * bottom, slides.most * bottom),
+            np.maximum(slides.least * top, slides.most * top),
+        )
+        torques = np.concatenate([-least, most], axis=-1) @ _widening(slides.D.T).T
+        turns = np.maximum(torques @ _widening(np.diag(slides.turn)).T, 0)
+        # -(w' - w) sin, where w' - w is between least - w and most - w.
+        changes = np.stack([(self.w - w) * sine for w in (slides.least, slides.most) for sine in (bottom, top)])
+        strips = np.maximum(np.concatenate([-changes.min(0), changes.max(0)], axis=-1), 0)
+        return np.asarray(turns @ _widening(self.J).T + strips @ _widening(self.G).T)
 
     def proves(self, y: Array) -> bool:
         """Whether every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap between."""
         y = y + np.tile(self.defect, 2)
+        box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
+        return box is not None and bool((self.image(y, box) <= box).all()) and self.convex(box)
+
+    def _by_newton(self, y: Array) -> Array | None:
+        """A box around the least fixed point, from below by Newton's method: plain iteration needs thousands of images
+        close to the largest ball. None where it finds none."""
         u, one = y, np.ones_like(y)
-        # The least fixed point of an increasing map, from below by Newton's method: plain iteration needs thousands of
-        # sweeps close to the largest ball. The proof is the check afterwards, whatever the steps did.
         for _ in range(NEWTON_STEPS):
-            image, slope = self.image(y, u)
-            result = np.linalg.solve(np.eye(u.shape[-1]) - slope, np.stack([image - u, one], axis=-1))
-            step, wider = result[..., 0], result[..., 1]
+            image = self.image(y, u)
+            found = np.linalg.solve(np.eye(u.shape[-1]) - self.slope(u), np.stack([image - u, one], axis=-1))
+            step, wider = found[..., 0], found[..., 1]
             u = u + step
             # (1 - slope)^-1 has a negative entry: no fixed point is above, so the box never closes.
             if (wider <= 0).any() or u.max() > MOST_CHANGE:
-                return False
+                return None
             if np.abs(step).max() < SPARE:
                 break
-        box = np.maximum(u, 0.0) + SPARE * wider
-        return bool((self.image(y, box)[0] <= box).all()) and self.convex(box)
+        return np.maximum(u, 0.0) + SPARE * wider
+
+    def _by_sweeps(self, y: Array) -> Array | None:
+        """The same by plain iteration, for slides: their map is not convex, so that Newton's method steps too far. The
+        steps shrink by a ratio; the box takes what is left of them, with room."""
+        u, size = y, math.inf
+        for _ in range(SWEEPS):
+            image = self.image(y, u)
+            step, before = image - u, size
+            size = float(step.max())
+            if image.max() > MOST_CHANGE:
+                return None
+            box = image + step * (ROOM / max(before / size - 1, 1e-3)) + SPARE if size > 0 else u + SPARE
+            if (self.image(y, box) <= box).all():
+                return box
+            u = image
+        return None
 
     def convex(self, u: Array) -> bool:
         """Whether H exceeds round-off at the smallest cosines in each of the boxes (S, 2 P)."""
         count = len(self.psi)
-        low, high = self.psi - u[..., :count], self.psi + u[..., count:]
-        opposed = np.floor((high - np.pi) / FULL_TURN) > np.floor((low - np.pi) / FULL_TURN)
-        least = np.where(opposed, -1.0, np.minimum(np.cos(low), np.cos(high)))
-        second = (self.A.T * (self.w * least)[:, None, :]) @ self.A
+        least = _range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
+        A, w = self.A, self.w
+        if self.slides is not None:
+            A, w = self.slides.A, np.where(least < 0, self.slides.most, self.slides.least)
+        second = (A.T * (w * least)[:, None, :]) @ A
         return bool((np.linalg.eigvalsh(second)[:, 0] > ROUND_OFF - 1).all())
 
     def boxes(self, r: float) -> Array:
@@ -259,21 +431,34 @@ class PairForm:
         return np.concatenate([np.maximum(-corners.min(1), 0), np.maximum(corners.max(1), 0)], axis=-1)
 
 
-def _pair_form(problem: ReducedProblem, theta: Array, z: Array) -> PairForm:
-    """The form at rotations (N, n) with the phases of the tubes in them."""
-    first, second = np.triu_indices(problem.moment.shape[1], 1)
-    moment, per_length = problem.moment, problem.weight / problem.stiffness.sum(1)
-    product = per_length[:, None] * moment[:, first] * moment[:, second]
-    a, p = np.nonzero(product)
-    i, j = first[p], second[p]
-    # A tube curved backwards pulls the other way: then half a turn is in the angle, and w > 0 as the signs of G ask.
-    w, psi = np.abs(product[a, p]), theta[a, i] - theta[a, j] + np.where(product[a, p] < 0, np.pi, 0.0)
-    A = problem.spread[a, i] - problem.spread[a, j]
-    D = np.eye(moment.shape[1])[i] - np.eye(moment.shape[1])[j]
+def _widening(matrix: Array) -> Array:
+    """(2 P, 2 Q) by how much a box (-low, high) of Q numbers widens that of their images under a matrix (P, Q)."""
+    positive, negative = np.maximum(matrix, 0), np.maximum(-matrix, 0)
+    return np.block([[positive, negative], [negative, positive]])
+
+
+def _range_of_cosine(low: Array, high: Array) -> tuple[Array, Array]:
+    """Least and largest cosine of angles between `low` and `high`, rad."""
+    ends = np.stack([np.cos(low), np.cos(high)])
+    least, most = (np.floor((high - at) / FULL_TURN) > np.floor((low - at) / FULL_TURN) for at in (np.pi, 0.0))
+    return np.where(least, -1.0, ends.min(0)), np.where(most, 1.0, ends.max(0))
+
+
+def _factors(green: Array, ever: Mask) -> Array:
+    """(n, N, U) rows of the root of the compliance of each tube at the points (N, n) where it is ever curved."""
+    n, ends = len(green), np.cumsum([0, *ever.sum(0)])
+    out = np.zeros((n, len(ever), ends[-1]))
+    for k in range(n):
+        points = np.flatnonzero(ever[:, k])
+        out[k, points, ends[k] : ends[k + 1]] = np.linalg.cholesky(green[k][np.ix_(points, points)])
+    return out
+
+
+def _at(psi: Array, w: Array, A: Array, D: Array, z: Array) -> PairForm:
+    """The form at angles psi and unknowns z that solve the equations."""
     cosine = (w * np.cos(psi))[:, None]
-    response = np.linalg.solve(
-        np.eye(problem.size) + A.T @ (cosine * A), np.column_stack([A.T, z + A.T @ (w * np.sin(psi))])
-    )
+    H, gradient = np.eye(len(z)) + A.T @ (cosine * A), z + A.T @ (w * np.sin(psi))
+    response = np.linalg.solve(H, np.column_stack([A.T, gradient]))
     G = A @ response[:, :-1]
     return PairForm(psi, w, A, G, D - G @ (cosine * D), np.abs(A @ response[:, -1]))
 
@@ -319,23 +504,24 @@ def snap_distance(equilibrium: Equilibrium, *, time_limit: float = TIME_LIMIT) -
     if not certificate > 0:
         form = PairForm.of(equilibrium)
         couplings = len(form.psi)
-        turn, boxes = _largest_ball(form)
+        turn, boxes = _largest(lambda r: form.proves(form.boxes(r)), 0.1, math.pi, PRECISION)
     status = SnapDistanceStatus.NEVER if turn == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - began
     return SnapDistance(equilibrium, turn, status, SnapDistanceStatistics(couplings, boxes, seconds))
 
 
-def _largest_ball(form: PairForm) -> tuple[float, int]:
-    """Largest radius that is proved, rad, and how many were tried. Each yes is a proof by itself."""
-    proved, refused, boxes = 0.0, math.pi, 0
-    radius = 0.1
-    while refused - proved > PRECISION * refused:
+def _largest(proves: Callable[[float], bool], first: float, most: float, precision: float) -> tuple[float, int]:
+    """Largest factor below `most` that is proved, by bisection from a first try, and how many were tried. Each yes is a
+    proof by itself; only the size needs that smaller sets are easier."""
+    proved, refused, tries, factor = 0.0, most, 0, first
+    while refused - proved > precision * refused:
         check_time()
-        boxes += 1
-        if form.proves(form.boxes(radius)):
-            proved = radius
-            radius = min(2 * radius, (radius + refused) / 2) if refused == math.pi else (radius + refused) / 2
+        tries += 1
+        if proves(factor):
+            proved, factor = (
+                factor,
+                min(2 * factor, (factor + refused) / 2) if refused == most else (factor + refused) / 2,
+            )
         else:
-            refused = radius
-            radius = (proved + refused) / 2
-    return proved, boxes
+            refused, factor = factor, (proved + factor) / 2
+    return proved, tries
