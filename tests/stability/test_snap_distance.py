@@ -285,3 +285,48 @@ def test_slides_of_other_tubes_are_refused() -> None:
         _ = snap_distance(forward_kinematics(pieces, np.zeros(pieces.n_tubes))).slide
     with pytest.raises(InputError, match="turn_rate and shift_rate are both 0"):
         snap_distance(forward_kinematics(THESIS, [0, 0, 0])).time(0.0, 0.0)
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, -1), (1, -1, 1), (-1, 1, -1), (1, -1, -1)])
+@pytest.mark.parametrize("degrees", [[120.0, -20.0, 0.0], [200.0, 0.0, 0.0]])
+def test_couplings_and_margins_after_slides_are_in_their_bounds(degrees: list[float], signs: tuple[int, ...]) -> None:
+    e = turned(THESIS, degrees)
+    by = np.minimum(0.012 * np.array(signs), 0.05)
+    form = PairForm.sliding(e, by)
+    assert form.slides is not None
+    lowest = 1.0
+    for share in (0.25, 0.5, 1.0):
+        there = follow(THESIS, [e.rotations] * 2, [e.translations, e.translations + share * by], start=e).equilibria[-1]
+        if share == 1.0:
+            again = PairForm.sliding(there, -by)
+            assert (again.w <= form.slides.most * (1 + 1e-12)).all()
+            assert (again.w >= form.slides.least * (1 - 1e-12)).all()
+            x = again.psi - form.psi
+        lowest = min(lowest, there.margin)
+    u = np.concatenate([np.maximum(-x, 0), np.maximum(x, 0)])[None] + 1e-9
+    assert form.least_eigenvalue(u)[0] <= lowest + 1e-7
+
+
+def test_longer_transmissions_are_softer() -> None:
+    e = turned(THESIS, [200.0, 0.0, 0.0])
+    form = PairForm.sliding(e, np.full(3, -0.02))
+    assert form.slides is not None
+    softer = np.eye(form.A.shape[1]) + form.slides.A.T @ ((form.w * np.cos(form.psi))[:, None] * form.slides.A)
+    assert np.linalg.eigvalsh(softer)[0] < e.margin - 1e-3
+    cosine = np.cos(form.psi)
+    w = np.where(cosine < 0, form.slides.most, form.slides.least)
+    softest = np.eye(form.A.shape[1]) + form.slides.A.T @ ((w * cosine)[:, None] * form.slides.A)
+    found = form.least_eigenvalue(np.zeros((1, 2 * len(form.psi))))[0]
+    assert found == pytest.approx(np.linalg.eigvalsh(softest)[0], abs=1e-12)
+
+
+def test_the_range_of_a_cosine_is_its_range() -> None:
+    random = np.random.default_rng(3)
+    low = random.uniform(-9, 9, 300)
+    high = low + random.uniform(0, 7, 300)
+    least, most = sys.modules[snap_distance.__module__]._range_of_cosine(low, high)
+    sampled = np.cos(np.linspace(low, high, 4001))
+    assert least == pytest.approx(sampled.min(0), abs=1e-5)
+    assert most == pytest.approx(sampled.max(0), abs=1e-5)
+    assert (least <= sampled.min(0)).all()
+    assert (most >= sampled.max(0)).all()

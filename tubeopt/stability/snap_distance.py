@@ -374,7 +374,9 @@ class PairForm:
         """Whether every d with J d in the boxes y (S, 2 P) leads to one stable equilibrium, without a snap between."""
         y = y + np.tile(self.defect, 2)
         box = self._by_newton(y) if self.slides is None else self._by_sweeps(y)
-        return box is not None and bool((self.image(y, box) <= box).all()) and self.convex(box)
+        if box is None or not (self.image(y, box) <= box).all():
+            return False
+        return bool((self.least_eigenvalue(box) > ROUND_OFF).all())
 
     def _by_newton(self, y: Array) -> Array | None:
         """A box around the least fixed point, from below by Newton's method: plain iteration needs thousands of images
@@ -408,15 +410,14 @@ class PairForm:
             u = image
         return None
 
-    def convex(self, u: Array) -> bool:
-        """Whether H exceeds round-off at the smallest cosines in each of the boxes (S, 2 P)."""
+    def least_eigenvalue(self, u: Array) -> Array:
+        """(S,) lower bound of the eigenvalues of H in each of the boxes (S, 2 P): at the smallest cosines."""
         count = len(self.psi)
-        least = _range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
+        cosine = _range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
         A, w = self.A, self.w
         if self.slides is not None:
-            A, w = self.slides.A, np.where(least < 0, self.slides.most, self.slides.least)
-        second = (A.T * (w * least)[:, None, :]) @ A
-        return bool((np.linalg.eigvalsh(second)[:, 0] > ROUND_OFF - 1).all())
+            A, w = self.slides.A, np.where(cosine < 0, self.slides.most, self.slides.least)
+        return np.asarray(1 + np.linalg.eigvalsh((A.T * (w * cosine)[:, None, :]) @ A)[:, 0])
 
     def boxes(self, r: float) -> Array:
         """(S, 2 P) ranges of J d over the parts of the ball of radius r."""
