@@ -156,7 +156,7 @@ class SnapDistance(Displayed):
 
     @cached_property
     def slide(self) -> float:
-        """Largest translation of every tube, either way and in any order at fixed rotations, that is proved to cause no
+        """Largest translation of every tube, forward or backward and in any order at fixed rotations, that is proved to cause no
         snap, m. A tube at the end of its actuator moves backward only.
 
         Raises:
@@ -165,7 +165,7 @@ class SnapDistance(Displayed):
         return self._largest(0.0, 1.0)
 
     def time(self, turn_rate: float, shift_rate: float) -> float:
-        """Time within which nothing snaps if all joints move at up to these rates, in any way: proved, s.
+        """Time within which nothing snaps if all joints move at up to these rates: proved, s.
 
         Args:
             turn_rate: of every rotation, rad/s.   shift_rate: of every translation, m/s.
@@ -392,7 +392,7 @@ class PairForm:
                 return None
             if np.abs(step).max() < SPARE:
                 break
-        return np.maximum(u, 0.0) + SPARE * wider
+        return np.asarray(np.maximum(u, 0.0) + SPARE * wider)
 
     def _by_sweeps(self, y: Array) -> Array | None:
         """The same by plain iteration, for slides: their map is not convex, so that Newton's method steps too far. The
