@@ -156,8 +156,8 @@ class SnapDistance(Displayed):
 
     @cached_property
     def slide(self) -> float:
-        """Largest translation of every tube, forward or backward and in any order at fixed rotations, that is proved to cause no
-        snap, m. A tube at the end of its actuator moves backward only.
+        """Largest slide of every tube, forward or backward at fixed rotations, that is proved to cause no snap, m.
+        A tube at the end of its actuator moves backward only.
 
         Raises:
             InputError: eccentric tubes, and tubes made of pieces, for which no such distance is known.
