@@ -242,7 +242,7 @@ class BallPart(Entry):
 
 
 class PairStudy(Timed, SearchPart, Tried):
-    """Two robots, designed together to hold as many pairs of places of a region as possible without contact."""
+    """Two robots, designed together to reach as many pairs of points of a region as possible without contact."""
 
     doing = "designing"
     assuming = f"Statements about snaps are valid {ASSUMING}."

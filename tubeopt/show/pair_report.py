@@ -82,9 +82,9 @@ PAIR = described(
     Quantity("tried", "number of pairs of robots evaluated", lambda a: a.search.tried,
              words="{tried}; no optimum is claimed", label="pairs of robots evaluated"),
     Quantity("places", "number of independent places for the evaluation", lambda a: len(a.after.apart)),
-    Quantity("before", "fraction of their pairs that the given robots hold", lambda a: a.before.share),
-    Quantity("after", "fraction of their pairs that the designs hold", lambda a: a.after.share),
-    line("pairs of places held", lambda a: f"{_percent(a.before.share)} before, {_percent(a.after.share)} after, of "
+    Quantity("before", "fraction of their pairs that the given robots reach", lambda a: a.before.share),
+    Quantity("after", "fraction of their pairs that the designs reach", lambda a: a.after.share),
+    line("pairs of places reached", lambda a: f"{_percent(a.before.share)} before, {_percent(a.after.share)} after, of "
          f"{len(a.after.apart)} places not searched with"),
     line("reached by itself", _alone),
     Quantity("clearance_mm", "clearance between the arms", lambda a: a.after.clearance),
