@@ -16,7 +16,7 @@ import tubeopt
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
-from tubeopt.show.colours import tube_colour
+from tubeopt.show.page import tube_colour
 from tubeopt.show.plots.style import new_figure, picture
 from tubeopt.typing import Array
 

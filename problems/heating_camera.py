@@ -21,7 +21,7 @@ from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.shaping.heating.calibration import FACTORS, HeatingLog, calibrate
 from tubeopt.shaping.heating.simulation import simulate
 from tubeopt.shaping.heating.thermal import FINE, thermal_model
-from tubeopt.show.colours import tube_colour
+from tubeopt.show.page import tube_colour
 from tubeopt.show.plots.style import finish, new_figure
 
 ROOT = Path(__file__).resolve().parents[1]

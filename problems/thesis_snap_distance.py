@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 import tubeopt
-from tubeopt.show.colours import tube_colour
+from tubeopt.show.page import tube_colour
 from tubeopt.show.plots.style import new_figure, picture
 from tubeopt.typing import Array
 

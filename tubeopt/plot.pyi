@@ -1,6 +1,6 @@
 # The names of `tubeopt.plot`, and where each comes from: loaded when it is first used.
 
-from .show.colours import tube_colour
+from .show.page import tube_colour
 from .show.plots.branch import plot_branch
 from .show.plots.design import (
     plot_before_after,

@@ -34,8 +34,7 @@ from tubeopt.shaping.firmware.sketch_files import (
 from tubeopt.shaping.heating.controller import HeatingLaw, begin, decide
 from tubeopt.shaping.heating.thermal import ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
-from tubeopt.show.firmware_report import LedHeatingReport
-from tubeopt.show.rig_page import HeatingRunReport
+from tubeopt.show.heat_report import HeatingRunReport, LedHeatingReport
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run

@@ -17,10 +17,10 @@ from ..runs.sweep_file import load_sweep
 from ..runs.sweeping import SWEEP_LIMIT, Sweep
 from ..runs.sweeping import sweep as run_sweep
 from ..show.figures import JOURNALS, Figures
+from ..show.heat_report import with_live_page
 from ..show.page import FONTS
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from ..show.rig_page import with_live_page
 from .flags import answer, ask, asks, command, files, has_pictures, words
 from .interruption import keeping
 from .output import OF_PICTURES, Output, can_be_saved, check_formats, present

@@ -1,4 +1,4 @@
-"""What is said and saved about heating plans and calibrated rigs."""
+"""Reports on heating plans, calibrated rigs, feedback with its firmware, and a heating while it runs."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.text import Text
 
 from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
-from ..runs.heating_study import Heating, Success
+from ..runs.heating_run import HeatingRun, HeatingRunStudy
+from ..runs.heating_study import Heating, LedHeating, Success
 from ..runs.rig_file import rig_to_dict, save_rig
+from ..shaping.firmware.boards import Part, parts_list
+from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
+from ..shaping.heating.controller import Contribution, Feedback
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
+from ..shaping.heating.replanning import Leader
 from ..shaping.heating.robust import Band
 from ..shaping.heating.thermal import gap_of
-from .quantities import Quantity, described, line, of_field, within
-from .report import Drawing, Report, drawing, grid, remarks, to_text
+from .quantities import Quantity, columns, described, line, of_field, within
+from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of the temperatures of uncertain rigs that are told."""
@@ -327,3 +333,182 @@ class RigFitReport(Report[RigFit]):
         """Write calibration.json and the calibrated rig.yaml."""
         save_rig(self.answer.rig, directory / "rig.yaml", "A shape-setting rig for tubeopt, calibrated to a log.")
         return [self.save_record(directory), directory / "rig.yaml"]
+
+
+CONTRIBUTION = described(
+    Contribution,
+    of_field(Contribution, "name", label="not known", words=lambda item: item.name.replace("_", " ")),
+    "deviation",
+)  # fmt: skip
+
+PART = described(Part)
+
+FEEDBACK = described(
+    Feedback,
+    Quantity("sensor", "sensor", lambda f: f.sensor.name),
+    Quantity("sensor_bias_K", "half-width of its constant error", lambda f: f.sensor.bias),
+    Quantity("proportional_per_K", "proportional gain: fraction of the planned duty per K",
+             lambda f: f.law.proportional),
+    Quantity("integral_per_K_s", "integral gain", lambda f: f.law.integral),
+    Quantity("samples", "number of uncertain rigs"),
+    Quantity("probability", "fraction of them that keeps window and limit", label="keeps the window",
+             words=lambda f: f"{100 * f.probability:.1f} % of {f.samples} uncertain rigs "
+             f"({100 * f.interval[0]:.1f} to {100 * f.interval[1]:.1f} %)"),
+    Quantity("interval", "95 % confidence interval of the probability"),
+    of_field(Feedback, "open_loop", label="without the sensor",
+             words=lambda f: f"{100 * f.open_loop:.0f} % of {f.samples}; the schedule leaves the sensor room"),
+    Quantity("too_cold", "fraction below the window"),
+    Quantity("too_hot", "fraction above window or limit"),
+    Quantity("lowest_degC", "lowest temperature of the curved part in the hold, all rigs", lambda f: f.lowest.min()),
+    Quantity("highest_degC", "highest temperature of the curved part in the hold, all rigs", lambda f: f.highest.max()),
+    line("curved part, any rig", "{lowest_degC:.1f} to {highest_degC:.1f} degC in the hold"),
+    Quantity("top_degC", "highest temperature of any point at any time, all rigs", lambda f: f.top.max(),
+             label="hottest point, any rig", words="{top_degC:.1f} degC"),
+    of_field(Feedback, "contributions", of=CONTRIBUTION),
+)  # fmt: skip
+
+LED_HEATING = described(
+    LedHeating,
+    Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
+    Quantity("window_degC", "temperature window of the hold", lambda a: a.plan.spec.window_degC),
+    Quantity("limit_degC", "temperature limit of every point at all times", lambda a: a.plan.spec.limit),
+    Quantity("feasible", "true if the schedule alone keeps all limits on the nominal rig", lambda a: a.plan.feasible),
+    Quantity("board", "board for the sketch", lambda a: a.wiring.known.title, label="board",
+             words="{board}, pulses at {pwm_Hz:.1f} Hz"),
+    "frequency",
+    *within(FEEDBACK, lambda a: a.feedback),
+    Quantity("parts", "list of parts", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
+)  # fmt: skip
+
+
+class LedHeatingReport(Report[LedHeating]):
+    command = "heat firmware"
+    quantities = LED_HEATING
+    file = "law.json"
+    drawn = (("feedback", "heating.plot_feedback"), ("wiring", "heating.plot_wiring"))
+
+    def title(self) -> str:
+        return self.answer.plan.rig.name or "rig"
+
+    def below(self) -> list[RenderableType]:
+        """What moves the temperature, and what to buy."""
+        answer = self.answer
+        moved = columns(answer.feedback.contributions[:6], CONTRIBUTION)
+        return [
+            grid(*moved, title="what moves the temperature (standard deviation)"),
+            grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
+            *remarks(answer.plan.problems, what="problem"),
+        ]
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write law.json and the sketch."""
+        answer = self.answer
+        return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
+
+    def conclude(self) -> None:
+        """Raise SolveError where the schedule does not keep everything on the rig as filed, or most rigs fail."""
+        answer, feedback = self.answer, self.answer.feedback
+        if not answer.plan.feasible:
+            raise SolveError(missed(answer.plan))
+        if feedback.probability < 0.5:
+            raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} random rigs stay in the window")
+
+
+BLOCKS = " ▁▂▃▄▅▆▇█"
+WIDTH = 60
+
+RUN = described(
+    HeatingRun,
+    of_field(HeatingRun, "reason", label="ended", words="{reason}"),
+    Quantity("done", "true if the whole schedule was executed"),
+    Quantity("time_s", "duration", label="after", words="{time_s:.1f} s"),
+    Quantity("hottest_degC", "highest reading", label="greatest reading", words="{hottest_degC:.1f} degC"),
+    "window",
+    Quantity("lowest_degC", "lowest reading in the hold; null without one", lambda r: r.held and r.held[0]),
+    Quantity("highest_degC", "highest reading in the hold", lambda r: r.held and r.held[1]),
+    Quantity("shortfall_K", "miss of the window by the readings of the hold; 0 if it is kept",
+             label="in the hold", words=lambda r: _held(r)),
+    Quantity("rows", "number of reports from the rig", lambda r: len(r.rows)),
+    Quantity("log", "file with all reports", lambda r: None if r.log is None else str(r.log)),
+)  # fmt: skip
+
+
+def _held(run: HeatingRun) -> str:
+    """What was read in the hold, in words."""
+    if run.held is None:
+        return "nothing was measured"
+    read = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
+    if run.window is None or run.shortfall is None:
+        return f"{read}; the rig reports no window"
+    window = f"{run.window[0]:g} to {run.window[1]:g} degC"
+    verdict = f"missed by {run.shortfall:.1f} K" if run.shortfall > 0 else "kept"
+    return f"{read}: window of {window} {verdict}"
+
+
+class HeatingRunReport(Report[HeatingRun]):
+    command = "heat run"
+    quantities = RUN
+
+    def title(self) -> str:
+        return self.answer.name
+
+    def conclude(self) -> None:
+        """Raise SolveError where the rig stopped before it was done, or readings of the hold missed the window."""
+        if not self.answer.done:
+            raise SolveError(f"the rig stopped after {self.answer.time:.1f} s: {self.answer.reason}")
+        if self.answer.shortfall:
+            raise SolveError(f"in the hold {_held(self.answer)}")
+
+
+def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = True) -> HeatingRun:
+    """Run a heating and show it as it goes, on stderr; the log goes into `out`."""
+    if not shown:
+        return study.run_in(out)
+    readings: list[float] = []
+    line, leader = study.open()
+    with Live(console=Console(stderr=True), transient=True, refresh_per_second=8) as live:
+
+        def show(hello: dict[str, Any], row: dict[str, Any]) -> None:
+            readings.append(row["temperature_degC"])
+            live.update(
+                two_columns(
+                    f"{hello.get('firmware', 'rig')}: {row['state']}",
+                    _told(hello, row, readings) + _foretold(row, leader),
+                )
+            )
+
+        return study.led(out, line, leader, show)
+
+
+def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:
+    """What a computer that plans the rest anew thinks of the rig."""
+    if leader is None:
+        return []
+    who = "this computer" if row.get("led") else "the board's own law"
+    rest = leader.rest
+    hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.place, 0) :]
+    told = [("led by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
+    return told if not len(hold) else [*told, ("foretold", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
+
+
+def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> list[tuple[str, str]]:
+    left = max(hello.get("slots", 0) - row["place"], 0) * hello.get("slot_ms", 500) / 1000
+    volt, ampere = row["voltage_V"], row["current_A"]
+    battery = "not measured" if volt is None else f"{volt:.2f} V, {ampere:.0f} A while on"
+    window = hello.get("window_degC")
+    within = "" if window is None else f", window {window[0]:g} to {window[1]:g}"
+    return [
+        ("temperature", f"{row['temperature_degC']:.1f} degC, wanted {row['reference_degC']:.1f}{within}"),
+        ("", _curve(readings)),
+        ("duty", f"{row['count']} of 255" + (", dry: nothing flows" if row["dry"] else "")),
+        ("battery", battery),
+        ("time", f"{row['time_s']:.0f} s, {left:.0f} s left"),
+        ("stop", "Ctrl-C"),
+    ]
+
+
+def _curve(readings: list[float]) -> str:
+    """The readings so far as a line of blocks."""
+    shown = readings[:: max(1, -(-len(readings) // WIDTH))]
+    top = max(max(shown), 1.0)
+    return "".join(BLOCKS[round(max(value, 0.0) / top * (len(BLOCKS) - 1))] for value in shown)

@@ -22,7 +22,7 @@ from ..errors import InputError, extra
 from ..files.files import atomic_write
 from ..files.units import TO_MM
 from ..typing import Array
-from .colours import rgb, tube_colour
+from .page import rgb, tube_colour
 from .surfaces import Centreline, Stretch, Surface, tube_surface, visible
 
 SIDES = 48

@@ -21,7 +21,7 @@ from ..inverse.arm_surface import outer_radius
 from ..robots.pieces import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array
-from .colours import Colour, rgb, tube_colour
+from .page import Colour, rgb, tube_colour
 
 Faces = NDArray[np.uint32]
 

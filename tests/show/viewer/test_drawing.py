@@ -25,7 +25,7 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.planning.trajectory import load_trajectory
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.file import robot_to_yaml
-from tubeopt.show.colours import margin_colour
+from tubeopt.show.page import margin_colour
 from tubeopt.show.surfaces import Centreline, Surface, obstacle_surface, plate_part, robot_parts
 from tubeopt.show.viewer import host, insights, words
 from tubeopt.show.viewer.overlays import cut_parts, cut_words, swept_volume

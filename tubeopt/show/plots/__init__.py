@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..colours import tube_colour
+from ..page import tube_colour
 from .branch import plot_branch
 from .friction import plot_friction_band, plot_hysteresis
 from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ...errors import InputError
 from ...stability import Branch
 from ...typing import Array
-from ..colours import tube_colour
+from ..page import tube_colour
 from .stage import note
 from .style import FAINT, INK, Axes, Figure, angle_ticks, new_figure, number, picture
 

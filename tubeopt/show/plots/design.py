@@ -17,7 +17,7 @@ from ...files.units import TO_MM
 from ...planning import PairShare
 from ...stability import StabilityMap
 from ...typing import Array
-from ..colours import tube_colour
+from ..page import tube_colour
 from ..surfaces import Centreline, visible
 from .maps import draw_map
 from .style import FAINT, INK, Axes, Figure, colour_bar, disk, entitle, headed, narrow, new_figure, picture

@@ -11,7 +11,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
-from ..colours import tube_colour
+from ..page import tube_colour
 from ..surfaces import Centreline
 from .shape import draw_plate
 from .stage import View

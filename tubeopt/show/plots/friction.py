@@ -13,8 +13,8 @@ from ...files.units import TO_MILLI, TO_MM
 from ...stability import FrictionBand, Path
 from ...stability.following import place_of, stretches
 from ...typing import Array
-from ..colours import tube_colour
 from ..formatting import released
+from ..page import tube_colour
 from .path import Value, draw_broken
 from .stage import note
 from .style import INK, Axes, Figure, angle_ticks, entitle, headed, new_figure, picture

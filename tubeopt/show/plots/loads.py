@@ -10,7 +10,7 @@ import numpy as np
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
-from ..colours import TUBE_COLOURS
+from ..page import TUBE_COLOURS
 from .style import FAINT, INK, Axes, Figure, headed, new_figure, picture
 
 if TYPE_CHECKING:

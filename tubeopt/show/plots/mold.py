@@ -20,7 +20,7 @@ from ...shaping.mold.mold import Groove, Mold, clamp_corners
 from ...shaping.mold.ranking import MOST_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
 from ...typing import Array
-from ..colours import tube_colour
+from ..page import tube_colour
 from .sheet import A4, EDGE, new_sheet, numbered, write, write_rows
 from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, new_figure, picture
 

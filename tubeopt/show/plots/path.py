@@ -18,8 +18,8 @@ from ...files.units import TO_MILLI, TO_MM
 from ...stability import Path, Snap
 from ...stability.following import Stretch, place_of, stretches
 from ...typing import Array
-from ..colours import tube_colour
 from ..formatting import released
+from ..page import tube_colour
 from ..surfaces import Centreline, visible
 from .shape import draw_scenes
 from .stage import View, draw_arrow, draw_box, widest_view

@@ -15,7 +15,7 @@ from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array, Mask
-from ..colours import tube_colour
+from ..page import tube_colour
 from ..surfaces import Bundle, Centreline, Detail, bundles, plate_part, plate_radius, robot_parts, visible
 from .stage import Box, Mesh, View, draw_arrow, draw_box, facets, mesh_of, note, rule_step, widest_view
 from .style import FAINT, INK, Axes, Figure, caption, disk, headed, narrow, new_figure, number, picture

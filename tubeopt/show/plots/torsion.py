@@ -12,7 +12,7 @@ import scipy
 from ...equilibrium.result import Equilibrium
 from ...files.units import TO_MM
 from ...typing import Array
-from ..colours import tube_colour
+from ..page import tube_colour
 from .style import FAINT, INK, Axes, Figure, caption, entitle, name_above, new_figure, picture, widen
 
 JUMP = 1e-3

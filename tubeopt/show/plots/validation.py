@@ -10,7 +10,7 @@ import scipy
 from ...files.units import TO_MM
 from ...typing import Array
 from ...validation import Comparison, ErrorTable, Validation
-from ..colours import tube_colour
+from ..page import tube_colour
 from .stage import note, round_below
 from .style import FAINT, INK, Axes, Figure, disk, entitle, headed, name_above, narrow, new_figure, picture
 

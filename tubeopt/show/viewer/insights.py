@@ -19,7 +19,7 @@ from ...files.units import TO_MM
 from ...robots.robot import Robot
 from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
 from ...typing import Array
-from ..colours import margin_colour, tube_colour
+from ..page import margin_colour, tube_colour
 from ..plots.branch import fold_points, smooth, stable_parts
 from .external_load import bearing_words
 from .panel import Panel

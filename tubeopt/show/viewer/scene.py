@@ -20,7 +20,7 @@ from ...robots.robot import Robot
 from ...stability import Snap
 from ...typing import Array
 from ...workspaces import Workspace
-from ..colours import margin_colour
+from ..page import margin_colour
 from ..surfaces import (
     Centreline,
     Part,

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...bodies.frames import Plane
 from ...equilibrium.result import Equilibrium
-from ..colours import margin_colour, tube_colour
 from ..formatting import counted
+from ..page import margin_colour, tube_colour
 from ..quantities import Quantity, record
 from .session import Event, Session
 

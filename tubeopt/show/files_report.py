@@ -1,8 +1,9 @@
-"""What is said about the files that come with tubeopt."""
+"""Reports on built-in files, and on a file that was written to begin with."""
 
 from __future__ import annotations
 
 from ..runs.shipped_files import ShippedFile, ShippedFiles
+from ..runs.templates import Written
 from .quantities import Quantity, described
 from .report import Report
 
@@ -25,3 +26,11 @@ class ShippedReport(Report[ShippedFiles]):
         said = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
         lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in zip(rows, said, strict=True))
         return "\n".join(line.rstrip() for line in lines)
+
+
+class WrittenReport(Report[Written]):
+    command = "init"
+    quantities = (Quantity("then", "command that uses the file", words="{then}", label="next"),)
+
+    def title(self) -> str:
+        return ""
