@@ -38,7 +38,7 @@ def test_every_package_has_its_row(drawn: ModuleType) -> None:
 
 def test_ten_steps_name_files_and_functions_that_are_there() -> None:
     steps = re.findall(r"^(\d+)\. ", PAGE, re.MULTILINE)
-    assert steps == [str(k) for k in range(1, 11)]
+    assert steps == [str(k) for k in range(1, 11)] * 3
     files = re.findall(r"`([\w/]+/(?:\w+\.py)?)`", PAGE)
     assert len(files) > 12
     for file in files:
