@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from os import PathLike
@@ -243,9 +244,17 @@ class Designed(Entry):
         return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
 
 
-@asking(optimize_design, "starts", "seed", "turns")
+TRIES = ("starts", "seed", "turns")
+
+
+@asking(optimize_design, *TRIES)
 class Tried(Entry):
     """How many designs a search begins with."""
+
+    @property
+    def tries(self) -> dict[str, Any]:
+        """Arguments of `optimize_design`, and of the searches over it: starts, seed, turns."""
+        return values(optimize_design, self, *TRIES)
 
 
 @asking(Tolerances)
@@ -423,12 +432,10 @@ class RegionEntry(SearchPart):
         wanted = RegionReach(start, chosen[: self.places], bodies, **self.options(seed))
         return wanted, self.judge(wanted, chosen)
 
-    def run(self, task: DesignTask, starts: int, seed: Whole, turns: int, progress: Progress | None) -> RegionAnswer:
-        """The design, and what it reaches; raises as `search_design`."""
-        wanted, other = self.reach(task.robot.n_tubes, seed)
-        found = search_design(
-            task, wanted, time_limit=self.si("seconds"), starts=starts, seed=seed, turns=turns, progress=progress
-        )
+    def run(self, task: DesignTask, tries: Mapping[str, Any], progress: Progress | None) -> RegionAnswer:
+        """The design, and what it reaches, with the arguments `Tried.tries`; raises as `search_design`."""
+        wanted, other = self.reach(task.robot.n_tubes, tries["seed"])
+        found = search_design(task, wanted, time_limit=self.si("seconds"), progress=progress, **tries)
         robot = task.robot
         assert isinstance(robot, ConcentricRobot)
         before = other.evaluate(robot, np.zeros(len(other.ranges)))

@@ -33,7 +33,7 @@ from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole, in_file
 from ..files.field_metadata import Typical, key
-from ..files.fields import EntryOf
+from ..files.fields import EntryOf, values
 from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
@@ -135,7 +135,7 @@ class DesignStudy(Designed, Tried, Timed):
                 raise ValueError(
                     "objective reach_share uses a derivative-free search; it does not support stock or a Pareto front"
                 )
-            self.objective.reach(task.robot.n_tubes, self.seed)
+            self.objective.reach(task.robot.n_tubes, self.tries["seed"])
         return self
 
     def task(self) -> DesignTask:
@@ -159,10 +159,10 @@ class DesignStudy(Designed, Tried, Timed):
             task = with_sizes(task, choice.best.sizes)
         region = None
         if isinstance(self.objective, RegionEntry):
-            region = self.objective.run(task, self.starts, self.seed, self.turns, progress)
+            region = self.objective.run(task, self.tries, progress)
             solution = region.search.solution
         else:
-            solution = optimize_design(task, progress=progress, **self.in_si("starts", "seed", "workers", "turns"))
+            solution = optimize_design(task, progress=progress, workers=self.workers, **self.tries)
         tolerance = None
         if self.tolerances is not None:
             tolerance = tolerance_analysis(
@@ -170,9 +170,9 @@ class DesignStudy(Designed, Tried, Timed):
                 self.tolerances.build(),
                 translations=certified_at(solution.attempt.program, solution.robot) or None,
                 poses=[(e.rotations, e.translations) for e in solution.equilibria],
-                samples=self.tolerances.samples,
                 workers=self.workers,
                 progress=progress,
+                **values(tolerance_analysis, self.tolerances, "samples"),
             )
         front = None
         if self.pareto_margins is not None:
@@ -290,15 +290,15 @@ class PairStudy(Timed, SearchPart, Tried):
 
     def wanted(self) -> tuple[PairReach, PairReach]:
         """What is searched for, and that by which what comes of it is judged."""
-        around = shared(self.anatomy)
+        around, seed = shared(self.anatomy), self.tries["seed"]
         if self.region is None:
-            chosen = self.chosen(around.target, self.seed)
+            chosen = self.chosen(around.target, seed)
         else:
-            chosen = self.region.places(self.places + self.judged, self.seed)
+            chosen = self.region.places(self.places + self.judged, seed)
         one, other = (arm.placed(around).base for arm in self.arms)
         starts = self.arms[0].start, self.arms[1].start
         bodies = around.bodies + self.obstacles
-        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, **self.options(self.seed))
+        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, **self.options(seed))
         return searched, self.judge(searched, chosen)
 
     def run(self, progress: Progress | None = None) -> PairAnswer:
@@ -314,7 +314,7 @@ class PairStudy(Timed, SearchPart, Tried):
             searched,
             progress=progress,
             time_limit=self.si("seconds"),
-            **self.in_si("starts", "seed", "turns"),
+            **self.tries,
         )
         before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
         after = judge.evaluate(*found.value, found.own)
