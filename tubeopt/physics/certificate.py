@@ -45,6 +45,7 @@ ITERATIONS = 200
 
 def pair_couplings(stiffness: Any, moment: Any) -> Any:
     """(n, n) |c_ij| of every pair of tubes at a cross-section with kb_i, m_i (n,), 0 on the diagonal."""
+    # -V'' has m_i m_j cos(theta_i - theta_j) / sum kb for a pair: |cos| <= 1 bounds it at any rotations.
     pull = ca.fabs(moment)
     pairs = pull @ pull.T / ca.sum1(stiffness)
     return pairs - ca.diag(ca.diag(pairs))
@@ -61,6 +62,7 @@ def bend_rate_function(n: int) -> ca.Function:
     """(kb, m (n,)) -> |m_i| / sum kb (n,): how much curvature (1/m) a turn of a tube can change; 0 where none is."""
     stiffness, moment = (ca.SX.sym(s, n) for s in ("kb", "m"))
     total = ca.sum1(stiffness)
+    # Both branches of `if_else` are evaluated: 0 / 0 in the unused one would make the sum NaN.
     rate = ca.if_else(total > 0, ca.fabs(moment) / ca.if_else(total > 0, total, 1), ca.DM.zeros(n))
     return ca.Function("bend_rate", [stiffness, moment], [rate], {"cse": True})
 
@@ -73,8 +75,10 @@ def coupling_rate_function(n: int) -> ca.Function:
     the Jacobi matrix, and what is behind them, sum_j |c_ij| (1 / kt_i + 1 / kt_j), bound its eigenvalues.
     """
     stiffness, moment, kt = (ca.SX.sym(s, n) for s in ("kb", "m", "kt"))
+    # Without tubes m = 0, and kb = 1 makes the couplings 0 instead of 0 / 0.
     there = ca.if_else(ca.sum1(stiffness) > 0, stiffness, ca.DM.ones(n))
     pairs = pair_couplings(there, moment)
+    # Row sums of C diag(1 / kt), which has the eigenvalues of diag(1 / kt) C (Gershgorin).
     rate = ca.sqrt(ca.mmax(pairs @ (1 / kt) + ca.sum2(pairs) / kt))
     return ca.Function("coupling_rate", [stiffness, moment, kt], [rate], {"cse": True})
 
@@ -100,8 +104,10 @@ def crossing_function(n: int, columns: int, terms: int, parts: int) -> ca.Functi
     end, stiffness = ca.SX.sym("end", 2 * n + 2, columns), ca.SX.sym("K")
     mu, force, h, lever = (ca.SX.sym(name) for name in ("mu", "F", "h", "lever"))
     pairs, pull, kt = ca.SX.sym("pairs", 2), ca.SX.sym("pull", n), ca.SX.sym("kt", n)
+    # S of the text above: (Y_i + Y_j)^2 puts |c_ij| on both diagonal entries and beside them.
     coupled = pair_couplings(stiffness, pull)
     opposing = pairs[0] * ca.diag(ca.sum2(coupled)) + pairs[1] * coupled
+    # A bounded sum of large terms x^k / k! loses digits: short parts keep the terms small.
     state, part = end, h / parts
     for k in range(parts):
         where = mu, force, lever + k * part, part
@@ -118,7 +124,9 @@ def _series(state: Any, where: tuple[Any, ...], section: tuple[Any, ...], terms:
     for k in range(terms):
         y, phi, torque, moment = term[:n, :], term[n, :], term[n + 1 : 2 * n + 1, :], term[2 * n + 1, :]
         bent = ca.repmat(slope, 1, y.shape[1])
+        # M = F (lever + x) is linear: its slope multiplies the coefficient of Y one power below, `last`.
         pulled = opposing @ y + force * bent * (lever * y + h * last)
+        # Minus the derivatives of the text above, since x runs from the tip to the plate.
         change = ca.vertcat(
             -torque / ca.repmat(kt, 1, y.shape[1]),
             -slope.T @ y - moment / stiffness,
@@ -138,12 +146,14 @@ def _plate_function(n: int, sections: int) -> ca.Function:
     h, stiffness, pull = ca.MX.sym("h", sections), ca.MX.sym("K", sections), ca.MX.sym("pull", n, sections)
     kt, held = ca.MX.sym("kt", n, sections), ca.MX.sym("l", n)
     crossing = crossing_function(n, n + 1, *WHOLE)
+    # At the free tip P = 0 and p = 0; the columns are unit values of Y_1, ..., Y_n and phi.
     state: Any = ca.vertcat(ca.DM.eye(n + 1), ca.DM.zeros(n + 1, n + 1))
     lever: Any = 0.0
     for k in reversed(range(sections)):
         state = crossing(state, mu, pairs, force, h[k], lever, stiffness[k], pull[:, k], kt[:, k])
         lever = lever + h[k]
     missed = plate_conditions(state, kt[:, 0], held)
+    # One tangent carried through all sections; the derivative by Newton's method needs no other.
     slope = ca.reshape(ca.jtimes(ca.vec(missed), mu, ca.MX(1)), n + 1, n + 1)
     return ca.Function("plate", [mu, pairs, force, h, stiffness, pull, kt, held], [missed, slope])
 
@@ -151,6 +161,7 @@ def _plate_function(n: int, sections: int) -> ca.Function:
 def plate_conditions(state: Any, kt: Any, held: Any) -> Any:
     """By what Y = |beta| Y' and phi = 0 are missed at the plate, where the states (2 n + 2, ...) are these."""
     n = kt.shape[0]
+    # The straight part below the plate is a spring kt / |beta|, and Y' = P / kt.
     springs = state[:n, :] - ca.repmat(held / kt, 1, state.shape[1]) * state[n + 1 : 2 * n + 1, :]
     return ca.vertcat(springs, state[n, :])
 
@@ -183,12 +194,14 @@ def largest_eigenvalue(
             break
         if not np.isfinite(rate):
             return np.inf, np.zeros(len(kt) + 1)
+        # D'^2 >= D D'' for real roots (Laguerre), so the steps -D / D' fall: one that grows is round-off.
         if not rate > 0 or 1 / rate >= last:
             break
         last = 1 / rate
         mu += last
         if last < 1e-15 * mu:
             break
+    # The mode's values at the tip span the kernel of the conditions at the plate.
     tip = np.linalg.svd(missed)[2][-1]
     return (1 / mu if mu > 0 else 0.0), tip / tip[np.argmax(np.abs(tip))]
 
@@ -208,6 +221,7 @@ def base_determinant(eigenvalue: Any, given: dict[str, Any], across: tuple[int, 
     for k in reversed(range(sections)):
         stiffness, pull = ca.sum1(given["stiffness"][:, k]), ca.fabs(given["moment"][:, k])
         state = crossing(state, 1 / eigenvalue, TURNED, 0.0, given["length"][k], 0.0, stiffness, pull, kt[k])
+    # Without a force p stays 0, and phi acts on nothing: the last condition drops out.
     return ca.det(plate_conditions(state, kt[0], given["transmission"])[:n, :])
 
 
@@ -236,9 +250,11 @@ def determinant_function(pattern: Pattern) -> Any:
     ends, present, curved = pattern
     n = len(present[0])
     symbols = {name: ca.SX.sym(name, n) for name in PARAMETERS}
+    # Each tube is clamped at beta < 0: -beta is its length below the plate.
     beta = symbols["translation"] - symbols["straight_length"]
     transition = beta + symbols["straight_length"]
     tip = transition + symbols["curved_length"]
+    # D is smooth only while the breakpoints keep their order, so each order has its own function.
     cuts = [ca.SX(0), *((tip if e % 2 else transition)[e // 2] for e in ends)]
     masks = (ca.DM(present).T, ca.DM(curved).T)
     given = {

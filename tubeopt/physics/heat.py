@@ -149,6 +149,7 @@ def volumes(g: Properties, width: Any, vent: Any, shells: tuple[Any, Any], resol
     ring, ratio = shells
     gripped = ca.DM((zone == GRIP).astype(float))
     bare = ca.vertcat(ca.DM((zone[:first] == CLEARANCE).astype(float)), vent) * width
+    # Temperatures belong to the middle of a cell: neighbours are half of both widths apart.
     cover, distance = width[first:], 0.5 * (width[1:] + width[:-1])
     gap = g["gap"] * (1 - vent)
     return Volumes(
@@ -161,6 +162,7 @@ def volumes(g: Properties, width: Any, vent: Any, shells: tuple[Any, Any], resol
         # 1 / (1 / gap + wall), without dividing by a gap that vents take away.
         to_mold=cover * gap / (1 + gap * g["wall"]),
         shell_heat=ca.mtimes(cover, (g["mold_heat"] * ring).T),
+        # Steady flow between the radii r < R of a ring: 2 pi k dx (T_r - T_R) / ln(R / r).
         radial=2 * math.pi * g["mold_k"] * ca.mtimes(cover, (1 / ratio).T),
         outer=g["outer"] * cover,
         axial=g["mold_k"] * ca.mtimes(1 / distance[first:], ring.T),
@@ -189,6 +191,7 @@ def resistances(tube: Any, v: Volumes, g: Properties) -> Any:
 
 def tube_share(half: Any, g: Properties) -> Any:
     """Part of the current that flows through the tube and not through the mold."""
+    # R = 2 half in parallel with 1 / leak: I_tube / I = (1 / R) / (1 / R + leak).
     return 1 / (1 + 2 * half * g["leak"])
 
 
@@ -199,12 +202,14 @@ def source_voltage(used: Any, g: Properties) -> Any:
 
 def loop_resistance(half: Any, g: Properties) -> Any:
     """Everything that the battery feeds, with its own resistance, ohm."""
+    # R / (1 + R leak) is the resistance of tube and mold in parallel.
     return g["internal"] + g["series"] + 2 * half * tube_share(half, g)
 
 
 def conducting(duty: Any, g: Properties) -> Any:
     """Part of the time in which the full current would give the power of pulses of this duty: less than the duty, since
     the loop's inductance lets the current rise late; a switch that is never off loses nothing."""
+    # Pulses shorter than the loss would else give negative power.
     return ca.if_else(duty < 1, ca.fmax(duty - g["lost"], 0.0), duty)
 
 
@@ -261,6 +266,7 @@ def cell_gains(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> 
     ambient = g["ambient"]
     into_clamp = v.to_clamp * (tube - clamp)
     air = heat_to_air(tube, ambient, v.to_air, v.radiating)
+    # Heat follows the square of the tube's own current, hence its share squared.
     joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
     return joule - into_clamp - air + contact_heat(load, g) * v.grip_share, into_clamp, air
 
@@ -273,17 +279,20 @@ def heat_to_air(hot: Any, ambient: Any, convection: Any, radiation: Any) -> Any:
 
 def heat_along(left: Any, right: Any, conduction: Any, g: Properties) -> Any:
     """What passes along the tube from a cell at `right` to the one before at `left`, W."""
+    # k is linear in T, so its value at the mean is its exact average between both temperatures.
     slope = 1 + g["conduction_slope"] * (0.5 * (right + left) - g["reference"])
     return conduction * slope * (right - left)
 
 
 def contact_heat(load: Load, g: Properties) -> Any:
     """What a contact of the clamps makes, W: half into the tube's end, half into the clamp."""
+    # Two contacts have half of the resistance each, and half of each one's heat goes to either side.
     return 0.25 * load.drive * g["contact"]
 
 
 def stray_heat(load: Load, cover_share: Any, g: Properties) -> Any:
     """What the current beside the tube makes in parts of the mold, W."""
+    # The current I (1 - share) beside half of the tube falls by its voltage, I share R / 2.
     share = tube_share(load.half, g)
     return load.drive * (1 - share) * share * load.half * cover_share
 
@@ -309,6 +318,7 @@ def tube_capacity(tube: Any, v: Volumes, g: Properties) -> Any:
 def stored_heat(at: Temperatures, v: Volumes, g: Properties) -> Any:
     """Heat in half the tube, half the mold and one clamp above ambient, J: the integral of the capacities."""
     ambient, reference = g["ambient"], g["reference"]
+    # Integral of heat_slope (T - T_ref) from ambient to the temperature.
     curve = 0.5 * g["heat_slope"] * ((at.tube - reference) ** 2 - (ambient - reference) ** 2)
     metal = ca.dot(v.heat, at.tube - ambient + curve)
     return metal + ca.dot(v.shell_heat, at.mold - ambient) + g["clamp_heat"] * (at.clamp - ambient)
@@ -322,10 +332,12 @@ def frozen_jacobian(at: Temperatures, cells: Any, v: Volumes, g: Properties) -> 
         own: (1 + M, n) W/K. inward: (1 + M, n) with the next in the same cell, 0 in the last row.
         along: (1 + M, n-1) with the same in the next cell.
     """
+    # The current depends on the resistance of all cells, so that with it the Jacobian would be full.
     nothing = Load(0.0, 0.0, 0.0)
     flows = heat_flows(at, nothing, v, g)
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
+    # By columns, a shell is 1 entry from the next one outward and `rows` entries from the next cell.
     own, inward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
     return ca.reshape(own, rows, n), ca.reshape(ca.vertcat(inward, 0), rows, n), ca.reshape(along, rows, n - 1)
 

@@ -69,6 +69,7 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     seen = ca.vertcat(now, now * heat.tube_share(half, g), terminal, half)
     found = {
         "rates": ([cells, lumped, duty, p, q], [cell_rates, slow]),
+        # Joule heat enters the tube, stray heat the first shell; the other rows do not depend on duty.
         "warming": ([cells, lumped, duty, p, q], [cell_rates[:2, :]]),
         "current": ([tube, lumped, p, q], [seen]),
         "linearised": ([cells, p, q], [capacity, *heat.frozen_jacobian(at, cells, v, g)]),
@@ -87,19 +88,23 @@ def _loaded(half: ca.SX, lumped: ca.SX, duty: ca.SX, g: heat.Properties) -> tupl
     """The load of a duty where half the tube has `half` ohm, and the current while the MOSFET conducts."""
     total = (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
     on = heat.conducting(duty, g)
+    # The mean square of a pulsed current is d I^2, not (d I)^2.
     return heat.Load(half, on * total, on * total**2), total
 
 
 def _slow(clamp: ca.SX, surroundings: ca.SX, load: heat.Load, total: ca.SX, lumped: ca.SX, g: heat.Properties) -> ca.SX:
     """Rates of the lumped state, where a clamp and the surroundings of half the rig gain so much, W."""
     discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
+    # The contacts' heat goes into tube and clamps, not into cables.
     outside_tube = g["internal"] + g["series"] - g["contact"]
     return ca.vertcat(
         clamp / g["clamp_heat"],
         discharge,
         sagging,
         load.mean * heat.source_voltage(lumped[CHARGE], g),
+        # d I (V_sag + I R): what the voltage at rest loses before it reaches the tube.
         load.mean * (lumped[SAG] + total * outside_tube),
+        # The flows are those of half the rig.
         2 * surroundings,
     )
 
@@ -118,6 +123,7 @@ def cell_functions() -> tuple[ca.Function, ...]:
     lumped, seen, p = ca.SX.sym("lumped", LUMPED), ca.SX.sym("load", 4), ca.SX.sym("p", len(PROPERTIES))
     g, load = named(p), heat.Load(seen[0], seen[1], seen[2])
     own = {name: ca.SX.sym(name) for name in OF_A_CELL}
+    # A law of one cell that took another coefficient would fail at once on None.
     v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
     gain, given, air = heat.cell_gains(tube, clamp, load, v, g)
     stray = heat.stray_heat(load, coefficient, g)
@@ -155,6 +161,7 @@ def step_function(resolution: Resolution) -> ca.Function:
     capacity, own, inward, along = functions["linearised"](cells, p, q)
     # What leaves to clamp and air stands in the second, which is exact where a cell has no shells.
     across = -inward - ca.vertcat(ca.DM(1, cells.size2()), inward[:-1, :])
+    # C - gamma h (A + B) = (C - gamma h A) C^-1 (C - gamma h B) but for gamma^2 h^2 A C^-1 B.
     outward = _tridiagonal(capacity - GAMMA * h * across, -GAMMA * h * inward[:-1, :])
     sideways = _tridiagonal((capacity - GAMMA * h * (own - across)).T, -GAMMA * h * along.T)
 
@@ -164,6 +171,7 @@ def step_function(resolution: Resolution) -> ca.Function:
     rate, slow = rates(cells, lumped, duty, p, q)
     first = stage(rate)
     later = lumped + h * slow
+    # ROS2: (1 - gamma h J) k_2 = F(u + h k_1) - 2 k_1, and u + h (3 k_1 + k_2) / 2 is the end.
     second = stage(rates(cells + h * first, later, duty, p, q)[0] - 2 * first)
     after = cells + h * (1.5 * first + 0.5 * second)
     # The stage in between overshoots what is stiff: the clamps would feel it.
@@ -175,6 +183,7 @@ def _tridiagonal(diagonal: ca.SX, beside: ca.SX) -> Callable[[Any], Any]:
     """Solver of many symmetric tridiagonal systems, of which every column (N) of `diagonal` and (N-1) of `beside` is
     one, for right-hand sides in columns."""
     count = diagonal.size1()
+    # No pivots: C - gamma h J is diagonally dominant, as heat flows from hot to cold.
     inverse, ratio = [1 / diagonal[0, :]], []
     for k in range(1, count):
         ratio.append(beside[k - 1, :] * inverse[-1])

@@ -37,6 +37,7 @@ def exponential(omega: Any, v: Any) -> tuple[Any, Any]:
     power series, which have no cancellation and no branch."""
     x = ca.dot(omega, omega)
     b, c = _series(x, 2), _series(x, 3)
+    # R = 1 + sin(t) / t [w] + b [w]^2 and p = v + b [w] v + c [w]^2 v, with sin(t) / t = 1 - t^2 c.
     hat = ca.skew(omega)
     square = hat @ hat
     return ca.DM.eye(3) + (1 - x * c) * hat + b * square, v + b * (hat @ v) + c * (square @ v)
@@ -45,6 +46,7 @@ def exponential(omega: Any, v: Any) -> tuple[Any, Any]:
 def _series(x: Any, k: int) -> Any:
     """sum_j (-x)^j / (2 j + k)!"""
     total: Any = 0.0
+    # Horner's rule, from the smallest term on.
     for j in reversed(range(SERIES_TERMS)):
         total = 1.0 / math.factorial(2 * j + k) - x * total
     return total
@@ -53,11 +55,13 @@ def _series(x: Any, k: int) -> Any:
 def _magnus(curvature: Any, length: Any) -> tuple[Any, Any]:
     """The twist whose exponential is a step of `length`, m, with `curvature` (2, 3), 1/m, at the three GAUSS_POINTS."""
     twist = [(ca.vertcat(curvature[:, k], 0), ca.vertcat(0, 0, 1)) for k in range(3)]
+    # Taylor coefficients about the middle: a_k = h^k xi^(k - 1) / (k - 1)!, by differences.
     a1 = _combine((length, twist[1]))
     a2 = _combine((np.sqrt(15) / 3 * length, twist[2]), (-np.sqrt(15) / 3 * length, twist[0]))
     a3 = _combine((10 / 3 * length, twist[2]), (-20 / 3 * length, twist[1]), (10 / 3 * length, twist[0]))
     c1 = _bracket(a1, a2)
     c2 = _combine((-1 / 60, _bracket(a1, _combine((2, a3), (1, c1)))))
+    # Omega = a_1 + a_3 / 12 + [-20 a_1 - a_3 + C_1, a_2 + C_2] / 240, with three brackets for order 6.
     last = _bracket(_combine((-20, a1), (-1, a3), (1, c1)), _combine((1, a2), (1, c2)))
     return _combine((1, a1), (1 / 12, a3), (1 / 240, last))
 
@@ -80,6 +84,7 @@ def _quaternion_step() -> ca.Function:
     quaternion, position = ca.SX.sym("q", 4), ca.SX.sym("p", 3)
     curvature, length = ca.SX.sym("u", 2, 3), ca.SX.sym("h")
     omega, v = _magnus(curvature, length)
+    # (cos(t / 2), sin(t / 2) w / t) as series in t^2 / 4: no branch at t = 0.
     quarter = ca.dot(omega, omega) / 4
     turn = ca.vertcat(_series(quarter, 0), _series(quarter, 1) * omega / 2)
     _, shift = exponential(omega, v)
@@ -102,6 +107,7 @@ def rotation_matrix(quaternion: Any) -> Any:
 def quaternion_rates() -> NDArray[np.float64]:
     """(2, 4, 4) matrices Omega_j: Q' = (u_x Omega_x + u_y Omega_y) Q / 2 for the quaternion Q of the Bishop frame."""
     q, u = ca.SX.sym("q", 4), ca.SX.sym("u", 2)
+    # u is given in the moving frame, so it multiplies from the right: Q' = Q (0, u) / 2.
     turned = quaternion_product(q, ca.vertcat(0, u, 0))
     parts = [ca.evalf(ca.jacobian(ca.jacobian(turned, u)[:, j], q)).full() for j in range(2)]
     return np.array(parts)
@@ -111,6 +117,7 @@ def quaternion_rates() -> NDArray[np.float64]:
 def frame_forms() -> NDArray[np.float64]:
     """(3, 3, 4, 4) symmetric matrices T_ij with R_ij = Q' T_ij Q, the frame R of a unit quaternion Q."""
     q = ca.SX.sym("q", 4)
+    # R_ij is quadratic in Q: half of its Hessian is the matrix of the form.
     frame = rotation_matrix(q)
     return np.array([[ca.evalf(ca.hessian(frame[i, j], q)[0]).full() / 2 for j in range(3)] for i in range(3)])
 
@@ -125,6 +132,7 @@ def tangent_forms() -> NDArray[np.float64]:
 def world_turns() -> NDArray[np.float64]:
     """(3, 4, 4) matrices Z_i with dpsi_i = 2 (Z_i Q)' dQ, the turn about world axes of a unit quaternion Q."""
     q, e = ca.SX.sym("q", 4), ca.SX.sym("e", 3)
+    # World axes multiply from the left: dQ = (0, dpsi) Q / 2, and the Z_i Q are orthonormal.
     product = quaternion_product(ca.vertcat(0, e), q)
     return np.array([ca.evalf(ca.jacobian(ca.jacobian(product, e)[:, i], q)).full() for i in range(3)])
 

@@ -23,6 +23,7 @@ def bend_from_own(direction: tuple[Any, Any], curvature: Any, natural: Any, stre
 
 def surface_strain(radius: Any, bend: Any, natural: Any) -> Any:
     """Largest strain at the surface of a tube of outer `radius`, m, that is bent by `bend` from its own curvature."""
+    # The fibre inside the bend is the shortest, 1 - r |kappa| of the axis: its strain is the largest.
     return radius * bend / (1 - radius * abs(natural))
 
 
@@ -41,4 +42,5 @@ def slotted_strain_ratio(bending_factor: Any, share: Any, *, symmetric: bool = T
         bending_factor: b, in (0, 1].  share: f, in (0, 1].
         symmetric: whether the slots are, about the plane across the bend.
     """
+    # Under one moment rings bend b times the mean: 1 = (1 - f) b + f times that of the slotted part.
     return (1 if symmetric else 2) * (1 - bending_factor * (1 - share)) / share

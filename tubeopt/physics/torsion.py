@@ -74,6 +74,7 @@ def _stretch(u: Any, offset: Any, angle: Any) -> Any:
 
 def _at_curvature(u: Any, theta: Any, stiffness: Any, moment: Any, stretch: Any) -> CrossSection:
     pulls = _pulls(theta, moment)
+    # kb |u / g - kappa|^2 / 2 per length of the tube, expanded; g turns it to the arm's length.
     tube_u = ca.repmat(u.T, theta.shape[0], 1) / ca.horzcat(stretch, stretch)
     bend = ca.sum2(tube_u**2) * stiffness / 2 - ca.sum2(tube_u * pulls)
     # m^2 / kb, with kb = 0 for a tube that is not there.
@@ -83,6 +84,7 @@ def _at_curvature(u: Any, theta: Any, stiffness: Any, moment: Any, stretch: Any)
 
 def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> Any:
     """Curvature u of tubes at offsets: Newton on u sum kb / g(u) = total, from two steps of plain iteration."""
+    # g = 1 + across . u, so one pass of u = total / sum(kb / g) shrinks the error by about d |u|.
     across = offset * ca.sin(angle), -offset * ca.cos(angle)
     u = total / ca.sum1(stiffness)
     u = total / ca.sum1(stiffness / (1 + across[0] * u[0] + across[1] * u[1]))
@@ -91,6 +93,7 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> An
         weights = stiffness * inverse
         resistance, loss = ca.sum1(weights), weights * inverse
         slope = ca.dot(loss, across[0]), ca.dot(loss, across[1])
+        # d(resistance) / du = -slope, since dg / du = across.
         gap = u * resistance - total
         # The Jacobian is resistance * 1 - u slope': its inverse by Sherman and Morrison.
         factor = (slope[0] * gap[0] + slope[1] * gap[1]) / (resistance - slope[0] * u[0] - slope[1] * u[1])
@@ -111,6 +114,7 @@ def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, 
     stretch = _stretch(u, *place)
     balance = u * ca.sum1(stiffness / stretch) - ca.sum1(_pulls(theta, moment)).T
     at = _at_curvature(u, theta, stiffness, moment, stretch)
+    # F(u, w) = 0 gives du/dw = -F_u^-1 F_w, exact at the root and without the Newton steps.
     turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, wrt)
     moments = ca.jacobian(at.moment, wrt) + ca.jacobian(at.moment, u) @ turned
     slopes = [ca.densify(part) for part in (turned, moments, ca.jacobian(stretch, u) @ turned)]
@@ -168,6 +172,7 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
         "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
     }
     if not eccentric:
+        # u is a sum of terms in one theta_i each, so that its mixed second derivatives vanish.
         second = ca.vertcat(*(ca.diag(ca.hessian(here.curvature[j], theta)[0]).T for j in range(2)))
         bending = [here.bending_energy, here.moment, stiff, here.curvature, turned, second]
         table["bending"] = (inputs, [ca.densify(part) for part in bending])
