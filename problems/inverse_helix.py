@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.show.plots.inverse import plot_targets
+from tubeopt.show.plots.workspace import plot_targets
 
 ROOT = Path(__file__).resolve().parents[1]
 CENTRE_MM, RADIUS_MM, RISE_MM, TURNS, STEP_MM = (55.0, 10.0, 115.0), 22.0, 50.0, 2.0, 0.5

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import tubeopt
-from tubeopt.show.plots.inverse import plot_inverse
+from tubeopt.show.plots.workspace import plot_inverse
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET_MM = (40.0, 0.0, 170.0)

@@ -149,7 +149,7 @@ FORBIDDEN = {
     "show/formatting.py": ("from ..cli import output", "what is shown does not know the commands"),
     "equilibrium/linearised.py": ("import casadi", "CasADi is used where programs are stated"),
     "control/command.py": ("import yaml", "YAML is used where files are read and written"),
-    "show/solids.py": ("import matplotlib", "Matplotlib is used where pictures are drawn"),
+    "show/surfaces.py": ("import matplotlib", "Matplotlib is used where pictures are drawn"),
 }
 """File -> a line that it must not have, and the contract that this breaks."""
 

@@ -101,7 +101,7 @@ from .shaping.heating.spec import HeatingSpec
 from .shaping.heating.uncertainty import Uncertainty
 from .show.notebook import show_in_3d
 from .show.plots.shape import plot_shape, plot_shapes
-from .show.solids import save_solid
+from .show.surfaces import save_solid
 from .show.tables import save_table, to_dataframe, to_xarray
 from .solvers import parallel
 from .solvers.named_program import ProblemSolution, ProblemStatus, load_problem_solution

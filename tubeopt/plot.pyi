@@ -1,7 +1,6 @@
 # The names of `tubeopt.plot`, and where each comes from: loaded when it is first used.
 
 from .show.page import tube_colour
-from .show.plots.branch import plot_branch
 from .show.plots.design import (
     plot_before_after,
     plot_front,
@@ -12,12 +11,18 @@ from .show.plots.design import (
     plot_tolerance,
 )
 from .show.plots.eccentric import plot_permutations, plot_reach
-from .show.plots.friction import plot_friction_band, plot_hysteresis
 from .show.plots.heating import plot_feedback, plot_heating, plot_rig_fit, plot_wiring
-from .show.plots.inverse import plot_inverse, plot_targets
-from .show.plots.loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
-from .show.plots.maps import plot_energy_maps, plot_stability_map
+from .show.plots.loads import (
+    plot_bearing,
+    plot_force_estimates,
+    plot_friction_band,
+    plot_hysteresis,
+    plot_load_limits,
+    plot_payload,
+)
+from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import (
+    plot_fabrication_sheet,
     plot_mandrel,
     plot_mandrel_sheet,
     plot_materials,
@@ -26,13 +31,11 @@ from .show.plots.mold import (
     plot_springback,
 )
 from .show.plots.path import plot_path, plot_snap
-from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes
-from .show.plots.sheet import plot_fabrication_sheet
+from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
 from .show.plots.style import new_figure, picture, save_figure
-from .show.plots.torsion import plot_torsion, plot_torsions
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
 from .show.plots.validation import plot_effects, plot_error_table, plot_errors, plot_residuals, plot_simulated_circles
-from .show.plots.workspace import plot_workspace
+from .show.plots.workspace import plot_inverse, plot_targets, plot_workspace
 
 __all__ = [
     "new_figure",

@@ -22,7 +22,7 @@ from tubeopt.bodies.scene import scene_of
 from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface, largest_gap
 from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.show.plan_report import ARMS
-from tubeopt.show.viewer.given import load_bodies
+from tubeopt.show.viewer.view import load_bodies
 from tubeopt.typing import Array, Index
 
 trimesh = pytest.importorskip("trimesh")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.command_line import Run, answer
-from tubeopt.show import doctor
+from tubeopt.show import command_report
 
 
 def test_an_installation_that_works(run: Run) -> None:
@@ -17,12 +17,12 @@ def test_an_installation_that_works(run: Run) -> None:
 
 
 def test_what_an_extra_lacks_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "EXTRAS", {"view": ("no_such_module",)})
+    monkeypatch.setattr(command_report, "EXTRAS", {"view": ("no_such_module",)})
     assert "pip install 'tubeopt[view]'" in " ".join(run("doctor").out.split())
 
 
 def test_wrong_numbers_end_with_3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "TOLERANCE", 0.0)
+    monkeypatch.setattr(command_report, "TOLERANCE", 0.0)
     result = run("doctor")
     assert result.code == 3
     assert "self-test failed" in result.err

@@ -15,7 +15,7 @@ from PIL import Image
 
 from tests.command_line import Run, answer, refused
 from tubeopt.files.shipped import shipped
-from tubeopt.show.plots.drawn_data import drawn_data
+from tubeopt.show.plots.figure import drawn_data
 from tubeopt.show.plots.style import new_figure
 
 

@@ -15,7 +15,7 @@ from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, Tube, forward_
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
 from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, solid_off_curve
 from tubeopt.shaping.mold.mold import chosen_tubes
-from tubeopt.show.mold_report import MandrelReport
+from tubeopt.show.fabrication_report import MandrelReport
 from tubeopt.show.plots.mold import plot_mandrel, plot_mandrel_sheet
 
 trimesh = pytest.importorskip("trimesh")

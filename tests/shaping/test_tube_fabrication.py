@@ -16,7 +16,7 @@ from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
-from tubeopt.show.plots.sheet import before, safety, sheet_numbers, time_line
+from tubeopt.show.plots.mold import before, safety, sheet_numbers, time_line
 
 from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 

@@ -18,10 +18,9 @@ from tests.conftest import LAID_OUT
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointLoad
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
-from tubeopt.show.plots.shape import pushes, robot_mesh
+from tubeopt.show.plots.shape import breakpoints, pushes, robot_mesh
 from tubeopt.show.plots.stage import Box, Mesh, View, facets_of, rule_step, widest_view
 from tubeopt.show.plots.style import number
-from tubeopt.show.plots.torsion import breakpoints
 from tubeopt.show.plots.trajectory import SWEEPING
 from tubeopt.show.surfaces import Centreline, ring_surface, robot_parts, tube_surface, visible
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from tests.examples import MM, THESIS, eccentric_robot
 from tubeopt import IkSession, InputError, InverseOptions, inverse_kinematics
-from tubeopt.show.plots.inverse import TARGET, arc_length, plot_inverse, plot_targets
+from tubeopt.show.plots.workspace import TARGET, arc_length, plot_inverse, plot_targets
 
 POINT = np.array([50.0, 30.0, 150.0]) * MM
 

@@ -38,8 +38,7 @@ from tubeopt.show.plots import (
     plot_stability_map,
     tube_colour,
 )
-from tubeopt.show.plots.branch import fold_points, landing, smooth
-from tubeopt.show.plots.maps import energy_levels
+from tubeopt.show.plots.maps import energy_levels, fold_points, landing, smooth
 from tubeopt.stability.following import place_of, stretches
 from tubeopt.stability.maps import APPROACH, pieces
 from tubeopt.typing import Array

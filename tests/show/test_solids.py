@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 import tubeopt
 from tests.examples import CONFIGS, THESIS
 from tubeopt.errors import InputError
-from tubeopt.show.solids import CHORD, pieces
-from tubeopt.show.surfaces import Centreline, visible
+from tubeopt.show.surfaces import CHORD, Centreline, pieces, visible
 
 
 @pytest.fixture(scope="module")

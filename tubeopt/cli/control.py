@@ -24,8 +24,8 @@ from ..files.field_metadata import Typical
 from ..files.fields import asking, values
 from ..runs.obstacle_file import Bodies
 from ..runs.robot_keys import Posed, RobotPath, said_of
+from ..show.command_report import Served
 from ..show.reports import report
-from ..show.served_report import Served
 from .flags import asks
 from .interruption import left_alone
 from .output import OF_PICTURES, Output, can_be_saved, present, told

@@ -17,10 +17,10 @@ from ..runs.plan_study import PlanStudy
 from ..runs.robot_keys import Loaded, Posed, RobotPath, joints_of
 from ..runs.stability_studies import SnapStudy
 from ..runs.study_file import Study, load_study
-from ..show.served_report import Viewed
+from ..show.command_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
-from ..show.viewer.playback import Waypoints, load_waypoints, without_times
+from ..show.viewer.view import Waypoints, load_waypoints, without_times
 from ..typing import Array
 from .flags import asks
 from .interruption import left_alone

@@ -1,22 +1,353 @@
-"""What is said and saved about everything that it takes to make a robot's tubes."""
+"""Reports on molds, and on the files to make them."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Group
 from rich.text import Text
 
+from ..constants import ZERO_CELSIUS
 from ..errors import SolveError
-from ..files.units import TO_MM
+from ..files.units import TO_MM, per_si
 from ..robots.file import save_robot
+from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
+from ..runs.mold_file import save_springback, springback_to_dict
+from ..runs.mold_study import Ranking
 from ..runs.rig_file import save_rig
+from ..shaping.mold.checks import Check, pressing_strain
+from ..shaping.mold.files import write_mold
+from ..shaping.mold.gcode import Program, clear_room, programs_of
+from ..shaping.mold.layout import Hole
+from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
+from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
+from ..shaping.mold.ranking import MaterialRating
+from ..shaping.mold.springback import Calibration, Springback
 from .heat_report import HEATING, SUCCESS, HeatingReport, held_duties, missed, success_words, unlikely
-from .mold_report import MOLD, MoldReport
-from .quantities import Quantity, described, of_field
-from .report import Drawing, Report, grid, remarks
+from .quantities import Quantity, described, of_field, with_unit, within
+from .report import Drawing, Report, drawing, grid, remarks
+
+CLAMP = described(
+    Clamp,
+    "end face direction",
+    Quantity("slides", "true if it slides when the tube expands"),
+)
+
+GROOVE = described(
+    Groove,
+    Quantity("wanted_radius_mm", "target radius of the tube",
+             lambda g: 1 / abs(g.tube.curvature) if g.tube.curvature else math.inf, form=".4g", label="wanted radius"),
+    Quantity("mold_radius_mm", "radius of the groove", lambda g: g.radius, form=".4g", label="mold radius"),
+    Quantity("mold_curvature_per_m", "curvature of the groove", lambda g: g.curvature),
+    Quantity("arcs", "number of tangent arcs of the bend; with several, radii and curvature are the tightest",
+             lambda g: len(g.centreline.bend)),
+    Quantity("bend_length_mm", "length of the bend", form=".4g", label="bend, length"),
+    Quantity("bend_angle_deg", "angle of the bend", form=".4g", label="bend, angle"),
+    Quantity("lead_in_mm", "straight groove before the bend", lambda g: g.centreline.lead_in.length),
+    Quantity("lead_out_mm", "straight groove behind the bend", lambda g: g.centreline.lead_out.length),
+    "width depth",
+    Quantity("end_mill_mm", "diameter of the end mill", lambda g: g.mill.diameter, form=".4g", label="end mill"),
+    Quantity("strain_percent", "strain of the tube when pressed in", form=".4g", label="strain when pressed in"),
+    Quantity("cold_length_mm", "length of the cold end from the clamp", lambda g: g.cold.length, form=".4g",
+             label="cold end from the clamp"),
+    Quantity("decay_length_mm", "decay length of the cold end", lambda g: g.cold.decay_length),
+    Quantity("loss_coefficient_W_per_m2_K", "heat transfer coefficient into the mold",
+             lambda g: g.cold.loss_coefficient),
+    Quantity("gaps_mm", "gaps between the plate's edges and the clamps"),
+    Quantity("free_length_mm", "length of tube between the clamps"),
+    "growth",
+    Quantity("travel_mm", "travel of the sliding clamp", lambda g: max(clamp.travel for clamp in g.clamps), form=".4g"),
+    Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
+    Quantity("extra_length_mm", "part of the blank that is trimmed", form=".4g", label="trimmed"),
+    Quantity("bend_begins_mm", "distance of the bend from the tube's end", lambda g: g.before_bend),
+    Quantity("trim_proximal_mm", "length to cut off at the proximal end", lambda g: g.trim[0]),
+    Quantity("trim_distal_mm", "length to cut off at the distal end", lambda g: g.trim[1]),
+    of_field(Groove, "clamps", of=CLAMP),
+    Quantity("vents", "vents over the bend", lambda g: len(g.vents)),
+)  # fmt: skip
+
+PREDICTED: tuple[Quantity[Tube], ...] = (
+    Quantity("curvature_per_m", "curvature of the predicted tube"),
+    Quantity("curved_length_mm", "curved length of the predicted tube"),
+    Quantity("straight_length_mm", "straight length of the predicted tube"),
+)
+
+PROGRAM = described(
+    Program,
+    "file tool",
+    Quantity("time_min", "machining time", lambda program: program.time / 60, form=".1f", label="that its moves take"),
+)
+
+MOLD = described(
+    RobotMold,
+    "name",
+    Quantity("material", "material of both plates", lambda a: a.mold.spec.material.name),
+    Quantity("size_mm", "width and height of the plates", lambda a: a.mold.size),
+    Quantity("thickness_mm", "thickness of the lower plate", lambda a: a.mold.spec.plate.thickness),
+    Quantity("lid_thickness_mm", "thickness of the top plate", lambda a: a.mold.spec.plate.lid_thickness),
+    Quantity("base_volume_mm3", "volume of the lower plate", lambda a: a.mold.base_volume),
+    Quantity("lid_volume_mm3", "volume of the top plate", lambda a: a.mold.lid_volume),
+    Quantity("springback", "spring-back, as in a mold file", lambda a: _springback(a.mold.spec.springback)),
+    Quantity(
+        "grooves",
+        "the grooves, one per tube",
+        lambda a: [(a, k) for k in range(len(a.mold.grooves))],
+        of=(
+            Quantity("tube", "number of the tube, 1 for the innermost", lambda at: at[0].mold.grooves[at[1]].number),
+            *within(GROOVE, lambda at: at[0].mold.grooves[at[1]]),
+            Quantity("predicted", "predicted tube", lambda at: predict_tube(at[0].mold, at[1]), of=PREDICTED),
+        ),
+    ),
+    Quantity("programs", "G-code of both plates, in order of machining", lambda a: programs_of(a.mold), of=PROGRAM),
+    Quantity("clear_mm", "free room for clamps next to the plates", lambda a: clear_room(a.mold)),
+    Quantity("holes", "holes for bolts, dowels and vents", lambda a: a.mold.holes, of=described(Hole)),
+    Quantity("checks", "checks, and whether they passed", lambda a: [_check(c) for c in a.mold.checks]),
+    Quantity("remarks", "remarks for making and using it", lambda a: [*a.left_out, *a.mold.remarks]),
+)
+
+
+class MoldReport(Report[RobotMold]):
+    command = "mold plan"
+    quantities = MOLD
+    file = "mold.json"
+
+    def title(self) -> str:
+        mold = self.answer.mold
+        size = " x ".join(f"{extent * TO_MM:g}" for extent in mold.size)
+        return f"{self.answer.name or 'robot'}: mold of {mold.spec.material.name}, {size} mm"
+
+    def table(self) -> Group:
+        """A row per property, a column per groove; then the remarks."""
+        grooves = self.record()["grooves"]
+        cells = [
+            [f"{q.about} ({q.sign})", *(f"{groove[q.key]:{q.form}}" for groove in grooves)] for q in GROOVE if q.form
+        ]
+        numbers = [f"{groove.number} >" for groove in self.answer.mold.grooves]
+        lines = remarks((*self.answer.left_out, *self.answer.mold.remarks), what="remark")
+        return Group(Text(self.title(), style="italic"), grid(("tube", *numbers), cells, key=True), *lines)
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write mold.json, base and lid as DXF, SVG, STL and G-code, and the set-up sheet setup.pdf."""
+        from .plots.mold import plot_setup_sheet
+
+        paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
+        plot_setup_sheet(self.answer.mold, directory / "setup.pdf", title=self.answer.name)
+        return [*paths, directory / "setup.pdf"]
+
+    def pictures(self) -> dict[str, Drawing]:
+        return {"mold": drawing("mold.plot_mold", self.answer.mold, title=self.answer.name)}
+
+
+def _springback(back: Springback) -> dict[str, Any]:
+    """A spring-back with the keys of a mold file, as plain numbers."""
+    data = springback_to_dict(back)
+    return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in data.items()}
+
+
+SUFFIXES = {"m": "mm", "1": "percent", "K": "K"}
+"""SI unit of a check -> the unit in which it is told."""
+
+
+def _check(check: Check) -> dict[str, Any]:
+    values = {"value": check.value, "at_most" if check.at_most else "at_least": check.limit}
+    return {"what": check.name, **with_unit(SUFFIXES[check.unit], values), "passed": check.passed}
+
+
+TRIAL: tuple[Quantity[tuple[float, float, float]], ...] = (
+    Quantity("mold_radius_mm", "radius of the mold", lambda trial: 1 / trial[0]),
+    Quantity("obtained_radius_mm", "radius of the obtained tube", lambda trial: 1 / trial[1]),
+    Quantity("residual_percent", "deviation of the lost fraction from the model", lambda trial: trial[2]),
+)
+"""Of a trial: curvatures of mold and tube, 1/m, and by how much the lost part is off the model."""
+
+
+def _trials(c: Calibration) -> list[tuple[float, float, float]]:
+    return list(zip(*(x.tolist() for x in (c.mold_curvature, c.obtained_curvature, c.lost - c.fitted)), strict=True))
+
+
+def _within(interval: tuple[float, float] | None) -> str:
+    return "" if interval is None else f" (95 %: {interval[0] * 100:.3g} to {interval[1] * 100:.3g} %)"
+
+
+def _radii(c: Calibration) -> list[float] | None:
+    """Least and greatest mold radius of the trials, m."""
+    known = c.springback.curvature_range
+    return None if known is None else [1 / max(known), 1 / min(known)]
+
+
+CALIBRATION = described(
+    Calibration,
+    Quantity("trials", "the trials", _trials, of=TRIAL, words=lambda c: str(len(c.mold_curvature)), label="trials"),
+    of_field(Calibration, "model", label="model", words="{model}"),
+    Quantity("fraction_percent", "lost fraction of the curvature at small curvature", lambda c: c.springback.fraction,
+             words=lambda c: f"{c.springback.fraction * 100:.3g} %{_within(c.fraction_interval)}",
+             label="lost at small curvature"),
+    Quantity("slope_mm", "increase of the lost fraction with the mold curvature", lambda c: c.springback.slope,
+             label="and per 1/m of curvature",
+             words=lambda c: f"{c.springback.slope * 100:.3g} %{_within(c.slope_interval)}" if c.model == "linear"
+             else None),
+    Quantity("shrinkage_percent", "fraction of the bend length lost on cooling",
+             lambda c: c.springback.shrinkage),
+    Quantity("radius_range_mm", "smallest and largest mold radius of the trials", _radii, digits=9, optional=True),
+    "fraction_interval slope_interval",
+    of_field(Calibration, "noise", label="scatter of one tube",
+             words=lambda c: "unknown" if math.isnan(c.noise) else f"{c.noise * 100:.2g} %"),
+    "remarks",
+)  # fmt: skip
+
+
+class CalibrationReport(Report[Calibration]):
+    command = "mold calibrate"
+    quantities = CALIBRATION
+    file = "calibration.json"
+    drawn = (("springback", "mold.plot_springback"),)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The model, and what the molds of the trials yield by it."""
+        back = self.answer.springback
+        assert back.curvature_range is not None
+        yields = [
+            (f"mold radius {TO_MM / kappa:.4g} mm yields", f"{TO_MM / back.obtained(kappa):.4g} mm")
+            for kappa in sorted(set(back.curvature_range), reverse=True)
+        ]
+        return super().rows() + yields
+
+    def title(self) -> str:
+        return "spring-back"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write calibration.json and springback.yaml."""
+        save_springback(self.answer, directory / "springback.yaml")
+        return [self.save_record(directory), directory / "springback.yaml"]
+
+
+RATING = described(
+    MaterialRating,
+    Quantity("material", "name of the material", lambda r: r.material.name),
+    Quantity("suitable", "true if it is suitable"),
+    Quantity("held", "true if the rig keeps the window with it", lambda r: r.plan is None or r.plan.feasible),
+    Quantity("shortfall_K", "miss of the window with it"),
+    "heat_drawn heat_flow heat",
+    Quantity("energy_J", "energy drawn from the battery; null if the tube cannot be heated"),
+    "leak",
+    Quantity("limit_degC", "temperature limit of the material", lambda r: r.material.limit_temperature_degC),
+    "limit_margin",
+    Quantity("conductivity_W_per_m_K", "thermal conductivity", lambda r: r.material.conductivity),
+    Quantity("density_kg_per_m3", "density", lambda r: r.material.density),
+    Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
+    Quantity("resistivity_ohm_m", "electrical resistivity", lambda r: r.material.resistivity),
+    Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
+    "reasons",
+    Quantity("source", "source of its constants", lambda r: r.material.source),
+)
+
+RANKING = described(
+    Ranking,
+    Quantity("outer_diameter_mm", "outer diameter of the tube", lambda a: a.tube.outer_diameter),
+    Quantity("curved_length_mm", "curved length of the tube", lambda a: a.tube.curved_length),
+    Quantity("set_degC", "set temperature", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
+    Quantity("hold_s", "hold time", lambda a: a.heat.hold_time),
+    of_field(Ranking, "ratings", of=RATING),
+)
+
+
+class RankingReport(Report[Ranking]):
+    command = "mold materials"
+    quantities = RANKING
+    file = "materials.json"
+
+    def title(self) -> str:
+        known = self.record()
+        tube = f"a tube of {known['outer_diameter_mm']:g} mm, {known['curved_length_mm']:g} mm of it"
+        return f"molds for {tube} at {known['set_degC']:g} degC for {known['hold_s']:g} s"
+
+    def table(self) -> Group:
+        """A row per material, then why."""
+        ratings = self.answer.ratings
+        cells = [
+            (
+                r.material.name,
+                f"{r.heat_drawn:.0f}",
+                "-" if r.energy is None else f"{r.energy * per_si('kJ'):.3g}",
+                f"{r.material.limit_temperature_degC:.0f}",
+                f"{r.leak:.1g}",
+                r.material.price_class,
+                "" if r.plan is None else "yes" if r.plan.feasible else "no",
+                "yes" if r.suitable else "no",
+            )
+            for r in ratings
+        ]
+        columns = ("material", "draws J/m >", "battery kJ >", "limit degC >", "leak >", "price >", "held >", "suits >")
+        reasons = [Text(f"{r.material.name}: {', '.join(r.reasons)}") for r in ratings]
+        return Group(Text(self.title(), style="italic"), grid(columns, cells, key=True), *reasons)
+
+    def pictures(self) -> dict[str, Drawing]:
+        title = self.title().replace("degC", "°C")
+        return {"materials": drawing("mold.plot_materials", self.answer.ratings, title=title)}
+
+
+def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
+    """What is said of a turned mandrel only."""
+    return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
+
+
+OFF_IT: tuple[Quantity[Tube], ...] = (
+    Quantity("curvature_per_m", "largest curvature of the tube"),
+    Quantity("curved_length_mm", "curved length of the tube"),
+)
+
+MANDREL = described(
+    Mandrel,
+    "number",
+    Quantity("made", "method, turned or printed", lambda m: "turned" if isinstance(m.body, Cylinder) else "printed",
+             words="{made}", label="turned or printed"),
+    Quantity("diameter_mm", "diameter of the cylinder", _turned(lambda b: 2 * b.radius), form=".4f", optional=True,
+             label="cylinder, diameter"),
+    Quantity("length_mm", "length of the cylinder", _turned(lambda b: b.length), form=".4g", optional=True,
+             label="cylinder, length"),
+    Quantity("helix_radius_mm", "radius of the helix", _turned(lambda b: b.helix_radius), form=".4f", optional=True,
+             label="helix, radius"),
+    Quantity("pitch_mm", "pitch of the helix", _turned(lambda b: b.pitch), form=".4f", optional=True,
+             label="helix, pitch"),
+    Quantity("handed", "hand of the helix", _turned(lambda b: b.handed), optional=True),
+    Quantity("size_mm", "size of the block", lambda m: m.body.size if isinstance(m.body, Block) else None, form=".4g",
+             optional=True, label="block"),
+    "width",
+    Quantity("bend_length_mm", "length of the bend", lambda m: m.held.curved_length, form=".5g", label="bend, length"),
+    Quantity("curvature_per_m", "largest curvature of the groove", lambda m: m.held.curvature, form=".5g"),
+    Quantity("strain_percent", "strain of the wound tube", lambda m: pressing_strain(m.tube, m.held.curvature),
+             form=".3g", label="strain when wound in"),
+    Quantity("cold_length_mm", "length of the cold end from the clamp", lambda m: m.cold.length, form=".4g",
+             label="cold end from the clamp"),
+    "free_length",
+    Quantity("stock_length_mm", "length of the tube blank", form=".4g", label="cut the tube to"),
+    Quantity("predicted", "predicted tube", predict_wound_tube, of=OFF_IT),
+    "remarks",
+)  # fmt: skip
+
+
+class MandrelReport(Report[Mandrel]):
+    command = "mold mandrel"
+    quantities = MANDREL
+    file = "mandrel.json"
+    drawn = (("mandrel", "mold.plot_mandrel"),)
+
+    def title(self) -> str:
+        return f"mandrel of tube {self.answer.number}"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
+        from .plots.mold import plot_mandrel_sheet
+
+        paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
+        plot_mandrel_sheet(self.answer, directory / "setup.pdf")
+        return [*paths, directory / "setup.pdf"]
+
 
 TUBE = described(
     TubeParts,
@@ -94,7 +425,7 @@ class FabricationReport(Report[Fabrication]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
-        from .plots.sheet import plot_fabrication_sheet
+        from .plots.mold import plot_fabrication_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]

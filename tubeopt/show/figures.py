@@ -75,7 +75,7 @@ class FigureReport(Report[Figures]):
 
     def draw(self, directory: Path) -> list[Path]:
         """Write every picture without a heading, its data (CSV) where it has scales, and captions.txt."""
-        from .plots.drawn_data import drawn_data
+        from .plots.figure import drawn_data
 
         paths, captions = list[Path](), list[str]()
         for name, draw in self.answer.shown.pictures().items():

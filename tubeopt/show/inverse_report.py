@@ -22,8 +22,7 @@ from ..inverse import InverseSolution
 from ..robots.file import joint_cells, joint_columns, waypoints_csv
 from ..runs.inverse_study import DIRECTION, POSITION, Postures, Row, TargetTable
 from .formatting import counted, degrees, millimetres, row, tip_in_words, tip_number
-from .quantities import Quantity, described, line, of_field, rows, within
-from .readings import readings
+from .quantities import Quantity, described, line, of_field, readings, rows, within
 from .report import Drawing, Report, drawing, grid, two_columns
 
 NOTES = 10
@@ -101,7 +100,7 @@ class PosturesReport(Report[Postures]):
     command = "ik"
     quantities = POSTURES
     file = "solutions.json"
-    drawn = (("inverse", "inverse.plot_inverse", "solutions"),)
+    drawn = (("inverse", "workspace.plot_inverse", "solutions"),)
 
     def table(self) -> Group:
         """The best answer, and a row for each of the others."""
@@ -261,7 +260,7 @@ class TargetTableReport(Report[TargetTable]):
 
     def pictures(self) -> dict[str, Drawing]:
         reached = _reached(self.answer)
-        return {"targets": drawing("inverse.plot_targets", reached)} if len(reached) > 1 else {}
+        return {"targets": drawing("workspace.plot_targets", reached)} if len(reached) > 1 else {}
 
     def conclude(self) -> None:
         """Raise SolveError where every target is missed; misses within a table are named in it."""

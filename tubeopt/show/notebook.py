@@ -37,17 +37,15 @@ from ..stability import (
 )
 from ..validation.force import ForceEstimate
 from ..workspaces import SnappingLoss, Workspace
-from .equilibrium_report import VERIFICATION
+from .equilibrium_report import TUBE, VERIFICATION
 from .formatting import counted, degrees, millimetres
 from .heat_report import PLAN
 from .inverse_report import SOLUTION
-from .load_report import FORCE, LIMIT
 from .plan_report import PROOF
 from .quantities import Quantity, described, line, of_field, rows
 from .report import Drawing, drawing, two_columns
 from .reports import report
-from .robot_report import TUBE
-from .snap_report import SNAP
+from .snap_report import FORCE, LIMIT, SNAP
 from .surfaces import Part, plate_part, plate_radius, robot_parts
 from .workspace_report import LOSS
 
@@ -289,14 +287,14 @@ MOLD: tuple[Quantity[Mold], ...] = (
 
 
 SUMMARIES: Mapping[type, Summary] = {
-    Branch: Summary(BRANCH, "branch.plot_branch"),
+    Branch: Summary(BRANCH, "maps.plot_branch"),
     Certificate: Summary(CERTIFICATE),
     DesignSolution: Summary(DESIGN, "shape.plot_shape", lambda s: next(iter(s.equilibria), None)),
     EnergyMap: Summary(ENERGY_MAP, "maps.plot_energy_maps", lambda answer: [answer]),
     EquilibriumBatch: Summary(BATCH),
     ForceEstimate: Summary(FORCE, "shape.plot_shape", lambda f: f.equilibrium),
     HeatingPlan: Summary(PLAN, "heating.plot_heating"),
-    InverseSolution: Summary(SOLUTION, "inverse.plot_inverse", lambda answer: [answer]),
+    InverseSolution: Summary(SOLUTION, "workspace.plot_inverse", lambda answer: [answer]),
     Jacobian: Summary(JACOBIAN),
     LoadLimit: Summary(LIMIT, "shape.plot_shape", lambda limit: limit.before),
     Mold: Summary(MOLD, "mold.plot_mold"),

@@ -28,9 +28,7 @@ from ..stability.deflection import ForceBound
 from ..typing import Array
 from .equilibrium_report import by_history
 from .formatting import at_least, tip_in_words, tip_number
-from .load_words import load_in_words
-from .quantities import Quantity, described, line, of_field, rows, within
-from .readings import joints_in_words, readings
+from .quantities import Quantity, described, joints_in_words, line, load_in_words, of_field, readings, rows, within
 from .report import Drawing, Report, drawing, two_columns
 
 BEYOND = "assuming no other load and no friction"

@@ -19,10 +19,13 @@ from typing import Annotated, Any, Generic, TypeVar
 
 import numpy as np
 
+from ..equilibrium.readings import to_readings
+from ..equilibrium.result import Equilibrium
 from ..files.field_metadata import Form, Key
-from ..files.units import SIGNS, per_si, unit_of
-from ..typing import Delegate
-from .formatting import row
+from ..files.units import SIGNS, TO_MILLI, TO_MM, per_si, unit_of
+from ..robots.load import Load
+from ..typing import Array, Delegate
+from .formatting import degrees, millimetres, row
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -248,3 +251,77 @@ class _Template(string.Formatter):
 
 
 _TEMPLATE = _Template()
+
+
+def load_in_words(load: Load) -> str:
+    """What pushes, in a line."""
+    at_tip = []
+    if any(load.force):
+        at_tip.append(f"{row(np.array(load.force) * TO_MILLI, '.6g')} mN at the tip")
+    if any(load.moment):
+        at_tip.append(f"{row(np.array(load.moment) * TO_MILLI, '.6g')} mN m at the tip")
+    parts = [*at_tip, *(["turning with the tip"] if load.frame == "tip" and at_tip else [])]
+    for part in load.points:
+        for value, unit in ((part.force, "mN"), (part.moment, "mN m")):
+            if any(value):
+                parts.append(f"{row(np.array(value) * TO_MILLI, '.6g')} {unit} at {part.at * TO_MM:.6g} mm")
+    parts += ["a load along the arm"] if load.distributed is not None else []
+    parts += [f"gravity {row(load.gravity, '.6g')} m/s^2"] if load.gravity is not None else []
+    return "; ".join(parts) or "none"
+
+
+def _softness(e: Equilibrium) -> str:
+    # m/N are mm/mN.
+    softness = np.linalg.svd(e.compliance[:3, :3], compute_uv=False)
+    return f"by {softness[-1]:.4g} to {softness[0]:.4g} mm/mN"
+
+
+def _on_the_plate(e: Equilibrium) -> str:
+    wrench = e.base_wrench * TO_MILLI
+    return f"{row(wrench[:3], '.4f')} mN, {row(wrench[3:], '.4f')} mN m"
+
+
+LOADED: tuple[Quantity[Equilibrium], ...] = within(
+    (
+        Quantity[Equilibrium]("load", "what pushes, in words; absent without load",
+                              lambda e: load_in_words(e.load or Load()), label="load", words="{load}", optional=True),
+        Quantity("potential_mJ", "elastic energy less the work of the load", optional=True),
+        Quantity("compliance",
+                 "6 x 6 compliance: translation (m) and rotation (rad) of the tip per force (N) and moment (N m) there",
+                 label="a force at the tip moves it", words=_softness, optional=True),
+        Quantity("base_force_mN", "force of the load on the plate", lambda e: e.base_wrench[:3],
+                 label="on the plate", words=_on_the_plate, optional=True),
+        Quantity("base_moment_mN_m", "moment of the load on the plate", lambda e: e.base_wrench[3:], optional=True),
+    ),
+    lambda e: None if e.load is None else e,
+)  # fmt: skip
+"""What a load does to an equilibrium; nothing without one."""
+
+
+READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (
+    Quantity("readings_deg", "readings of the drives for these rotations; calibrated robots only", lambda read: read[0],
+             label="the drives read", words=lambda read: _words(read, ".6g"), optional=True),
+    Quantity("readings_mm", "readings of the drives for these translations; calibrated robots only",
+             lambda read: read[1], optional=True),
+)  # fmt: skip
+
+
+def readings(of: Callable[[A], Equilibrium]) -> tuple[Quantity[A], ...]:
+    """Readings of rotations and translations; left out where the robot has no calibration."""
+    return within(READINGS, lambda answer: _read(of(answer)))
+
+
+def _read(e: Equilibrium) -> tuple[Array, Array] | None:
+    own = e.robot.calibration
+    return None if own is None or own.reads_true else to_readings(e.robot, e.rotations, e.translations)
+
+
+def _words(joints: tuple[Array, Array], form: str) -> str:
+    return f"{degrees(joints[0], form)}, {millimetres(joints[1], form)}"
+
+
+def joints_in_words(e: Equilibrium) -> str:
+    """Joint values of an answer, and what the drives of a calibrated robot read there."""
+    words = f"rotations {degrees(e.rotations, '.4g')}, translations {millimetres(e.translations, '.4g')}"
+    read = _read(e)
+    return words if read is None else f"{words}; the drives read {_words(read, '.4g')}"

@@ -152,7 +152,7 @@ class Report(Generic[A]):
             made = [(form, *each) for form in forms for each in self.tables().items()]
             paths += [save_table(table, directory / f"{name}.{form}") for form, name, table in made]
         if forms := [form for form in SOLID_FORMATS if form in wanted]:
-            from .solids import save_solid
+            from .surfaces import save_solid
 
             built = [("xml" if form == "mjcf" else form, *each) for form in forms for each in self.solids().items()]
             paths += [save_solid(arm, directory / f"{name}.{suffix}") for suffix, name, arm in built]

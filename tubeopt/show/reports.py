@@ -19,23 +19,64 @@ from .report import report as registered
 
 MODULES = {
     "certify_report": ("Certification",),
-    "design_report": ("DesignAnswer", "PairAnswer"),
-    "doctor": ("Doctor",),
-    "equilibrium_report": ("Equilibrium",),
-    "export_report": ("CLibrary",),
-    "fabrication_report": ("Fabrication",),
-    "files_report": ("ShippedFiles", "Written"),
-    "heat_report": ("Heating", "RigFit", "LedHeating", "HeatingRun"),
-    "inverse_report": ("Postures", "TargetTable"),
-    "load_report": ("Bearing", "ForceRecord"),
-    "mold_report": ("RobotMold", "Calibration", "Ranking", "Mandrel"),
-    "plan_report": ("Trajectory", "Checked", "ArmsPlan"),
-    "robot_report": ("ConcentricRobot", "EccentricRobot", "SegmentedEccentricRobot"),
-    "served_report": ("Viewed", "Served"),
-    "snap_report": ("Equilibria", "Way", "Path", "RobotMap"),
-    "sweep_report": ("Sweep",),
-    "validation_report": ("Comparison", "Validation", "Fit", "Placement"),
-    "workspace_report": ("Findings",),
+    "command_report": (
+        "Doctor",
+        "CLibrary",
+        "ShippedFiles",
+        "Written",
+        "Viewed",
+        "Served",
+    ),
+    "design_report": (
+        "DesignAnswer",
+        "PairAnswer",
+    ),
+    "equilibrium_report": (
+        "Equilibrium",
+        "ConcentricRobot",
+        "EccentricRobot",
+        "SegmentedEccentricRobot",
+    ),
+    "fabrication_report": (
+        "Fabrication",
+        "RobotMold",
+        "Calibration",
+        "Ranking",
+        "Mandrel",
+    ),
+    "heat_report": (
+        "Heating",
+        "RigFit",
+        "LedHeating",
+        "HeatingRun",
+    ),
+    "inverse_report": (
+        "Postures",
+        "TargetTable",
+    ),
+    "plan_report": (
+        "Trajectory",
+        "Checked",
+        "ArmsPlan",
+    ),
+    "snap_report": (
+        "Bearing",
+        "ForceRecord",
+        "Equilibria",
+        "Way",
+        "Path",
+        "RobotMap",
+    ),
+    "validation_report": (
+        "Comparison",
+        "Validation",
+        "Fit",
+        "Placement",
+    ),
+    "workspace_report": (
+        "Sweep",
+        "Findings",
+    ),
 }
 """Modules with reports -> the classes of their answers: each is imported when there is such an answer."""
 

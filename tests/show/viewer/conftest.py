@@ -11,7 +11,7 @@ import pytest
 from tests.examples import THESIS
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.playback import Waypoints
+from tubeopt.show.viewer.view import Waypoints
 
 from .browser import CHROMIUM, FLAGS, LITTLE_DRAWING, Tab, served
 

@@ -29,9 +29,9 @@ from tubeopt.show.page import margin_colour
 from tubeopt.show.surfaces import Centreline, Surface, obstacle_surface, plate_part, robot_parts
 from tubeopt.show.viewer import host, insights, words
 from tubeopt.show.viewer.overlays import cut_parts, cut_words, swept_volume
-from tubeopt.show.viewer.playback import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 from tubeopt.show.viewer.scene import between
 from tubeopt.show.viewer.session import move_joint, note, open_session, record
+from tubeopt.show.viewer.view import Waypoints, load_waypoints, make_playback, play_to, snaps_between, state_at
 
 ETR = load_robot(CONFIGS / "thesis_etr.yaml")
 SEGMENTS = load_robot(CONFIGS / "example_three_segment_etr.yaml")

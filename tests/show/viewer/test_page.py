@@ -14,7 +14,7 @@ from tests.examples import CONFIGS, THESIS
 from tubeopt import find_snap, forward_kinematics, load_robot
 from tubeopt.runs.inverse_study import load_joints
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.playback import load_waypoints
+from tubeopt.show.viewer.view import load_waypoints
 
 from .browser import Tab, served
 

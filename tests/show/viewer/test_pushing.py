@@ -11,8 +11,20 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import InputError, Load, find_load_limit, follow, forward_kinematics
 from tubeopt.show.viewer import View
-from tubeopt.show.viewer.external_load import DIRECTIONS, bearing_of, bearing_words, head_of, newtons_per_metre, push_on
-from tubeopt.show.viewer.session import Session, go_home, move_joint, open_session, other_equilibria, redesign
+from tubeopt.show.viewer.session import (
+    DIRECTIONS,
+    Session,
+    bearing_of,
+    bearing_words,
+    go_home,
+    head_of,
+    move_joint,
+    newtons_per_metre,
+    open_session,
+    other_equilibria,
+    push_on,
+    redesign,
+)
 from tubeopt.show.viewer.teleoperation import pull
 from tubeopt.stability.following import push
 

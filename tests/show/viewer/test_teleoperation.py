@@ -17,10 +17,9 @@ import pytest
 from tests.examples import THESIS
 from tubeopt import InputError, Load
 from tubeopt.show.viewer import teleoperation
-from tubeopt.show.viewer.external_load import push_on
-from tubeopt.show.viewer.playback import load_waypoints, make_playback, recorded
-from tubeopt.show.viewer.session import Session, open_session, record
+from tubeopt.show.viewer.session import Session, open_session, push_on, record
 from tubeopt.show.viewer.teleoperation import LONGEST, SPEED, Hand, Hands, read
+from tubeopt.show.viewer.view import load_waypoints, make_playback, recorded
 from tubeopt.typing import Array
 
 from .browser import Tab

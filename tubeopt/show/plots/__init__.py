@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from ..page import tube_colour
-from .branch import plot_branch
-from .friction import plot_friction_band, plot_hysteresis
-from .loads import plot_bearing, plot_force_estimates, plot_load_limits, plot_payload
-from .maps import plot_energy_maps, plot_stability_map
+from .loads import (
+    plot_bearing,
+    plot_force_estimates,
+    plot_friction_band,
+    plot_hysteresis,
+    plot_load_limits,
+    plot_payload,
+)
+from .maps import plot_branch, plot_energy_maps, plot_stability_map
 from .path import animate_path, plot_path, plot_snap
-from .shape import plot_equilibria, plot_shape, plot_shapes
+from .shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
 from .style import save_figure
-from .torsion import plot_torsion, plot_torsions
 
 __all__ = [
     "animate_path",

@@ -19,8 +19,8 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...typing import Array
 from ..formatting import in_a_word, tip_in_words
-from ..load_words import load_in_words
 from ..page import FONTS, HEADINGS, TITLED, WIDTH
+from ..quantities import load_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes

@@ -24,8 +24,8 @@ from ...inverse.arm_surface import ArmSurface
 from ...planning import ArmsPlan, Trajectory
 from ...runs.plan_study import Checked
 from ...typing import Array
-from ..load_words import load_in_words
 from ..page import tube_colour
+from ..quantities import load_in_words
 from ..surfaces import Detail, obstacle_surface, swept
 from .shape import robot_mesh
 from .stage import Box, Mesh, View, draw_box, facets, facets_of, note, widest_view

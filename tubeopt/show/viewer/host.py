@@ -25,9 +25,9 @@ from ...planning import ArmsPlan
 from ...planning.trajectory import branch_line, timed_csv
 from ...robots.file import robot_to_yaml
 from ..surfaces import Part, plate_part, plate_radius
-from .playback import recorded
 from .scene import SCALE, Scene, look_from, obstacle_parts
 from .session import Session
+from .view import recorded
 
 logging.getLogger("websockets").addHandler(logging.NullHandler())  # a traceback for each client that is none
 

@@ -20,10 +20,9 @@ from ...robots.robot import Robot
 from ...stability import Branch, StabilityMap, snap_free_certificate, stability_map, trace_branch
 from ...typing import Array
 from ..page import margin_colour, tube_colour
-from ..plots.branch import fold_points, smooth, stable_parts
-from .external_load import bearing_words
+from ..plots.maps import fold_points, smooth, stable_parts
 from .panel import Panel
-from .session import Session
+from .session import Session, bearing_words
 
 MAP_SAMPLES = 13
 """Points per axis of the small stability map."""

@@ -17,9 +17,9 @@ from ...inverse.arm_surface import ArmSurface
 from ...robots.robot import Robot
 from ...typing import Array
 from ..surfaces import Centreline, Part, Surface, plate_part, plate_radius, two_of_four
-from .playback import Playback, snaps_between, state_at
 from .scene import SCALE, Scene, obstacle_parts
 from .session import Session, move, open_session, strides
+from .view import Playback, snaps_between, state_at
 
 CELLS = 200
 """Cells of the filled section along the longer side of what is cut."""

@@ -21,22 +21,24 @@ from ...robots.load import Load
 from ...robots.robot import Robot
 from ...robots.tubes import Tube
 from ...typing import Array
-from .external_load import DIRECTIONS, head_of, newtons_per_metre, push_on
-from .given import BODIES, YAML
 from .overlays import ACROSS
 from .scene import Mark, Scene
 from .session import (
+    DIRECTIONS,
     Session,
     clear_trail,
     go_home,
+    head_of,
     move,
     move_joint,
+    newtons_per_metre,
+    push_on,
     record,
     redesign,
     space_of,
 )
 from .teleoperation import KEYS
-from .view import View
+from .view import BODIES, YAML, View
 from .words import Wishes, hand_words, legend, log_words, message_words, readout, typed
 
 FIELDS = (

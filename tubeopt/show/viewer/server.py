@@ -21,16 +21,14 @@ from ...errors import InputError, SolveError
 from ...robots.file import load_robot
 from ...workspaces import workspace
 from ..surfaces import Part
-from .given import Given, load_bodies
 from .host import LOCAL, Added, address_of, page_title, quiet_server, saved
 from .insights import Insights, Worker, torsion_plot
 from .overlays import COLOUR, OPACITY, Beside, cut_parts, cut_words, session_beside, swept_volume
 from .panel import ForceArrow, Panel
-from .playback import Playback, Waypoints, load_waypoints, make_playback, play_to, recorded
 from .scene import Mark, Scene, animate, ghost_parts, look_from
 from .session import Session, other_equilibria
 from .teleoperation import PATH, Hand, Hands, pull
-from .view import View
+from .view import Given, Playback, View, Waypoints, load_bodies, load_waypoints, make_playback, play_to, recorded
 from .words import Verb, Wishes, others_words
 
 TICK = 0.04

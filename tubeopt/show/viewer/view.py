@@ -1,18 +1,236 @@
-"""What there is to show: a robot, where it begins, and what stands around it."""
+"""What a tab begins with, a trajectory that it plays, and files that are loaded in the page."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
-from pathlib import Path
+from functools import lru_cache
+from os import PathLike
+from pathlib import Path, PurePosixPath
 
+import numpy as np
+
+from ...bodies.corridors import load_mesh
+from ...bodies.images import field_of_image, read_image
 from ...bodies.obstacles import Obstacle
+from ...bodies.scene import scene_of
+from ...equilibrium.readings import to_model
+from ...equilibrium.result import Equilibrium
 from ...errors import InputError
+from ...files.csv_file import read_csv
+from ...files.yaml_file import load_yaml
+from ...planning.trajectory import TIME, load_trajectory
+from ...robots.file import Waypoints as Way
+from ...robots.file import load_waypoints as load_path
 from ...robots.load import Load
 from ...robots.robot import Robot
+from ...runs.anatomy_file import load_anatomy
+from ...runs.obstacle_file import load_obstacles
+from ...stability import Path as JointPath
+from ...stability import Snap, follow
+from ...stability.following import place_of
 from ...typing import Array
-from .external_load import push_on
-from .playback import Waypoints
-from .session import Session, open_session
+from .session import Session, check, moved_to, open_session, push_on, record, strides
+
+TURN_SPEED = np.radians(45.0)
+"""Speed (rad/s) of the fastest tube where a file gives no times."""
+
+SLIDE_SPEED = 0.02
+"""Speed (m/s) likewise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Joint values over time."""
+
+    time: Array
+    """(T,) s, from 0, increasing."""
+    rotations: Array
+    """(T, n) rad."""
+    translations: Array
+    """(T, n) m."""
+    start: Equilibrium | None = None
+    """At the first of them; None: where the robot settles there by itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """Waypoints and what the robot does along them."""
+
+    waypoints: Waypoints
+    path: JointPath
+    """From the start of the waypoints: one equilibrium for each, and the snaps."""
+
+    @property
+    def duration(self) -> float:
+        """Time of the last waypoint, s."""
+        return float(self.waypoints.time[-1])
+
+
+def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
+    """Waypoints from CSV: a trajectory of `tubeopt plan` with time_s, or a path of `tubeopt follow` without.
+
+    Without times the fastest tube rotates by 45 deg/s, or slides by 20 mm/s.
+
+    Raises:
+        InputError: no such file, a column that is unknown or missing, a cell that is no number, or times that do not
+            increase. Joint values out of the robot's limits, or no equilibrium at the start with the given tip
+            rotations.
+    """
+    if TIME not in read_csv(path).columns:
+        found = without_times(robot, load_path(path, robot))
+    else:
+        timed = load_trajectory(path, robot)
+        found = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
+    for k in np.flatnonzero(np.diff(found.time) <= 0):
+        raise InputError(f"{path}: row {k + 2}, column {TIME} does not increase; every time must be after the last")
+    for row, (alpha, shift) in enumerate(zip(found.rotations, found.translations, strict=True)):
+        try:
+            check(robot, alpha, shift, order=False)
+        except InputError as error:
+            raise InputError(f"{path}: row {row + 1}: {error}") from None
+    return found
+
+
+def without_times(robot: Robot, way: Way) -> Waypoints:
+    """The waypoints of a path, in the model's joint values, passed at the speeds of a file without times."""
+    rotations, translations = to_model(robot, way.rotations, way.translations)
+    return Waypoints(paced(rotations, translations), rotations, translations)
+
+
+def recorded(session: Session) -> Waypoints:
+    """What a session has recorded, where the robot stood still but once, as waypoints that are passed at the speeds of
+    a file without times.
+
+    Raises:
+        InputError: nothing was recorded, or the robot did not move.
+    """
+    rows = np.array(session.recording or [np.zeros(2 * session.robot.n_tubes)])
+    moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
+    if moved.sum() < 2:
+        raise InputError("nothing was recorded: tick 'record what the robot passes', and move the robot")
+    rotations, translations = np.split(rows[moved], 2, axis=1)
+    return Waypoints(paced(rotations, translations), rotations, translations, session.recorded_from)
+
+
+def paced(rotations: Array, translations: Array) -> Array:
+    """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
+    seconds = strides(rotations, translations, turn=TURN_SPEED, slide=SLIDE_SPEED)
+    return np.concatenate([[0.0], np.cumsum(np.maximum(seconds, 1e-3))])
+
+
+@lru_cache(maxsize=4)
+def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
+    """Motion through the waypoints from their start; computed once for all tabs.
+
+    Raises:
+        SolveError: the branch was lost on the path.
+    """
+    way = waypoints.rotations, waypoints.translations
+    return Playback(waypoints, follow(robot, *way, start=waypoints.start))
+
+
+def play_to(session: Session, playback: Playback, time: float, *, since: float | None = None) -> Session:
+    """The session with its robot at a time of the trajectory, in the state that the trajectory's own history leads to.
+
+    Args:
+        since: where the robot was before, s: the snaps in between then go into the log. None is a leap: it logs none,
+            and a recording begins anew.
+    """
+    t = min(max(float(time), 0.0), playback.duration)
+    snaps = () if since is None else snaps_between(playback, since, t)
+    there = state_at(playback, t)
+    moved = moved_to(session, there, snaps)
+    # A leap is no motion that could be recorded: what was before it did not lead here.
+    leapt = since is None and session.recording is not None and not _same(session.equilibrium, there)
+    return record(moved, True) if leapt else moved
+
+
+def _same(one: Equilibrium, other: Equilibrium) -> bool:
+    """Whether two equilibria of a robot are at the same joint values, and on the same branch."""
+    pairs = ((getattr(each, name) for each in (one, other)) for name in ("rotations", "translations", "tip_rotations"))
+    return all(np.allclose(a, b, rtol=0, atol=1e-7) for a, b in pairs)
+
+
+def state_at(playback: Playback, time: float) -> Equilibrium:
+    """Where the robot is at a time within the trajectory, s."""
+    points = playback.waypoints
+    k = min(max(int(np.searchsorted(points.time, time, side="right")) - 1, 0), len(points.time) - 1)
+    here = playback.path.equilibria[k]
+    if k == len(points.time) - 1 or time <= points.time[k]:
+        return here
+    part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
+    parts = np.array([[0.0], [part]])
+    way = [table[k] + parts * (table[k + 1] - table[k]) for table in (points.rotations, points.translations)]
+    return follow(here.robot, *way, start=here).equilibria[-1]
+
+
+def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
+    """The snaps of a trajectory that happen after `start` and not after `end`, s."""
+    times = playback.waypoints.time
+    return tuple(snap for snap in playback.path.snaps if start < place_of(snap, times) <= end)
+
+
+TABLES, IMAGES, MESHES = (".yaml", ".yml"), (".nii", ".nii.gz", ".mgz", ".nrrd"), (".stl", ".ply", ".obj", ".vtk")
+
+YAML = ".yaml,.yml,application/yaml"
+"""Files that a browser offers to be loaded as YAML."""
+
+BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
+"""What a browser offers; of a name with two dots it looks at the last part only."""
+
+
+class Given:
+    """A folder of files with the names that they were loaded under, so that a file finds those that it names."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+
+    def keep(self, name: str, content: bytes) -> Path:
+        """Where a file lies from here on; one of the same name gives way to it.
+
+        Raises:
+            InputError: a name that no file can have.
+        """
+        last = PurePosixPath(name.replace("\\", "/")).name
+        if not last or last == ".." or "\0" in last:
+            raise InputError(f"{name!r} is no name of a file")
+        path = Path(self._folder.name) / last
+        path.write_bytes(content)
+        return path
+
+    def words(self, error: Exception) -> str:
+        """What is wrong, in names of files as they were given."""
+        return str(error).replace(f"{self._folder.name}/", "").replace(self._folder.name, "the files loaded here")
+
+    def close(self) -> None:
+        """Forget all files."""
+        self._folder.cleanup()
+
+
+def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
+    """Bodies in a file of obstacles, of an anatomy, of a mesh (mm) or of labelled voxels, and what they are, in words.
+
+    Meshes and images alone lie where their file has them, with the plate at its origin, and the arm keeps out of what
+    has a label; what is lumen, and where the robot stands, a file with the key `anatomy` says, which names them.
+
+    Raises:
+        InputError: as `load_obstacles`, `load_anatomy`, `load_mesh` and `read_image`.
+    """
+    name = path.name.lower()
+    if name.endswith(MESHES):
+        mesh = load_mesh(path)
+        return (mesh,), mesh.stands_for or "a mesh where its file has it"
+    if name.endswith((*IMAGES, ".gz")):
+        image = read_image(path)
+        if not image.labels:
+            raise InputError(f"{path} has only label 0; forbidden regions must have another label")
+        field = field_of_image(image, forbidden=image.chosen(image.labels, "label"), name=path.name)
+        labels = ", ".join(map(str, image.labels))
+        return (field,), f"all that has a label ({labels}), where the file has it"
+    content = load_yaml(path)
+    bodies = load_anatomy(path).bodies if isinstance(content, dict) and "anatomy" in content else load_obstacles(path)
+    return bodies, "; ".join([f"obstacles, {len(bodies)}", *scene_of(bodies).stands_for])
 
 
 @dataclass(frozen=True, eq=False)

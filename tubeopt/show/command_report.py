@@ -1,4 +1,4 @@
-"""What an installation consists of, and whether it computes what it should, as fast as it can."""
+"""Reports of commands about the installation, files, the C library and servers."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from typing import Annotated
 import numpy as np
 
 from .. import __version__
+from ..control.c_library import CLibrary
+from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.verification import verify_equilibrium
 from ..errors import SolveError
 from ..files.field_metadata import unit
 from ..files.units import TO_MM
 from ..robots.concentric import ConcentricRobot
+from ..robots.robot import Robot
 from ..robots.tubes import Tube
+from ..runs.shipped_files import ShippedFile, ShippedFiles
+from ..runs.templates import Written
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
 from .quantities import Quantity, described, line, of_field
@@ -149,3 +154,104 @@ def _self_test() -> tuple[float, float]:
         forward_kinematics(robot, rotations)
         seconds.append(time.perf_counter() - began)
     return difference, min(seconds)
+
+
+FILE = described(ShippedFile)
+
+
+class ShippedReport(Report[ShippedFiles]):
+    command = "list"
+    quantities = (Quantity("shipped", "the files", lambda a: a.files, of=FILE),)
+    file = "shipped.json"
+
+    def table(self) -> str:
+        """A line per file, however long, so that it can be searched; of robots with their tubes, not the folder."""
+        files = self.answer.files
+        if {file.folder for file in files} == {"robots"}:
+            rows = [("name", "kind", "tubes"), *((f.name, f.kind or "", str(f.n_tubes)) for f in files)]
+        else:
+            rows = [("name", "folder", "kind"), *((f.name, f.folder, f.kind or "") for f in files)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        said = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
+        lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in zip(rows, said, strict=True))
+        return "\n".join(line.rstrip() for line in lines)
+
+
+class WrittenReport(Report[Written]):
+    command = "init"
+    quantities = (Quantity("then", "command that uses the file", words="{then}", label="next"),)
+
+    def title(self) -> str:
+        return ""
+
+
+LIBRARY = described(
+    CLibrary,
+    "name",
+    Quantity("tubes", "number of tubes", lambda a: a.robot.n_tubes),
+    "prefix",
+    Quantity("sources", "files of the library", lambda a: list(a.files), label="files",
+             words=lambda a: ", ".join(a.files)),
+    Quantity("lines", "lines of C", lambda a: sum(
+        text.count("\n") for file, text in a.files.items() if file.endswith((".c", ".h")))),
+)  # fmt: skip
+
+
+class CLibraryReport(Report[CLibrary]):
+    command = "export"
+    quantities = LIBRARY
+    file = "library.json"
+
+    def title(self) -> str:
+        return f"{self.answer.name} in C"
+
+
+@dataclass(frozen=True)
+class Viewed(Displayed):
+    """A robot in the browser."""
+
+    robot: Robot
+    """As it is first."""
+
+    url: str
+    """Address of its page."""
+
+    name: str
+    """What texts call it."""
+
+
+@dataclass(frozen=True)
+class Served(Viewed):
+    """A robot over WebSocket."""
+
+    token: str
+    """What clients must know."""
+
+
+VIEWED: tuple[Quantity[Viewed], ...] = (
+    Quantity("url", "address of the page"),
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+)
+
+SERVED: tuple[Quantity[Served], ...] = (
+    Quantity("url", "address of the server"),
+    Quantity("token", "token for clients"),
+    Quantity("robot", "name of the robot", lambda a: a.robot.name),
+)
+
+
+class ViewedReport(Report[Viewed]):
+    command = "view"
+    quantities = VIEWED
+
+    def table(self) -> str:
+        return f"showing {self.answer.name} at {self.answer.url}   (Ctrl-C to stop)"
+
+
+class ServedReport(Report[Served]):
+    command = "serve"
+    quantities = SERVED
+
+    def table(self) -> str:
+        answer = self.answer
+        return f"serving {answer.name} at {answer.url}, token {answer.token}   (Ctrl-C to stop)"

@@ -10,7 +10,7 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.obstacles import Obstacle
-from tubeopt.show.viewer.given import Given, load_bodies
+from tubeopt.show.viewer.view import Given, load_bodies
 
 CUBE, LOW, HIGH = 2.0, np.array([10.0, 20.0, 30.0]), np.array([14.0, 26.0, 38.0])
 """Edge of a voxel, and corners of a box, mm."""
