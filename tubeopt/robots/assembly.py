@@ -197,11 +197,13 @@ def assemble(
         _numbers(tubes, name) for name in ("arc", "bending_stiffness", "torsional_stiffness")
     )
     check_reach(tubes, translations.tolist())
+    # Round-off would put the held end in front of the plate.
     beta = np.minimum(beta, 0.0)
     transition = beta + straight
     end = beta + np.array([tube.length for tube in tubes])
     table = lengthwise(tuple(tubes)) if any(tube.general for tube in tubes) else None
     cuts = merge([0.0, *(s for s in _breakpoints(transition, end, table, beta) if s > 0)])
+    # Nothing changes within a section: its middle shows which tubes are there, far from round-off at its ends.
     middle = (cuts[:-1] + cuts[1:])[:, None] / 2
     if table is None:
         present, curved = where(transition, end, curvature, middle)
@@ -284,6 +286,7 @@ def cut(assembly: Assembly, at: Array) -> Assembly:
     inside = at[(at > ROUND_OFF) & (at < total - ROUND_OFF)]
     start = merge(np.concatenate([assembly.start, inside]))
     length = np.diff(np.append(start, total))
+    # New breakpoints only divide sections, so that the middle of a part lies in one old section.
     section = np.searchsorted(assembly.start, start + length / 2) - 1
     return replace(
         assembly, start=start, length=length, present=assembly.present[section], curved=assembly.curved[section]
@@ -382,7 +385,9 @@ def order_of(assembly: Assembly, carriages: Sequence[tuple[int, ...]], *, side: 
                 mine = [i for i in mine if i not in same]
     joints = [(float(s), i) for i, own in enumerate(joints_of(assembly)) for s in own]
     groups += [(s, -i, Breakpoint((i,), False, k)) for k, (s, i) in enumerate(joints, start=1)]
+    # A transition at the plate to within round-off goes to the chosen side. An end there has no section in front.
     nudge = side * 1e-9
+    # Rounded to 0.1 nm: breakpoints that coincide but for round-off come in the order of tubes.
     front = sorted(
         (g for g in groups if g[0] + (0.0 if g[2].end else nudge) > 0), key=lambda g: (round(g[0], 10), g[1])
     )
@@ -395,11 +400,13 @@ def arrange(front: Sequence[Breakpoint], behind: Sequence[Breakpoint], n_tubes: 
     present, curved = (np.zeros((len(front), n_tubes), dtype=bool) for _ in range(2))
     panel = np.zeros((len(front), n_tubes), dtype=np.intp)
     for i in range(n_tubes):
+        # Breakpoints behind the plate lie behind all sections; one in front lies behind the sections after it.
         panel[:, i] = sum(i in point.tubes for point in behind)
         panel[1:, i] += np.cumsum([i in point.tubes for point in front[:-1]], dtype=np.intp)
     rank = {(i, point.end): k for k, point in enumerate(front) if not point.joint for i in point.tubes}
     bent = {i for point in (*front, *behind) if not point.end for i in point.tubes}
     for i in range(n_tubes):
+        # -1 stands for behind the plate: such a tube is in no section, or is curved from the first one on.
         last, first = rank.get((i, True), -1), rank.get((i, False), -1)
         present[: last + 1, i] = True
         curved[first + 1 : last + 1, i] = i in bent

@@ -168,6 +168,7 @@ class Calibration(Displayed):
     def limits_of_model(self, limits: JointLimits) -> JointLimits:
         """Limits of the readings as limits of the model's joint values."""
         tables = (limits.rotations, limits.translations)
+        # Gains are positive, so that the least reading gives the least joint value.
         low = self.to_model(*(np.array([pair[0] for pair in table]) for table in tables))
         high = self.to_model(*(np.array([pair[1] for pair in table]) for table in tables))
         rotations, translations = (

@@ -166,6 +166,7 @@ class ConcentricRobot(Robot):
                     f"tube {i} does not fit into tube {i + 1}: its outer_diameter is {inner.outer_diameter:g} m; "
                     f"it must be at most the other's inner_diameter, {outer.inner_diameter:g} m"
                 )
+            # Sums of lengths that are equal in a file differ by round-off.
             if inner.length < outer.length - 1e-12:
                 raise InputError(
                     f"tube {i} is shorter than tube {i + 1} around it: its overall length is {inner.length:g} m; "

@@ -27,6 +27,7 @@ PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
 
 def sheath_inner_diameter(outer_diameter: float) -> float:
     """Inner diameter (m) of the sheath around three touching tubes of given outer diameter: (2 / sqrt(3) + 1) OD."""
+    # Centres lie OD / sqrt(3) from the middle, and the tubes reach OD / 2 farther.
     return (2 / math.sqrt(3) + 1) * outer_diameter
 
 
@@ -128,6 +129,7 @@ class EccentricRobot(SheathedRobot):
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
         check_fields(self)
+        # Circumradius of the triangle with side OD that the centres of three touching tubes form.
         touching = self.tube.outer_diameter / math.sqrt(3)
         distance = touching if self.offset is None else self.offset
         object.__setattr__(self, "offset", distance)

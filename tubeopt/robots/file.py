@@ -216,6 +216,7 @@ class PieceEntry(Entry):
 def _check_pitch(helix: HelixEntry, length: float, diameter: float) -> None:
     """Raise InputError where turns of a helix would run through each other."""
     pitch = to_si(helix.pitch_mm, MM)
+    # A turn is hypot(2 pi R, p) long; a shorter helix has no second turn to meet.
     if pitch <= diameter and length > np.hypot(2 * np.pi * to_si(helix.radius_mm, MM), pitch):
         raise InputError(
             f"helix.pitch_mm is {helix.pitch_mm}; it must exceed the tube's diameter, {diameter * 1e3:g} mm"
@@ -339,6 +340,7 @@ class TubeEntry(Part):
         if self.pieces is None:
             given["curvature"] = self._curvature()
         stiffness = {name: given.pop(name) for name in STIFFNESSES if name in given}
+        # Pieces replace length and curvature below. Any valid tube gives the stiffness of the cross-section.
         plain = Tube(**{"curved_length": 0.0 if self.curved_length_mm == 0 else 1e-3, "curvature": 0.0} | given)
         for name, value in stiffness.items():
             check_stiffness(f"{name}_N_mm2", value, getattr(plain, name))

@@ -98,6 +98,7 @@ class Lengthwise:
 
     def panel(self, place: Array) -> NDArray[np.intp]:
         """(X, n) panel of each tube at arc lengths (X, n) from its held end, m; those outside are of the nearest."""
+        # Breaks behind the last panel of a shorter tube are inf, and not counted.
         last = np.isfinite(self.breaks).sum(1) - 2
         found = (place[:, :, None] >= self.breaks[:, 1:]).sum(2)
         return np.asarray(np.minimum(found, last))
@@ -107,6 +108,8 @@ class Lengthwise:
         and their lengths (X, n)."""
         panel, tube = self.panel(inside), np.arange(self.n_tubes)
         low, high = self.breaks[tube, panel], self.breaks[tube, panel + 1]
+        # The panel becomes the interval -1 to 1 of the Chebyshev polynomials. Outside, T_k grows like (2 x)^k:
+        # round-off is clipped.
         x = np.clip((2 * place - low - high) / (high - low), -1.0, 1.0)
         return self.coefficients[tube, panel], x, high - low
 
@@ -117,10 +120,12 @@ class Lengthwise:
             inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
         """
         chosen = place if inside is None else inside
+        # Tubes of constant pieces have c_0 alone: no basis is needed.
         if not self._varied.any():
             table = self.coefficients[np.arange(self.n_tubes), self.panel(chosen), :, 0]
             return np.ascontiguousarray(table.transpose(2, 0, 1))
         table, x, _ = self._panels_at(place, chosen)
+        # T_0 = 1, T_1 = x, T_k = 2 x T_(k-1) - T_(k-2). |T_k| <= 1, so that round-off does not grow.
         basis = np.stack([np.ones_like(x), x, *(np.empty_like(x) for _ in range(table.shape[-1] - 2))], axis=-1)
         for k in range(2, table.shape[-1]):
             basis[..., k] = 2 * x * basis[..., k - 1] - basis[..., k - 2]
@@ -130,6 +135,7 @@ class Lengthwise:
         """(6, X, n) derivatives of QUANTITIES by arc length, as `values`."""
         table, x, length = self._panels_at(place, inside)
         degree = table.shape[-1] - 1
+        # Row k has the coefficients of T_k'. By arc length, d/ds = (2 / length) d/dx.
         slopes = chebyshev.chebder(np.eye(degree + 1), axis=0).T
         basis = chebyshev.chebvander(x, degree)[..., :degree] @ slopes.T
         return np.asarray(((table @ basis[..., None])[..., 0] * (2 / length)[..., None]).transpose(2, 0, 1))
@@ -140,8 +146,10 @@ class Lengthwise:
         panel = self.panel(at)
         low = self.breaks[tube, panel]
         high = np.clip(at, low, self.breaks[tube, panel + 1])
+        # Where GJ is constant along panels, one point integrates 1 / GJ exactly.
         nodes, weights = (np.array([0.5]), np.ones(1)) if self._even else gauss_rule()
         s = low + (high - low) * nodes[:, None, None]
+        # A node near the end of a panel may round into the next one: the middle chooses the panel.
         inside = np.broadcast_to((low + high) / 2, s.shape)
         rate = 1 / self.values(s.reshape(-1, self.n_tubes), inside.reshape(-1, self.n_tubes))[1].reshape(s.shape)
         whole = self.compliance[tube, panel] + (high - low) * np.tensordot(weights, rate, 1)
@@ -151,6 +159,7 @@ class Lengthwise:
         """The tubes at arc lengths (X, n) from their held ends; `inside` as in `values`; (X, n) which are there."""
         bending, torsional, x, y, z, wound = self.values(place, inside)
         kb = bending * present
+        # The natural twist turns the tube's frame by int u*_z ds, and u*_xy with it.
         return CrossSections(
             stiffness=kb,
             moment=kb * np.hypot(x, y),
@@ -188,6 +197,7 @@ def lengthwise(tubes: tuple[Tube, ...]) -> Lengthwise:
     """The table of a bundle of tubes."""
     panels = [_panels(tube) for tube in tubes]
     n, most = len(tubes), max(len(own) for own in panels)
+    # `values` always fills T_0 and T_1.
     width = max(2, *(len(c) for own in panels for panel in own for c in panel.channels))
     breaks, table = np.full((n, most + 1), np.inf), np.zeros((n, most, len(QUANTITIES), width))
     direction, detail, twist = np.zeros((3, n, most))
@@ -211,8 +221,10 @@ def _direction(x: Array, y: Array) -> float:
         return 0.0
     size = max(len(x), len(y))
     a, b = (np.pad(c, (0, size - len(c))) for c in (x, y))
+    # The largest pair gives the angle with the least round-off.
     k = int(np.argmax(np.hypot(a, b)))
     angle = float(np.arctan2(b[k], a[k]))
+    # In one plane nothing remains perpendicular to the angle. More than round-off would be a bend in space.
     across = np.cos(angle) * b - np.sin(angle) * a
     return angle if np.abs(across).max() <= 1e-15 * float(np.hypot(a, b)[k]) else float("inf")
 
@@ -223,6 +235,7 @@ def _zeros(x: Array, y: Array) -> list[float]:
     if not np.isfinite(angle) or not (np.any(x) or np.any(y)):
         return []
     size = max(len(x), len(y))
+    # In one plane |u*_xy| = |bend|, which has a kink where bend changes its sign.
     bend = sum(f * np.pad(c, (0, size - len(c))) for f, c in ((np.cos(angle), x), (np.sin(angle), y)))
     return sorted(zeros(np.asarray(bend), 1e-9).tolist())
 
@@ -255,6 +268,7 @@ def _constant(start: float, length: float, numbers: list[float], wound: float) -
     """The panel of a stretch along which nothing varies but the natural turn, `wound` at its beginning."""
     _, torsional, x, y, z = numbers
     half = z * length / 2
+    # wound + z s with s = (x + 1) length / 2.
     turned = [wound + half, half] if z else [wound]
     return _Panel(
         start,
@@ -272,6 +286,7 @@ def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound:
     out, (nodes, weights) = [], gauss_rule()
     for k, channels in enumerate(zip(*(on_panels(q, breaks) for q in quantities), strict=True)):
         low, length = start + breaks[k], breaks[k + 1] - breaks[k]
+        # Integral of u*_z from the beginning of the panel; ds = (length / 2) dx.
         turned = chebyshev.chebint(channels[4], lbnd=-1, scl=length / 2)
         turned[0] += wound
         wound = float(chebyshev.chebval(1.0, turned))
@@ -282,6 +297,7 @@ def _varying(start: float, breaks: Array, quantities: Sequence[Quantity], wound:
                 [*channels, turned],
                 direction=_direction(channels[2], channels[3]),
                 detail=max(_degree(c) for c in channels) / length,
+                # |T_k| <= 1, so that the sum of |c_k| bounds |u*_z|.
                 twist=float(np.abs(channels[4]).sum()),
                 compliance=length * float(weights @ (1 / chebyshev.chebval(2 * nodes - 1, channels[1]))),
                 sides=tuple(low + length / 2 * (x + 1) for x in _zeros(channels[2], channels[3])),
@@ -361,7 +377,9 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
     for i, own in enumerate(cells):
         for c, (low, high, _) in enumerate(own):
             bounds[:, i, c] = _bounds(table, i, low, high)
+        # Cells that fill up have no length; they repeat the last one, so that no bound of theirs is 0.
         bounds[:, i, len(own) : most] = bounds[:, i, len(own) - 1, None]
+        # Behind the end kt stays what it was, since 1 / kt is taken there too.
         bounds[4, i, most] = bounds[4, i, most - 1]
     return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
 
@@ -374,6 +392,7 @@ def _cells(tube: Tube) -> list[tuple[float, float, float]]:
         cuts = [*(start + length * k / count for k in range(count)), start + length]
         cells += [(max(low - BEYOND, start), min(high + BEYOND, start + length), high) for low, high in pairwise(cuts)]
         start += length
+    # Cell 0 is the straight part in every tube, also where it has no length.
     return cells if tube.straight_length > 0 else [(*cells[0][:2], 0.0), *cells]
 
 
@@ -400,6 +419,7 @@ def _bounds(table: Lengthwise, tube: int, low: float, high: float) -> Array:
             found += _parts(table.coefficients[tube, panel, :5], ends, last - first, HALVINGS)
     parts = np.array(found)
     out: Array = parts.max(0)
+    # kb and kt are bounded from below, everything else from above.
     out[[0, 4]] = parts[:, [0, 4]].min(0)
     return out
 
@@ -410,8 +430,10 @@ def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> li
     own = part_of(coefficients.T, ends).T
     values = chebyshev.chebval(chebyshev.chebpts1(coefficients.shape[1]), own.T)
     still = (coefficients[:, 1:] == 0).all(1)
+    # Converting a constant adds round-off, which would count as a rate of change.
     own[still] = coefficients[still]
     bound = _bound(own, length * half / 2)
+    # Values at Chebyshev points lie above the true minimum, the bound below it: this compares both ends.
     loose = (bound[[0, 4]] < CLOSE * values[:2].min(1)).any() or halvings > HALVINGS - LEAST_HALVINGS
     if halvings and loose and not still.all():
         halves = np.array([ends[0], middle]), np.array([middle, ends[1]])
@@ -422,11 +444,15 @@ def _parts(coefficients: Array, ends: Array, length: float, halvings: int) -> li
 def _bound(coefficients: Array, half: float) -> Array:
     """(BOUNDS,) of kb, kt, x, y and z (5, D) on -1 to 1, which is a stretch of twice `half`, m."""
     kb, kt, x, y, z = coefficients
+    # |a|^2 = a_x^2 + a_y^2 is one polynomial. Its bound is closer than the bounds of both parts together.
     pull = [chebyshev.chebmul(kb, each) for each in (x, y)]
     square = chebyshev.chebadd(*(chebyshev.chebmul(each, each) for each in pull))
     (_, *bending), (_, kt1, kt2, kt3), twist = (_sizes(each, half) for each in (kb, kt, z))
     sides = [_sizes(each, half) for each in pull]
+    # c_0 minus the sum of |c_k|, k > 0: a lower bound, since |T_k| <= 1 and c_0 > 0.
     low = [2 * each[0] - np.abs(each).sum() for each in (kb, kt)]
+    # (1 / k)' = -k' / k^2. (1 / k)'' = 2 k'^2 / k^3 - k'' / k^2. (1 / k)''' = 6 k' k'' / k^3 - 6 k'^3 / k^4 - k''' /
+    # k^2. Signs are dropped and k is its lower bound, so that each sum is an upper bound.
     one, two, three = kt1 / low[1], kt2 / low[1], kt3 / low[1]
     ease = np.array([one, two + 2 * one**2, three + 6 * one * two + 6 * one**3]) / low[1]
     return np.array(
@@ -444,6 +470,7 @@ def _sizes(coefficients: Array, half: float) -> Array:
     """(4,) bounds of the size of a polynomial and of its first three derivatives by arc length."""
     orders = [coefficients]
     for _ in range(3):
+        # d/ds = (1 / half) d/dx.
         orders.append(np.asarray(chebyshev.chebder(orders[-1]) / half, dtype=float))
     return np.array([np.abs(each).sum() for each in orders])
 
@@ -485,6 +512,7 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
     most = max(2, *(len(row) for row in rows))
     table = np.array([[*row, *[(0.0, *row[-1][1:])] * (most - len(row))] for row in rows], dtype=float)
     length, x, y, z, bending, torsional = table.transpose(2, 0, 1)
+    # The turn where a stretch begins: the sum without its own part.
     wound = np.cumsum(length * z, axis=1) - length * z
     return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, wound)
 
@@ -508,6 +536,8 @@ def _steps(piece: Piece) -> list[Piece]:
     count = _step_count(piece)
     places = (np.arange(count)[:, None] + (NODES + 1) / 2) * (piece.length / count)
     x, y, z, kb = (_means(part, places) for part in parts[:4])
+    # The moment hardly changes along a step, so that 1 / GJ is averaged for torsion. Tubes share one curvature, which
+    # hardly changes either, so that EI is averaged for bending.
     kt = _means(piece.torsional_stiffness, places, -1)
     return [
         replace(piece, length=piece.length / count, precurvature=u, bending_stiffness=b, torsional_stiffness=t)
@@ -519,8 +549,10 @@ def _step_count(piece: Piece) -> int:
     """Steps of a piece that varies."""
     s = np.linspace(0.0, piece.length, 8 * MOST_STEPS + 1)
     x, y, z = (values(q, s) for q in piece.precurvature)
+    # A step turns with the mean of u*_z. The rest, at most half its range, moves u*_xy at this rate.
     turned = np.hypot(x, y).max() * np.ptp(z) / 2
     fast = float(np.hypot(np.gradient(x, s), np.gradient(y, s)).max() + turned)
+    # |du*/ds| L h^2 / 12 <= OFF L with h = L / count, solved for count.
     return int(np.clip(np.ceil(piece.length * np.sqrt(fast / (12 * OFF))), LEAST_STEPS, MOST_STEPS))
 
 

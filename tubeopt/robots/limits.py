@@ -83,12 +83,14 @@ def check_turn(rotations: Array) -> None:
         raise InputError(
             f"rotations has {worst:g} rad; it must be at most {MOST_TURN:g} rad (159 turns) to either side"
         )
+    # Rotations within half of it cannot differ by more: most calls end here.
     if most > USUAL_TURN / 2:
         _warn_of_degrees(rotations)
 
 
 def _warn_of_degrees(rotations: Array) -> None:
     """Warn of rotations (..., n) that turn tubes against one another beyond USUAL_TURN."""
+    # Turning all tubes together winds nothing up: differences to the outermost count.
     own = rotations if rotations.shape[-1] == 1 else rotations - rotations[..., -1:]
     turn = float(np.abs(own).max())
     if turn > USUAL_TURN:

@@ -125,6 +125,7 @@ class Load(Displayed):
 
         along = self.distributed
         if isinstance(along, Scaled):
+            # Continuation scales a load again and again: factors multiply, or calls would nest.
             along = Scaled(along.function, factor * along.factor)
         elif callable(along):
             along = Scaled(along, factor)

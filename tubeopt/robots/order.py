@@ -64,6 +64,7 @@ def translation_ranges(tubes: Sequence[Tube], allowed: JointLimits) -> tuple[Arr
     where nothing is left of one."""
     shift = np.array(allowed.translations).reshape(-1, 2)
     straight, curved = (np.array([getattr(t, f"{part}_length") for t in tubes]) for part in ("straight", "curved"))
+    # A tube is held behind the plate: beta = t - straight <= 0. Its end stays in front of it: t + curved >= 0.
     low, high = np.maximum(shift[:, 0], -curved), np.minimum(shift[:, 1], straight)
     for i in np.flatnonzero(low > high):
         raise InputError(
@@ -96,9 +97,11 @@ def demands(
         found.append(Demand(o, i, behind, f"carriages of {names[0]} and {names[1]} touching", words))
         if not robot.nested_curves:
             words = f"the curve of {names[0]} would begin inside {names[1]}"
+            # The inner curve begins at t_i, the outer tube ends at t_o + curved_o.
             name = f"curve of {names[0]} beginning where {names[1]} end"
             found.append(Demand(i, o, outer.curved_length, name, words))
         if (i, o) not in apart:
+            # Tubes end at t + curved: t_i + curved_i >= t_o + curved_o + section_length.
             beyond = section_length + outer.curved_length - inner.curved_length
             words = f"{names[0]} would end inside {names[1]}"
             found.append(Demand(i, o, beyond, f"{names[0]} ending where {names[1]} ends", words, (i, o)))
@@ -153,6 +156,7 @@ def in_order(
             least[k] = max(least[k], demand.least)
         else:
             most[o] = min(most[o], -demand.least)
+    # Differences along a chain: from the innermost outwards, the room that leaves a place to all carriages inside.
     room: list[tuple[float, float]] = []
     for k, tubes in enumerate(groups):
         bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
@@ -161,6 +165,7 @@ def in_order(
         if bottom > top + ROUND_OFF or least[k] > most[k] + ROUND_OFF:
             return None
         room.append((bottom, top))
+    # Back from the outermost, every choice in its room can be continued: no choice is ever undone.
     out, outer = np.zeros(len(of)), 0.0
     for k in reversed(range(len(groups))):
         bottom, top = room[k]

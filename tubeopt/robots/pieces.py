@@ -37,6 +37,7 @@ TOLERANCE = 1e-13
 # How often a panel may be halved: functions with finer detail than a thousandth of their stretch are refused.
 HALVINGS = 10
 
+# Chebyshev points of the first kind, rising. Interpolation there is well conditioned: discrete T_k are orthogonal.
 _NODES = np.cos(np.pi * (np.arange(POINTS)[::-1] + 0.5) / POINTS)
 _FIT = np.linalg.inv(chebyshev.chebvander(_NODES, POINTS - 1))
 
@@ -92,6 +93,7 @@ class Series:
         s = min(max(s, 0.0), self.length)
         panel = min(bisect_right(self.breaks, s), len(self.coefficients)) - 1
         low, high = self.breaks[panel], self.breaks[panel + 1]
+        # Twice the place on the panel, since b_k = c_k + 2 x b_(k+1) - b_(k+2).
         x = 2 * (2 * s - low - high) / (high - low)
         first, *rest = self.coefficients[panel]
         one = other = 0.0
@@ -173,6 +175,7 @@ def on_panels(quantity: Quantity, breaks: Array) -> list[Array]:
         return [np.array([quantity])] * (len(breaks) - 1)
     out = []
     for low, high in pairwise(breaks):
+        # The middle of a panel lies inside one of the series; ends may differ by round-off.
         panel = min(int(np.searchsorted(quantity.breaks, (low + high) / 2)) - 1, len(quantity.coefficients) - 1)
         own = np.array(quantity.coefficients[panel])
         first, last = quantity.breaks[panel : panel + 2]
@@ -244,8 +247,11 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
     def sample(low: float, high: float, x: Array) -> Array:
         return np.array([_values(function, (low + high) / 2 + t * (high - low) / 2, name, size) for t in x])
 
+    # Places that are no nodes, where the expansion is compared with the function.
     ends = np.array([-1.0, -0.6, 0.1, 1.0])
     scale = np.maximum(np.abs(sample(0.0, length, np.concatenate([ends, _NODES]))).max(0), 1e-300)
+    # Round-off of the function scales with its largest component. Smaller ones are not resolved beyond a thousandth of
+    # that.
     scale = np.maximum(scale, 1e-3 * scale.max())
     panels: list[tuple[float, float, Array]] = []
     stack = [(0.0, length, 0)]
@@ -258,6 +264,7 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
         coefficients[:, still] = np.eye(POINTS)[:, :1] * values[0, still]
         # Between the points the function must be what its expansion says, or a spike would pass unseen.
         between = np.abs(sample(low, high, ends) - chebyshev.chebval(ends, coefficients).T)
+        # Three in a row, since every other coefficient of an even or odd function is 0.
         if (np.abs(coefficients[-3:]) <= TOLERANCE * scale).all() and (between <= 1e-11 * scale).all():
             panels.append((low, high, coefficients))
             continue
@@ -267,6 +274,7 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
                 "where two pieces meet"
             )
         middle = (low + high) / 2
+        # The left half is taken first, so that panels come in order.
         stack += [(middle, high, depth + 1), (low, middle, depth + 1)]
     _must_join(panels, scale, name)
     return tuple(_trimmed(panels, k, scale[k]) for k in range(size))
@@ -288,6 +296,7 @@ def _must_join(panels: list[tuple[float, float, Array]], scale: Array, name: str
             chebyshev.chebval(x, chebyshev.chebder(c)) * 2 / (b - a)
             for x, c, a, b in ((1.0, left, low, middle), (-1.0, right, middle, high))
         ]
+        # A derivative amplifies errors up to 24^2 times (Markov's inequality), hence its wider bound below.
         corner = np.abs(slopes[0] - slopes[1]) * (high - low)
         if (jump > 1e-10 * scale).any() or (corner > 1e-7 * scale).any():
             raise InputError(
@@ -439,6 +448,7 @@ class Piece(Displayed):
         x, y, z = self.precurvature
         s = np.linspace(0.0, self.length, POINTS)
         mean = complex(*(float(np.mean(values(q, s))) for q in (x, y)))
+        # A smaller mean is round-off of a helix of whole turns, and has no direction.
         axis = mean / abs(mean) if abs(mean) > 1e-9 * self.largest_curvature else 1.0 + 0.0j
         return replace(self, precurvature=(plus(x, change * axis.real), plus(y, change * axis.imag), z))
 

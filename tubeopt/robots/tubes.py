@@ -99,6 +99,7 @@ class Tube(Displayed):
         self._derive_stiffness()
         if self.pieces:
             self._join_pieces()
+        # The inner side of the bend has length 1 - r kappa per length: none is left at 1.
         if self.outer_diameter / 2 * abs(self.curvature) >= 1:
             raise InputError(
                 f"curvature is {self.curvature:g} per m; its radius must exceed half the outer_diameter "
@@ -138,6 +139,7 @@ class Tube(Displayed):
                     f"piece {k} is curved by {piece.largest_curvature:g} per m; its radius must exceed half the "
                     f"outer_diameter ({self.outer_diameter / 2:g} m)"
                 )
+            # A line on the surface is inclined by atan(r u*_z), 45 deg where r u*_z = 1.
             twist = max(map(abs, extremes([piece.precurvature[2]], piece.length)))
             if self.outer_diameter / 2 * twist >= 1:
                 raise InputError(
