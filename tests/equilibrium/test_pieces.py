@@ -28,7 +28,7 @@ from tubeopt import (
     snap_free_certificate,
 )
 from tubeopt.equilibrium.linearised import linearise
-from tubeopt.inverse.settings import InverseOptions
+from tubeopt.inverse.answer import InverseOptions
 from tubeopt.robots.pieces import Series, times
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.typing import Array

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import pickle
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +29,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.bodies.scene import Scene
 from tubeopt.equilibrium.batch import solved_batch
-from tubeopt.inverse import multistart
+from tubeopt.inverse import joint_path, multistart
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.gauss_newton import reach
@@ -36,6 +38,8 @@ from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.mirror import mirror_closed_form, mirror_pose
 from tubeopt.inverse.multistart import build_table, nearest_starts, start_table
 from tubeopt.inverse.posture import posture_of
+from tubeopt.inverse.search import Way, find_way
+from tubeopt.inverse.task import Task
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.library import cache_directory
@@ -607,6 +611,37 @@ class TestWays:
                 path = tubeopt.follow(CRL, answer.path.rotations, answer.path.translations)
                 assert not path.snaps
                 assert np.linalg.norm(path.equilibria[-1].tip_position - wanted.tip_position) <= 1e-6
+
+    def test_a_loaded_machine_finds_the_same(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The work is counted, so that a search ends, too, after the same motions while another thread is busy."""
+        robot = tubeopt.load_robot("rvim_ctr")
+        target = forward_kinematics(robot, np.random.default_rng(1).uniform(-3, 3, (10, robot.n_tubes))[9]).tip_position
+        monkeypatch.setattr(joint_path, "PATH_WORK", 0.2)  # the whole search takes 2.4
+        ends: list[tuple[int, int]] = []
+
+        def noted(task: Task, *asked: Any, **more: Any) -> Way:
+            way = find_way(task, *asked, **more)
+            ends.append((way.motions, task.work.operations))
+            return way
+
+        monkeypatch.setattr(joint_path, "find_way", noted)
+        alone = inverse_kinematics(robot, target, reachable=True, options=InverseOptions(time_limit=math.inf))
+        stop = threading.Event()
+
+        def disturb() -> None:
+            while not stop.wait(1e-4):
+                sum(range(10_000))
+
+        other = threading.Thread(target=disturb)
+        other.start()
+        try:
+            again = inverse_kinematics(robot, target, reachable=True, options=InverseOptions(time_limit=math.inf))
+        finally:
+            stop.set()
+            other.join()
+        assert ends[0] == ends[1]
+        assert ends[0][0] > 100
+        assert alone.reachable is again.reachable is False
 
     def test_where_none_is_found_it_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("tubeopt.inverse.joint_path.snap_free_path", lambda *_, **__: None)

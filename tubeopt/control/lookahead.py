@@ -32,8 +32,8 @@ from ..bodies.obstacles import Obstacle
 from ..bodies.scene import Scene
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
+from ..inverse.answer import InverseOptions
 from ..inverse.joints import Configuration
-from ..inverse.settings import InverseOptions
 from ..inverse.solving import inverse_kinematics
 from ..inverse.task import TipCoordinates
 from ..robots.limits import JointLimits

@@ -1,9 +1,7 @@
 """Inverse kinematics with stable answers only: which joint values put the tip here, pointing there?"""
 
-from .answer import InverseSolution, InverseStatistics, InverseStatus, JointPath
-from .session import IkSession
-from .settings import InverseOptions
-from .solving import inverse_kinematics
+from .answer import InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointPath
+from .solving import IkSession, inverse_kinematics
 
 __all__ = [
     "IkSession",

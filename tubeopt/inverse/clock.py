@@ -1,8 +1,10 @@
-"""How much time is left."""
+"""How much time is left, on the clock or in counted work."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..solvers.time_limit import LateError as LateError
@@ -16,28 +18,33 @@ class Clock:
     limit: float
     """s, at most what is left of the time limit around it."""
     within: Clock | None = None
-    """The clock of which this is a share."""
-    began: float = field(default_factory=time.perf_counter, init=False)
-    """On the clock, s."""
+    """The clock of which this is a share; it ends this one too."""
+    now: Callable[[], float] = time.perf_counter
+    """Current time, s: of the wall clock, or of counted work, which is the same on every machine under any load."""
+    began: float = field(init=False)
+    """When it began, s of `now`."""
     worked: float = field(default_factory=time.process_time, init=False)
     """Time of the processor when it began, s."""
 
     def __post_init__(self) -> None:
-        self.limit = min(self.limit, time_left())
+        self.began = self.now()
+        # Counted work is no time; there the wall clock `within` has the limit.
+        if self.now is time.perf_counter:
+            self.limit = min(self.limit, time_left())
 
     @property
     def seconds(self) -> float:
         """Seconds since the start."""
-        return time.perf_counter() - self.began
+        return self.now() - self.began
 
     @property
     def left(self) -> float:
         """Seconds that are left, 0 when the limit is reached."""
         return max(0.0, self.limit - self.seconds)
 
-    def part(self, share: float) -> Clock:
-        """A clock of its own for a share of what is left."""
-        return Clock(share * self.left, self)
+    def part(self, share: float, *, most: float = math.inf) -> Clock:
+        """A clock of its own for a share of what is left, at most so many seconds."""
+        return Clock(min(most, share * self.left), self, self.now)
 
     @property
     def parallel_slowdown(self) -> float:
@@ -50,4 +57,4 @@ class Clock:
     @property
     def over(self) -> bool:
         """Whether the limit is reached."""
-        return self.seconds >= self.limit
+        return self.seconds >= self.limit or (self.within is not None and self.within.over)

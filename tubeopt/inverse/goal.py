@@ -20,11 +20,11 @@ from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
 from ..stability import snap_free_certificate
 from ..typing import Array, Delegate, Index
+from .answer import DEFAULT_OPTIONS, InverseOptions
 from .arm_surface import MOST_CONTACTS, Contacts
 from .clock import Clock
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights, shift_of
 from .posture import Posture
-from .settings import DEFAULT_OPTIONS, InverseOptions
 
 T = TypeVar("T")
 

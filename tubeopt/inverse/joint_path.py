@@ -22,10 +22,11 @@ from .posture import Posture, posture_of, same_place
 from .search import find_way
 from .task import Task, TipCoordinates
 
-# The default limit of `tubeopt ik` is 20 s per target, half of which is left to the search of the answer.
-PATH_SECONDS, PATH_MARGIN = 10.0, 2e-3
-"""Longest search for a snap-free path to one solution, s, and the margin kept on it; half of the margin at its ends if
-that is less."""
+# Counted and not timed, so that a loaded machine finds the same path. On an idle core it is half of the 20 s that
+# `tubeopt ik` has for a target by default; the other half is left to the search of the answer.
+PATH_WORK, PATH_MARGIN = 10.0, 2e-3
+"""Largest work of a search for a snap-free path to one solution, in seconds of counted work (`task.Work`), and the
+margin kept on it; half of the margin at its ends if that is less."""
 
 # Near the axis, and near straight arms, joints turn far although nothing jumps.
 TURN_PER_MOVE, SHIFT_PER_MOVE = 20.0, 8.0
@@ -50,7 +51,7 @@ CHECKED_EVERY = 0.1
 
 
 def snap_free_path(
-    space: JointSpace, start: Equilibrium, goal: Equilibrium, *, seconds: float, least_margin: float
+    space: JointSpace, start: Equilibrium, goal: Equilibrium, clock: Clock, *, least_margin: float
 ) -> tuple[Array, Array] | None:
     """Rotations and translations (W, n) of waypoints from one stable equilibrium to another, straight from each to the
     next, without a snap.
@@ -58,18 +59,18 @@ def snap_free_path(
     Searched as `plan_trajectory` does, in tip rotations and translations, where an equilibrium is a point and a line of
     stable ones a motion, with `least_margin` or half of what the ends have where that is less; then thinned, and
     followed once more by `follow`. Ranges of the joints and the order of the tubes are kept; obstacles are not looked
-    at. None where no way was found in about so many seconds, which does not prove that there is none. Without OMPL only
-    straight ways and those by translations that exclude any snap are tried.
+    at. None where no way was found by PATH_WORK or in the time of the clock, which does not prove that there is none.
+    Without OMPL only straight ways and those by translations that exclude any snap are tried.
     """
-    clock = Clock(seconds)
     ends = posture_of(space, start), posture_of(space, goal)
     straight = _followed(space, np.stack([end.q for end in ends]), ends)
     if straight is not None:
         return straight
     floor = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
     task = Task(TipCoordinates(space), (), 0.0, 0.0, margin_room=floor)
+    budget = Clock(PATH_WORK, clock, lambda: task.work.seconds)
     try:
-        way = find_way(task, task.chart.of(start), [task.chart.of(goal)], clock)
+        way = find_way(task, task.chart.of(start), [task.chart.of(goal)], budget)
     except InputError:  # no OMPL
         return None
     if way.points is None:
@@ -162,10 +163,10 @@ def with_a_way(answer: InverseSolution, begin: Posture | None, goal: Goal) -> In
     """The answer with a way to it from a posture, its `reachable` False where none is found in time."""
     if answer.path is not None:
         return answer
-    found, seconds = None, min(PATH_SECONDS, goal.clock.left)
-    if begin is not None and seconds > 0:
+    found = None
+    if begin is not None and not goal.clock.over:
         ends = begin.equilibrium, answer.equilibrium
-        found = snap_free_path(goal.space, *ends, seconds=seconds, least_margin=PATH_MARGIN)
+        found = snap_free_path(goal.space, *ends, goal.clock, least_margin=PATH_MARGIN)
     if found is None:
         return replace(answer, reachable=False)
     way = JointPath("home" if answer.straight_from_seed is None else "seed", *found)

@@ -34,6 +34,10 @@ WALL_SECONDS, WALL_SHARE = 5.0, 0.15
 DETOUR_SECONDS, DETOUR_SHARE = 6.0, 0.3
 """The same of paths by translations that exclude snaps."""
 
+# Measured for two and three tubes: 22 and 16.
+CERTIFICATE_STATES = 20
+"""Work of a certificate, in equilibria of the chart."""
+
 # Each is tried at four points from either end: 1280 candidates.
 DETOUR_SAMPLES, MOST_DETOURS = 160, 24
 """Translations among which such are searched for, and paths that are tried, shortest first."""
@@ -86,11 +90,11 @@ def find_way(
         if task.motion(start, goal):
             return Way(np.stack([start, goal]), "straight", tried)
     seconds = improving if how == "optimal" else None
-    between = wall(task, start, goals, Clock(min(WALL_SECONDS, WALL_SHARE * clock.left)), seed=seed)
+    between = wall(task, start, goals, clock.part(WALL_SHARE, most=WALL_SECONDS), seed=seed)
     if between is not None and between.proved:
         return Way(None, "search", tried, None, between.words, True)
     if how != "rrt_connect" and between is None:
-        share = Clock(min(DETOUR_SECONDS, DETOUR_SHARE * clock.left))
+        share = clock.part(DETOUR_SHARE, most=DETOUR_SECONDS)
         for goal in goals:
             for shift in islice(certified_translations(task, start, goal, share), MOST_DETOURS):
                 # Translations change, tips turn where nothing can snap, and translations go on from there.
@@ -133,6 +137,7 @@ def certified_translations(task: Task, start: Array, goal: Array, clock: Clock) 
         if known:
             continue
         translations = space.split(np.append(np.zeros(n), shift))[1]
+        task.count(CERTIFICATE_STATES)  # counted where it is known, too: the count must not depend on the cache
         if _certificate_at(space.robot, translations) >= task.min_margin + task.margin_room:
             found.append(shift)
             yield shift
@@ -176,7 +181,7 @@ def by_sampling(
 
     information, problem = _posed(base, task, start, goals, moves)
     if seconds is not None:
-        clock = Clock(min(seconds, clock.left))
+        clock = clock.part(1.0, most=seconds)
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(information))
         planner = geometric.BITstar(information)
     else:

@@ -22,10 +22,10 @@ from ...control.command import Command, ServoOptions
 from ...control.servo import Servo
 from ...errors import InputError
 from ...files.units import TO_MM
+from ...inverse.answer import InverseOptions
 from ...inverse.gauss_newton import held_by, reach
 from ...inverse.goal import Goal, pose_question
 from ...inverse.posture import Posture, start_posture
-from ...inverse.settings import InverseOptions
 from ...typing import Array
 from .session import Session, moved_to
 
