@@ -124,6 +124,7 @@ class JointPath:
         assembly = self.robot.assembly(self.start[n:])
         points = np.array([*assembly.breakpoints, 0.0])
         speeds = np.append(rates[assembly.breakpoint_tubes], 0.0)
+        # Points p + v t and q + w t meet at t = (p - q) / (w - v); the plate is a point at rest.
         gap, closing = points[:, None] - points, speeds - speeds[:, None]
         moving = np.abs(closing) > ROUND_OFF
         # Tubes that move with equal speed never meet.
@@ -140,6 +141,7 @@ def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
     points = np.array(home.breakpoints) + moved[:, home.breakpoint_tubes]
     points = np.concatenate([points, np.zeros((len(joints), 1))], axis=1)
     order = np.sign(points[:, :, None] - points[:, None])
+    # A sign that changes is a pair that passed; one that becomes 0 is a meeting at the row itself.
     meet = (order[1:] * order[:-1] < 0).any((1, 2))
     turn, shift = (np.abs(np.diff(part, axis=0)).max(1) for part in (joints[:, :n], joints[:, n:]))
     longest = LARGEST_SHIFT * max(tube.length for tube in robot.tubes)
@@ -231,6 +233,7 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
     if change is not None:
         x = x + change
     elif before is not None and point.t > before.t:
+        # Secant through both last points, for a step of another length.
         x = x + (x - there.carried(before)) * ((t - point.t) / (point.t - before.t))
     # A guess that is on the branch converges in three to five steps; more than eight are a sign of another branch.
     result = there.solve(x, iterations=8)
@@ -282,6 +285,7 @@ def _left(here: Place, before: Place, power: int) -> float:
     """
     if not 0 < here.margin < before.margin:
         return np.inf
+    # m^p falls linearly: t_end - t = (t - t_0) m^p / (m_0^p - m^p).
     return (here.t - before.t) / ((before.margin / here.margin) ** power - 1)
 
 

@@ -89,6 +89,7 @@ class FrictionEquilibrium:
         inside = arms.interpolate(problem, self.profile, np.maximum(arc_length, 0.0))
         behind = np.minimum(arc_length, 0.0)
         if behind.any():
+            # Behind the plate the torque is constant: theta falls by t times the compliance not passed yet.
             place = np.maximum(problem.assembly.transmission + behind[:, None], 0.0)
             softer = problem.assembly.compliant(place) - problem.here.transmission
             inside += softer * self.profile.torque[0]
@@ -133,6 +134,7 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
     torque = np.array(own.torque)
     if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
         raise SolveError("start is not in balance with its friction: it belongs to another robot")
+    # Slip is stored only as a torque at its limit, which a file may have rounded in the last digit.
     slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
     result = Increment(state, torque, signs, 0.0, True, 0.0, own.violation)
@@ -186,6 +188,7 @@ def step(
     same = contact is current.contact
     slid = None if same or not contact.friction.sliding else _slid(robot, contact, translations - current.translations)
     turned = rotations - current.rotations
+    # Without sliding the same rows stick or slip as before; on other rows nothing is known.
     guess, signs = (x + _ahead(current, turned), current.found.signs) if same else (x, None)
     result = increment(contact, rotations, guess, before, signs, slid)
     if result is None or not result.converged:
@@ -207,6 +210,7 @@ def _ahead(current: FrictionEquilibrium, turned: Array) -> Array | float:
 def _slid(robot: Robot, contact: Contact, moved: Array) -> Array:
     """(R,) sliding of the tubes along each other, over the radius at which they rub, rad; 0 where it is round-off."""
     radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    # At the surface a turn moves r dtheta around and a slide dz along: dz / r compares both.
     slid = np.abs(moved[contact.pair + 1] - moved[contact.pair]) / radius[contact.pair]
     return np.where(slid > FRICTION_TOLERANCE, slid, 0.0)
 
@@ -221,6 +225,7 @@ def carried(
         return current.contact, current.found.state.turned, current.found.state.x
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
+    # What is at s now was at s - dz_i on tube i: the slip is that of the material (see the top).
     where = (points, contact.place, s - moved[pair], s - moved[pair + 1])
     theta = current.theta(np.concatenate(where))
     at, between, inner, outer = np.split(theta, np.cumsum([len(part) for part in where])[:-1])
@@ -249,6 +254,7 @@ def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) 
     if isinstance(state.elastic, LoadedState):
         plain = _under_load(robot, current, state.elastic, start, error)
     else:
+        # Friction is a force in the balance: the residual is the gradient with its torques.
         balance = (state.gradient + contact.rows.T @ current.found.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
@@ -276,6 +282,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     """The equilibrium of a state under a load, whose rotations may be off by `error`, rad, over the margin."""
     problem = held.contact.loaded
     assert problem is not None
+    # A residual moves x by the inverse of the Hessian, whose largest eigenvalue is 1 / margin.
     off = error / max(min(1.0, abs(held.margin)), 1e-6)
     arm, s = loaded_arm(problem, held.profile, state), problem.torsion.arc_length
     result = ArmSolution.of(
@@ -307,6 +314,7 @@ def _bending_error(current: FrictionEquilibrium) -> float:
     q = contact.loaded.mesh.interpolated(bent, s) / finer.softness[:, None]
     state = loaded.evaluate(finer, current.rotations, np.concatenate([z, q.ravel()]))
     missed = np.linalg.norm(state.gradient[finer.torsion.size :].reshape(-1, 2), axis=1)
+    # A wrong bend at s moves the tip by its angle times the distance to the tip.
     return float((finer.torsion.weight * finer.softness * missed) @ (finer.torsion.assembly.total_length - s))
 
 
@@ -350,6 +358,7 @@ def _between(contact: Contact) -> tuple[tuple[float, ...], tuple[Array, Array], 
     there, kept = sections_at(problem.assembly, mesh, finer), np.repeat(mesh.collocated, len(finer))
     stiffness, moment, phase = there.stiffness[kept], there.moment[kept], there.phase[kept]
     lever = problem.assembly.transmission + (mesh.start + mesh.length)[mesh.collocated, None]
+    # A moment that is off on a piece turns its tube by the compliance up to the end of the piece.
     turn = mesh.length[mesh.collocated, None] * lever / there.torsional_stiffness.min(0)
     return tuple(finer.tolist()), (stiffness, moment), phase, turn
 
@@ -370,6 +379,7 @@ def _fronts(contact: Contact) -> list[tuple[Index, Array]]:
         rows = np.flatnonzero((contact.pair == pair) & (contact.point >= 0))
         spacing = problem.weight[contact.point[rows]]
         per_length = (contact.capacity[rows] / spacing)[:-1]
+        # A front between two points is off by half a spacing at most: c (h / 2)^2 / 2 = c h^2 / 8.
         widest = np.maximum(spacing[:-1], spacing[1:])
         out.append((rows, per_length * widest**2 / 8 * soft[[pair, pair + 1]].sum()))
     return out
@@ -391,6 +401,7 @@ def sweep(
     many = rub_compiled(robot, current.contact.friction, steps, state, behind, margins=margins)
     if many is None or len(steps) == len(joints):
         return many
+    # Of the finer steps only the requested rows are reported.
     reached = inputs[(inputs > 0) & (inputs <= len(many.margin))] - 1
     return Rubbed(**{field.name: getattr(many, field.name)[reached] for field in fields(Rubbed)})
 

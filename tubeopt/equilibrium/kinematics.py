@@ -143,6 +143,7 @@ def loaded(start: Equilibrium, there: Loaded, request: SolveRequest) -> Equilibr
     for refinement in range(LOADED_REFINEMENTS + 1):
         rules = loaded_rules(robot, shift, load, refinement)
         if coarse is not None:
+            # The polynomials of a mesh are those of the elastic rotation, without the natural turn.
             known = [coarse.points.point_rotation - problem.wound, coarse.points.point_curvature]
             table = problem.mesh.interpolated(np.concatenate(known, axis=1), rules.problem.torsion.arc_length)
             inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, coarse.margin
@@ -411,6 +412,7 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
             return here.pose
     known, shortest = _start(family, here), SHORTEST_STEP if grows else SHARPEST_STEP
     if grows:
+        # The start was sampled from another mesh: Newton's method solves it once on this one.
         known = Point.near(known.member, known.state.x, FOLDED)
     # Without a load the branch of the start is followed whether it stays stable or not.
     stable = grows or (family.load is not None and known.margin > 0)

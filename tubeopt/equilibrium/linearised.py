@@ -102,7 +102,9 @@ class _Wave:
         self.twist = -(beyond @ moment) / kt
         self.stretched = np.einsum("aij,aj->ai", slope_g, mode.y)
         self.pull = np.einsum("aij,aj->ai", turned, mode.y)
+        # tau' = M' y and tau = 0 at the tip: the torque of the mode, as w is that of the state.
         self.tau, self.tau_start = -(beyond @ self.pull), -(weight * self.pull).sum(0)
+        # The transpose of P sums over the points from here to the tip.
         self.a, self.a_start = (up_to.T @ mode.zeta) / weight, mode.zeta.sum(0)
         self.b = np.zeros_like(theta)
         for block in problem.blocks:
@@ -206,6 +208,7 @@ class Linearised(ArmChange):
         count, root = len(self.strips.index), np.sqrt(self.here.transmission)
         there = sections_of(self.given_there, self.here.offsets)
         slope = there.by_torque[..., : self.n] * self.strips.there[:, None, None]
+        # Symmetric as the second variation, and with the same eigenvalues as -dM/dtheta times compliance.
         second = -root[:, None] * (slope[:count] - slope[count:]) * root
         symmetric = (second + second.swapaxes(1, 2)) / 2
         return np.asarray(np.linalg.eigvalsh(np.tensordot(self.widths.T, symmetric, 1)).max(1, initial=0.0))
@@ -240,10 +243,12 @@ class Linearised(ArmChange):
             out += whole.ravel() @ forcing.data.reshape(-1, size)
         if here.load is not None:
             out += self._carried(mode, by)
+        # int v^2 d(1 / kt): a softer tube lowers the margin where the mode twists it.
         out -= softness * (weights[..., None] * torque**2).ravel() @ forcing.rate.reshape(-1, size)
         held = mode.state[0, n + 3 : 2 * n + 3, 0]
         out -= softness * held**2 @ forcing.transmission
         out += self._mode_gains(mode, softness, worst=worst) @ self.widths
+        # The mode is stationary for Q / T: only the explicit change of Q - mu T counts, over T.
         return np.asarray(out / here.elastic(mode, softness))
 
     def _carried(self, mode: Response, by: Array) -> Array:
@@ -269,6 +274,7 @@ class Linearised(ArmChange):
             return np.zeros(0)
         frame, state = here.end_frame[index], mode.state[index, :, 0]
         y, psi, torque, moment = state[:, :n], state[:, n : n + 3], state[:, n + 3 : 2 * n + 3], state[:, 2 * n + 3 :]
+        # hat(psi) b = psi x b: the turn of the frame by the mode.
         turns, bends = hat(psi), (here.moment_plate_side if self.side < 0 else here.moment_tip_side)[index]
         whole = moment - (turns @ bends[..., None])[..., 0]
         felt = (frame[..., :2].swapaxes(1, 2) @ whole[..., None])[..., 0]
@@ -318,6 +324,7 @@ def sharing(carriages: tuple[tuple[int, ...], ...], wrt: tuple[str, ...]) -> Arr
     along, first = np.eye(n * len(wrt)), n * wrt.index("translations")
     for tubes in carriages:
         own = first + np.array(tubes)
+        # The mean over a carriage: sums over its tubes give the change by their common motion.
         along[np.ix_(own, own)] = 1 / len(tubes)
     return along
 
@@ -335,6 +342,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> Responsive:
         problem = burden.torsion
     solved = sample_rotation(equilibrium, problem.arc_length)
     arm = Responsive(problem, equilibrium.rotations, solved, equilibrium.arm, burden=burden, straight=straight)
+    # From the moments the rotations follow anew: a state that was not solved gives others.
     unlike = arm.phi[arm.mesh.collocated].ravel() - solved.ravel()
     off = float(np.abs(unlike[problem.flat]).max(initial=0.0))
     if off > SOLVED:

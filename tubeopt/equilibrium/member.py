@@ -82,6 +82,7 @@ class Point(Generic[M, S]):
         """(U,) push that the softest direction does not resist at a fold: along it, if the equations have an energy."""
         if self.member.descends:
             return self.softest
+        # One inverse iteration with H': at a fold that gives the left vector of its zero eigenvalue.
         push = np.linalg.solve(self.state.hessian.T, self.softest)
         return np.asarray(push * np.sign(push @ self.softest) / np.linalg.norm(push))
 
@@ -209,6 +210,7 @@ class Member(ABC, Generic[S]):
     def downhill(self, state: S, time: float) -> tuple[Array, bool]:
         """(U,) step of the gradient flow of the energy in a time, and whether its matrix is not positive; without an
         energy, of the flow against the residual, and whether that grows apart."""
+        # Implicit Euler step of x' = -g: (1 / dt + H) dx = -g, Newton's step for dt to infinity.
         matrix = _shifted(state.hessian, 1 / time)
         if self.descends:
             _, step, failed = scipy.linalg.lapack.dposv(matrix, -state.gradient)
@@ -295,6 +297,7 @@ class Unloaded(Member[Evaluation]):
         such energy, what Newton's method finds from that of the same tubes on it."""
         if self.problem.assembly.eccentric:
             there = self._on_centreline()
+            # Offsets are a perturbation (d |u| < 1/4): the concentric minimum is a start close to the answer.
             start = there.descend(there.unknowns(self.at(x).theta), settings)
             return self.solve(self.unknowns(start.state.theta), settings.iterations)
         return descend(self.at(x), lambda state, step: self.at(state.x + step), self.turn, self.residual, settings)
@@ -308,6 +311,7 @@ class Unloaded(Member[Evaluation]):
             here = replace(there, rotations=self.rotations * k / steps)
             result = here.descend(z)
             if result.converged and here.margin(result.state) <= 0:
+                # A symmetric saddle has two sides of equal right; the lower one is taken.
                 sides = [here.descend(start) for start in leave_saddle(here.problem, result.state)]
                 result = min(sides, key=lambda side: side.state.energy)
             z = result.state.z

@@ -58,11 +58,13 @@ def integrate(problem: ReducedProblem, base: Array, moment: Array, extra_twist: 
     inner = np.zeros((len(h), t.degree, len(base)))
     inner[mesh.collocated] = moment.reshape(-1, *inner.shape[1:])
     gain = h * (t.weights @ inner)
+    # t = 0 at the tip and t' = M: at each beginning it is minus all that is gained ahead.
     torque = -np.cumsum(gain[::-1], axis=0)[::-1]
     mean = np.asarray(t.weights @ here.rate)
     extra = (torque[:, None] + h[..., None] * (t.adjoint @ inner)) * (here.rate - mean[:, None])
     if extra_twist is not None:
         extra[mesh.collocated] += extra_twist.reshape(-1, *inner.shape[1:])
+    # Integrating twice, int_0^1 (1 - x) M dx: the torque gained at x turns only what follows.
     turn = mean * (h * torque + h**2 * ((t.weights * (1 - t.nodes)) @ inner)) + h * (t.weights @ extra)
     start = base + here.transmission * (torque[0] if len(torque) else 0.0)
     return Profile(start + np.cumsum(turn, axis=0) - turn, torque, inner, mean, extra)
@@ -74,6 +76,7 @@ def pushed(problem: ReducedProblem, arm: Profile, end: Index, tube: Index, torqu
     soft = problem.softness[1]
     rotation, twisted, extra = arm.rotation.copy(), arm.torque.copy(), arm.extra.copy()
     for e, i, push in zip(end.tolist(), tube.tolist(), torque.tolist(), strict=True):
+        # A torque turns every place by int ds / kt up to the nearer of the place and where it acts.
         rotation[:, i] += push * np.minimum(soft[:-1, i], soft[e, i])
         twisted[:e, i] += push
         extra[:e, :, i] += push * (problem.here.rate[:e, :, i] - arm.compliance[:e, None, i])
@@ -285,6 +288,7 @@ def along_pieces(values: Array, pieces: int) -> Array:
 def hermite(family: str, degree: int) -> Array:
     """(K, 9) values at the points of the polynomial with given values at ENDS and slopes at ENDS but the first."""
     x, power = tableau(family, degree).nodes, np.arange(2 * len(ENDS) - 1)
+    # Slopes of the monomials; those at 0 are left out, where u belongs to another piece.
     rates = power * ENDS[1:, None] ** np.maximum(power - 1, 0)
     conditions = np.concatenate([ENDS[:, None] ** power, rates])
     return np.asarray(np.linalg.solve(conditions.T, (x[:, None] ** power).T).T)
@@ -367,12 +371,14 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
         u[own, : part.curvature.shape[1]] = part.curvature[own]
     u = u.reshape(pieces, -1, len(GAUSS_POINTS), 2)[np.arange(steps.max()) < steps[:, None]]
     turn, position = _poses(u, length)
+    # One step for two from the same curvatures: no further cross-sections, and an estimate of the error.
     rough = _poses(ROUGHER @ u.reshape(-1, 2 * len(GAUSS_POINTS), 2), 2 * length[::2])[1][-1]
     first = np.cumsum(steps) - steps
     ends = np.append(0, (first[:, None] + steps[:, None] // STEPS * np.arange(1, STEPS + 1)).ravel())
     # The energies of the collocated pieces are those that were made least.
     energy = state.energy + float((mesh.length * (finer.bending @ _finer(mesh).weights))[~mesh.collocated].sum())
     if problem.assembly.eccentric:
+        # |z|^2 / 2 is int t^2 / (2 kt); with stretch it is int g t^2 / (2 kt).
         energy += _torsion(problem, torsion) - float(state.z @ state.z) / 2
     return Arm(
         arc_length=arc_lengths(mesh),
@@ -430,5 +436,6 @@ def _defect(problem: ReducedProblem, torsion: Profile, here: Sections) -> float:
     gain = h * here.moment
     torque = torsion.torque[:, None] + finer.matrix @ gain
     inner = np.abs(torsion.rotation[:, None] + h * (finer.matrix @ (here.rate * torque)) - here.elastic).max(1)
+    # A torque gained too much turns its tube from there to where it is clamped.
     gained = np.abs(finer.weights @ gain - h[:, 0] * (mesh.tableau.weights @ torsion.moment))
     return float((inner + gained * reach(mesh, problem.here)[1:]).sum(0).max(initial=0.0))

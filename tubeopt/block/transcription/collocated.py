@@ -144,6 +144,7 @@ def _between(nodes: list[float], x: Any) -> list[Any]:
     for k, own in enumerate(nodes):
         weight: Any = 1.0
         for other in nodes[:k] + nodes[k + 1 :]:
+            # Lagrange's formula: few nodes, and x may be a symbol.
             weight = weight * (x - other) / (own - other)
         weights.append(weight)
     return weights
@@ -179,6 +180,7 @@ class Torsion:
     def rotation(self, x: Any) -> Any:
         """theta (n, len(x)) at fractions x of the piece, numbers or symbols."""
         piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
+        # theta + h x w + h^2 int int M / kt, with the polynomial of M through the points.
         theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
         theta += piece.length**2 * self.gain @ _lagrange(piece.grid, x, 2).T
         if piece.grid.stretched:
@@ -201,6 +203,7 @@ def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
     if not isinstance(x, ca.SX):
         return grid.tableau.lagrange(x, integrals=integrals)
     at = ca.vec(x)
+    # A polynomial of this degree is fixed by as many values: it is exact in powers of x.
     nodes = np.linspace(0.0, 1.0, grid.degree + integrals)
     powers = np.linalg.solve(np.vander(nodes, increasing=True), grid.tableau.lagrange(nodes, integrals=integrals))
     return ca.horzcat(*(at**k for k in range(len(nodes)))) @ ca.DM(powers)
@@ -211,6 +214,7 @@ def torsion_of(piece: Piece) -> Torsion:
     t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
     sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
     gain = ca.horzcat(*(here.moment / piece.torsional_stiffness for here in sections))
+    # w takes the adjoint A~, which makes the equations those of a least collocated energy.
     twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
     eases = [piece.local(x).ease for x in t.nodes]
     stretch = ca.horzcat(*(ca.SX(here.stretch * ease) for here, ease in zip(sections, eases, strict=True)))
@@ -228,6 +232,7 @@ def bending_of(torsion: Torsion) -> tuple[Any, Any]:
     piece, t = torsion.piece, torsion.piece.grid.tableau
     assert isinstance(piece, LoadedPiece)
     felt = [(here.curvature, torque, nu) for here, torque, nu in felt_of(torsion)]
+    # m' = -u x m - e_3 x nu in the moving frame, its x and y.
     rates = [ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]) for u, torque, nu in felt]
     rate = piece.length * ca.horzcat(*rates)
     defect = piece.bent - ca.repmat(piece.bend, 1, len(rates)) - rate @ t.matrix.T
@@ -241,6 +246,7 @@ def felt_of(torsion: Torsion) -> list[tuple[CrossSection, Any, Any]]:
     turn, before, felt = ca.SX([1, 0, 0, 0]), 0.0, []
     for k, x in enumerate(t.nodes.tolist()):
         u = torsion.curvature(before + (x - before) * GAUSS_POINTS)
+        # From point to point: the frame turns by at most the bend of one piece, so one step is enough.
         turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, piece.length * (x - before))
         before, nu = x, rotation_matrix(turn).T @ piece.push[:, k]
         felt.append((piece.section(piece.inner[:, k], x), ca.dot(piece.torsional_stiffness, torsion.twist[:, k]), nu))
@@ -265,6 +271,7 @@ def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
     extra = twist * (ca.horzcat(*(ca.SX.ones(piece.grid.n_tubes) * piece.local(x).ease for x in t.nodes)) - 1)
     slope = twist + extra
     defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * slope @ t.matrix.T
+    # As a control, w is independent of M: the gain that would change it along the piece is 0.
     free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), extra, defect, (piece.theta, twist))
     return defect, piece.theta + h * slope @ t.weights, energy_of(free)
 
@@ -302,6 +309,7 @@ def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any
     gain, *stretching = softness
     y, v = end[:n], end[n:]
     gained = _at_points(gain, inner)
+    # Backwards from the end: the integral from a point to the end has the weights b - a_kj.
     slope = ca.repmat(v, 1, count) - length * gained @ (t.weights - t.adjoint).T
     if stretching:
         slope = stretching[-1] * slope

@@ -61,9 +61,11 @@ def march_function(n: int, eccentric: bool, slopes: bool, steps: int, varying: b
     for k in range(steps):
         far = 2 * (steps - k)
         inputs = [part[:, at] for at in (far, far - 1, far - 2) for part in tables] if varying else constants
+        # `far`, `far - 1`, `far - 2` are far end, middle and near end: where the classical method looks.
         *here, rate = step(*here, h[k], *inputs)
         passed.append(here[0])
         rates.append(rate)
+    # The slope at the near end, which no further step computes: cubics through the steps need it.
     stretch = section_functions(n, True)["moment"](here[0], *constants[1:])[1] if eccentric else 1
     rates.append(stretch * tables[0][:, 0] * here[1])
     return ca.Function("march", [*state, h, *constants], [*here, ca.horzcat(*passed), ca.horzcat(*rates)])
@@ -95,6 +97,7 @@ def _step_function(n: int, eccentric: bool, slopes: bool, varying: bool) -> ca.F
             theta = theta + section.pop()
         out = section_function.call([theta, *section])
         stretch = (out[3] if slopes else out[1]) if eccentric else ca.SX.ones(n)
+        # theta' = g T / kt, T' = M, and the length of a tube grows by g against the direction of s.
         own = [stretch * rate * torque, out[0], -stretch]
         if not slopes:
             return own
@@ -147,6 +150,7 @@ def marched_fields(torsion: Torsion, fields: Any, margin: Any) -> Any:
     Method: J. C. Butcher, J. Austral. Math. Soc. 4 (1964), order 6 in 7 stages.
     """
     piece, n = torsion.piece, torsion.piece.grid.n_tubes
+    # The state between collocation points is a polynomial: any one-step method may use it.
     h = piece.length / SOFT_STEPS
     for step in reversed(range(SOFT_STEPS)):
         x = (step + SOFT_NODES) / SOFT_STEPS
@@ -166,6 +170,7 @@ def _field_rate(piece: Piece, x: float, at: tuple[Any, Any], margin: Any) -> Any
     fields."""
     n, (theta, w) = piece.grid.n_tubes, at
     _, stiff, *stretching = piece.balance(theta, x)
+    # Softening multiplies kt where w changes, with the state kept: the definition of the margin.
     gain = ca.diag(1 / ((1 - margin) * piece.torsional_stiffness)) @ stiff
 
     def rate(fields: Any) -> Any:
@@ -224,6 +229,7 @@ def explicit_kind(robot: Robot, *, steps: int = STEPS) -> Kind:
         known = steps_of(robot.tubes)
         steps = (steps + 1) // 2 if varies(robot.tubes) else steps
         lengths = np.diff(known.cuts, axis=1, prepend=0.0)
+        # Helices turn the pull by twist * h in a step: the error of order 4 grows with its fourth power.
         most = float(np.abs(known.twist * lengths * (known.curvature > 0)).max())
         return Kind(robot.n_tubes, False, known.cuts.shape[1], steps * max(1, int(np.ceil(most / TURNED))))
     return Kind(robot.n_tubes, robot.assembly(robot.home_translations).eccentric, steps=steps)
@@ -278,18 +284,21 @@ def explicit_arm(kind: Kind) -> ca.Function:
         inputs, theta = [*inputs, ca.repmat(kt, 1, kind.sections)], tip
     columns = [ca.horzsplit(each) for each in (length, *inputs)]
     step, determinant, fields = _step(n, kind.eccentric, kind.stretches > 0), determinant_function(n), []
+    # At the tip w = 0; Jacobi fields of tip angles begin with y = 1, v = 0.
     w, y, v = ca.MX(ca.DM.zeros(n)), ca.MX(ca.densify(ca.DM.eye(n))), ca.MX(ca.DM.zeros(n, n))
     bends: list[tuple[Any, Any]] = []
     for whole_length, stiffness, pull, kt, *turned in reversed(list(zip(*columns, strict=True))):
         h = whole_length / kind.steps
         if turned:
             lead, twist, softer = turned
+            # The torque kt w is continuous where a tube changes its stiffness, not w: ratio of both kt.
             w, v = softer * w, ca.repmat(softer, 1, n) * v
         for k in range(kind.steps):
             ahead = (lead - k * h * twist, twist) if turned else place
             theta, w, y, v, bend = step(theta, w, y, v, h, stiffness, pull, kt, 1 - margin, *ahead)
             bends.append((h, bend))
         fields.append(determinant(y))
+    # At the plate the straight part adds its turn: joint rotations vary by y - transmission v.
     fields[-1] = determinant(y - ca.repmat(transmission, 1, n) * v)
     shape = _shape(bends)
     arm = ca.Function(
@@ -364,6 +373,7 @@ def _along(places: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
     n, count = places.shape
     cuts = [ca.SX(0), *_sorted([ca.fmax(v, 0) for v in ca.vertsplit(ca.vec(places))])]
     for a, b in pairwise(cuts):
+        # The middle of a section is on one side of every breakpoint; its ends may be on one.
         middle = ca.repmat((a + b) / 2, n, 1)
         later = ca.horzcat(*(middle >= places[:, c] for c in range(count - 1)), ca.SX.zeros(n))
         yield a, b, ca.horzcat(ca.SX.ones(n), later[:, :-1]) - later, middle < places[:, -1]
@@ -379,6 +389,7 @@ def _sorted(values: list[Any]) -> list[Any]:
     """Values in increasing order, by a network of comparisons."""
     out = list(values)
     for last in range(len(out) - 1, 0, -1):
+        # Comparisons, not a permutation: CasADi can differentiate minima and maxima, whatever their order.
         for k in range(last):
             out[k], out[k + 1] = ca.fmin(out[k], out[k + 1]), ca.fmax(out[k], out[k + 1])
     return out
@@ -407,6 +418,7 @@ def _step(n: int, eccentric: bool, twisted: bool = False) -> ca.Function:
     state, stiffness = (theta, w, y, v), (kt, softening * kt)
     march = partial(_runge_kutta, balance) if eccentric else partial(_nystrom, balance, lead)
     near, near_w, *fields = march(state, params, stiffness, h)
+    # Cubic Hermite interpolation at the middle, of order 4 as the step.
     middle = (theta + near) / 2 + h / 8 * (turning(near, near_w) - turning(theta, w))
     bends = ca.horzcat(*(bend(at + lead[k], *params) for k, at in ((2, near), (1, middle), (0, theta))))
     inputs = [theta, w, y, v, h, kb, m, kt, softening, *place]
@@ -424,7 +436,9 @@ def _nystrom(
         moment, slope, *_ = balance(theta + lead[place], *inputs)
         return moment / kt[0], ca.diag(1 / kt[1]) @ slope
 
+    # theta'' does not depend on theta': Nystrom's method of order 4 has three stages, not four.
     k1, slope = gains(theta)
+    # Fields of the linearised equation, by the same method and stages: dM/dtheta is computed once.
     f1 = slope @ y
     k2, slope = gains(theta - h / 2 * w + h**2 / 8 * k1, 1)
     f2 = slope @ (y - h / 2 * v + h**2 / 8 * f1)
@@ -469,6 +483,7 @@ def _carry() -> ca.Function:
     """(frame, position, length, curvatures (2, 3)) -> frame and position after a Magnus step of order 4 on SE(3)."""
     frame, position, h, bend = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("h"), ca.SX.sym("u", 2, 3)
     near, middle, far = bend[:, 0], bend[:, 1], bend[:, 2]
+    # Magnus series: Simpson's rule for int u ds, and the bracket of the twists at both ends.
     mean = h / 6 * (near + 4 * middle + far)
     bracket = h**2 / 12
     turn = ca.vertcat(mean, bracket * (near[0] * far[1] - near[1] * far[0]))

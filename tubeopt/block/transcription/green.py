@@ -42,6 +42,7 @@ def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
     """(P X, n) cross-sections at fractions x (X,) of every piece of a mesh."""
     if assembly.even:
         return assembly.of_sections(np.repeat(mesh.section, len(x)))
+    # Cross-sections jump where pieces meet: values at an end belong to the side of this piece.
     s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
     return assembly.cross_sections(s.ravel(), inside.ravel())
 
@@ -66,9 +67,12 @@ def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None)
     to the elements: their arc length, where the rate is 1."""
     rate = np.ones((len(length), t.degree)) if rate is None else rate
     begin, length = begin[..., None], length[:, None]
+    # int rate ds up to each point: begin of its element and what the matrix A adds inside.
     near = begin + length * (rate @ t.matrix.T)
     near = near.reshape(*near.shape[:-2], -1)
+    # Between elements the kernel min(s, r) is smooth, so that its collocated value is exact.
     green = np.minimum(near[..., :, None], near[..., None, :])
+    # Within one the kernel has a kink: A diag(rate / b) A' is symmetric, which L L' needs.
     within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
     for e in range(len(length)):
         block = slice(e * t.degree, (e + 1) * t.degree)
@@ -84,5 +88,6 @@ def integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
     element = np.repeat(np.arange(count), k)
     before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
     within = np.tile(mesh.tableau.matrix, (count, count)) * length
+    # Whole elements before a point count with their weights b, its own one with the row of A.
     up_to = np.where(same, within, before * whole)
     return up_to, whole - up_to

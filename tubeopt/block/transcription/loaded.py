@@ -121,6 +121,7 @@ def couples_of(torsion: ReducedProblem, load: Load, per_length: Array, spread: A
         tube=tube,
         row=row,
         following=load.frame == "tip",
+        # All of int ds / kt between two places, less what L L' has of it at the collocation points.
         rest=whole - row[:count] @ row.T,
     )
 
@@ -302,11 +303,13 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     curvature = natural + problem.softness[:, None] * q.reshape(count, 2)
     turned = np.zeros((2 * count, problem.size))
     turned[:, :split] = (slope @ problem.spread).reshape(2 * count, split)
+    # u = u0(theta) + q / sqrt(B K): the second part turns each point by its own q only.
     turned[np.arange(2 * count), split + np.arange(2 * count)] = np.repeat(problem.softness, 2)
     # The quaternions are linear in the curvature of each piece, so that they are eliminated. One adjoint sweep from the
     # tip to the plate gives what they add to the gradient of the work, for all curvatures at once.
     along = orient(mesh, curvature)
     push = _push(problem, along)
+    # n.t = Q'(sum n_i T_i) Q with symmetric T_i: its derivative by Q is 2 (sum n_i T_i) Q.
     forms = ((2 * weight[:, None] * push.ahead[:, FORCE]) @ tangent_forms().reshape(3, 16)).reshape(count, 4, 4)
     swept = adjoint(mesh, along, (forms @ along.stage[:, :, None])[:, :, 0])
     felt, work, couples = swept.gradient, second_derivative(along, swept, forms), problem.couples
@@ -318,6 +321,7 @@ def evaluate(problem: LoadedProblem, rotations: Array, x: Array, factor: float =
     # Torque on the tubes per length: of the cross-section at its own curvature.
     torque = moment - factor * (felt[:, None, :] @ slope)[:, 0] / weight[:, None]
     softened = stiff.copy()
+    # The load pulls at u0(theta), whose second derivative is diagonal in the angles.
     softened.ravel().reshape(count, n * n)[:, :: n + 1] -= factor * (felt[:, None, :] @ second)[:, 0] / weight[:, None]
     pull, joint_torques, twisted = -(felt.ravel() @ turned), np.zeros(1), np.zeros((0, len(x)))
     if couples is not None:
@@ -408,6 +412,7 @@ def _tip(problem: LoadedProblem, along: Orientation, turned: Array) -> tuple[Arr
     """(3, U + 2 N) change of the tip's position, and turn of its Bishop frame about world axes."""
     count = len(along.stage)
     moved = tangent_slopes(along.stage) @ along.stage_slope
+    # The tip is int t ds: its change is the sum of those of the tangents with the weights.
     reach = (problem.torsion.weight @ moved.reshape(count, -1)).reshape(3, -1) @ turned
     turn = 2 * (world_turns() @ along.begin[-1]) @ along.begin_slope[-1] @ turned
     return reach, turn
@@ -444,9 +449,11 @@ def symmetric_part(problem: LoadedProblem, state: LoadedState) -> Array:
     couples = problem.couples
     assert couples is not None
     joints = len(couples.joint)
+    # Twists w at joints with energy w' rest^-1 w / 2, in coordinates where that is the identity.
     size, vectors = np.linalg.eigh(couples.rest[:, :joints])
     root = (vectors * np.sqrt(np.maximum(size, 0.0))) @ vectors.T
     across = -state.factor / 2 * root @ state.twisted[:joints]
+    # x' A x has the symmetric part only: above 0 in all directions no small motion gains work.
     both = (state.hessian + state.hessian.T) / 2
     return np.block([[both, across.T], [across, np.eye(joints)]])
 
@@ -514,9 +521,11 @@ def loaded_arm(problem: LoadedProblem, profile: Profile, state: LoadedState) -> 
     bent = (state.x[torsion.size :].reshape(-1, 2) * problem.softness[:, None]).reshape(pieces, t.degree, 2)
     curvature = here.curvature + t.lagrange(ENDS) @ bent
     along, up_to = state.orientation, mesh.length[:, None, None] * t.lagrange(ENDS, integrals=1)
+    # Q' = (u_x Omega_x + u_y Omega_y) Q / 2 at the points, integrated by their polynomial.
     turning = (along.rate @ along.stage[:, :, None] / 2).reshape(pieces, t.degree, 4)
     quaternion = along.begin[:-1, None] + up_to @ turning
     quaternion[:, -1] = along.begin[1:]
+    # Collocation keeps the norm at the ends of pieces only; between them it is off by its error.
     quaternion /= np.linalg.norm(quaternion, axis=2, keepdims=True)
     moved = up_to @ tangents(along.stage).reshape(pieces, t.degree, 3)
     begun = np.cumsum(np.concatenate([np.zeros((1, 3)), moved[:-1, -1]]), axis=0)
@@ -555,6 +564,7 @@ def compliance_along(problem: LoadedProblem, state: LoadedState, s: float, tube:
     turned = np.einsum("k,krc,kc->r", weight, along.rate, along.stage) / 2
     quaternion = IDENTITY + turned
     slope = np.einsum("k,krc,kcj->rj", weight, along.rate, along.stage_slope) / 2
+    # Product rule of rate(u) Q / 2: by Q above, by u here.
     own = np.einsum("k,jrc,kc->rkj", weight, quaternion_rates(), along.stage) / 2
     slope = (slope + own.reshape(4, -1)) @ state.turned
     turn = 2 * (world_turns() @ quaternion) @ slope
@@ -574,6 +584,7 @@ def _twist(problem: LoadedProblem, weight: Array, tube: int) -> tuple[Array, flo
     piece = np.repeat(np.arange(len(mesh.length)), t.degree)
     up_to = np.where(piece < piece[:, None], torsion.weight, 0.0)
     within = np.kron(np.diag(mesh.length), t.matrix)
+    # Row of the Green's function to the place s: int to the nearer of point and s.
     shared = (up_to + within) * rate / torsion.weight
     lever = held + shared @ weight
     whole = held + float((weight**2 * rate / torsion.weight).sum())

@@ -57,9 +57,11 @@ def _curved_groups(assembly: Assembly) -> list[Index]:
     for row in assembly.curved:
         mine = set(np.flatnonzero(row).tolist())
         if mine:
+            # Groups that share a tube are one: a union as in connected components of a graph.
             groups = [g for g in groups if not g & mine] + [mine.union(*(g for g in groups if g & mine))]
     acts = [_present(assembly, group) for group in groups]
     for k, group in enumerate(groups):
+        # Two groups that act on one another leave no block triangular form: all tubes are one block.
         if any(acts[k] & other and acts[j] & group for j, other in enumerate(groups) if j != k):
             return [np.array(sorted(set().union(*groups)), dtype=np.intp)]
     return [np.array(sorted(group), dtype=np.intp) for group in groups]
@@ -344,6 +346,7 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
         theta + problem.phase, problem.stiffness, problem.moment, *assembly.place
     )
     moment = moment.copy()
+    # theta = alpha + L z: L' B M is the gradient of the bending energy, z that of |z|^2 / 2.
     gradient = z + (moment.ravel()[problem.flat] * problem.flat_weight) @ problem.factor
     hessian = torsional_hessian(problem, stiffness)
     energy = float(z @ z) / 2 + float(problem.weight @ bending[:, 0])
@@ -365,6 +368,7 @@ def torsional_hessian(problem: ReducedProblem, stiffness: Array) -> Array:
         hessian = problem.factor.T @ table @ problem.factor
     else:
         hessian = np.empty_like(table)
+        # L is 0 between tubes, so each block of L' B V'' L needs the factors of its two tubes only.
         for j in problem.by_tube:
             turned = table[:, j] @ problem.factor[j, j]
             for i in problem.by_tube:
@@ -381,6 +385,7 @@ def _stretch_terms(
     up_to, beyond, inverse = problem.stretch
     kt = problem.assembly.torsional_stiffness
     count, n = moment.shape
+    # w = 0 at the tip: kt w = -int M from the point to the tip, with the sums W.
     twist = -(beyond @ moment) / kt
     extra = (stretch[0] - 1) * twist
     change = up_to @ extra
@@ -388,6 +393,7 @@ def _stretch_terms(
     slope_moment = stiffness.reshape(count, n, n).swapaxes(1, 2)
     # d(change)[a, i] / d(theta)[b, j] = P_ab dg_i/dtheta_j[b] w_bi - sum_c P_ac (g - 1)_ci W_cb dM_i/dtheta_j[b] / kt_i
     direct = (slope_g * twist[:, :, None]).swapaxes(0, 1)[:, None] * up_to[:, :, None]
+    # P (g - 1) W / kt of each tube: the product rule's second part without a loop over c.
     crossed = (up_to * ((stretch[0] - 1) / kt).T[:, None, :]) @ beyond
     through = crossed[:, :, :, None] * slope_moment.swapaxes(0, 1)[:, None]
     p, t = problem.point, problem.tube
@@ -417,11 +423,13 @@ def whitened(problem: ReducedProblem, turns: Array) -> Array:
     """z (U,) of turns (U,) of the unknown rotations, rad."""
     if not problem.size:
         return np.zeros(0)
+    # L is triangular: z = L^-1 (theta - alpha), and torsional energy is |z|^2 / 2 again.
     return np.asarray(scipy.linalg.lapack.dtrtrs(problem.factor, turns, lower=1)[0])
 
 
 def residual(problem: ReducedProblem, state: Evaluation) -> float:
     """Largest violation of the collocation equations, as an error of theta at the points, rad."""
+    # The gradient is in sqrt(J): L turns it into the rotations by which the equations are missed.
     return float(abs(problem.factor @ state.gradient).max()) if problem.size else 0.0
 
 
@@ -429,6 +437,7 @@ def worst_equation(problem: ReducedProblem, state: Evaluation) -> str:
     """The most violated collocation equation in words, with its violation."""
     if not problem.size:
         return "all equations hold"
+    # A NaN counts as the largest violation, since no number can be compared with it.
     violation = np.abs(problem.factor @ state.gradient)
     k = int(np.argmax(np.where(np.isfinite(violation), violation, np.inf)))
     mesh, degree = problem.mesh, problem.mesh.tableau.degree

@@ -44,6 +44,7 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
     if not problem.size:
         return 1.0
     if problem.assembly.eccentric:
+        # K y = (1 - mu) y: the largest real eigenvalue is the first fold that softening meets.
         return 1.0 - float(softenings(problem, state.theta).max(initial=0.0))
     return least(state.hessian)
 
@@ -122,6 +123,7 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
     place = assembly.offset, assembly.offset_angle
     moment, turned, _, g, stretched = balance(theta, problem.stiffness, problem.moment, *place)
     assert problem.stretch is not None
+    # w = -W M / kt, since torsion vanishes at the tip.
     twist = -(problem.stretch[1] @ moment) / kt
     extra = (g - 1) / kt
     # CasADi stores dM_i/dtheta_j by columns, (point, j, i).
@@ -129,9 +131,11 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
     for block in problem.blocks:
         t, o = block.tubes, block.points
         k, p = len(t), len(o)
+        # Gamma + P (g - 1) W / kt: what a torque turns, directly and by the stretch of its tube.
         whole = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
         own = np.ix_(o, t, t)
         relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
+        # P w g': how the stretch that a turn makes turns the tubes, subtracted from 1 below.
         left = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
         left.ravel()[:: k * p + 1] += 1.0
         yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
@@ -144,6 +148,7 @@ def _real(values: NDArray[Any]) -> Array:
 
 def softenings(problem: ReducedProblem, theta: Array) -> Array:
     """Real eigenvalues of K at theta (N, n), of all blocks: each the share of torsional stiffness that is a fold."""
+    # A product's eigenvalues do not change with the order of its factors, but for zeros.
     parts = [np.linalg.eigvals(_of_moments(one)) for one in _linearise(problem, theta)]
     return _real(np.concatenate(parts)) if parts else np.zeros(0)
 
@@ -155,6 +160,7 @@ def _of_moments(one: _Linearised) -> Array:
     whole, slope = one.whole, one.slope
     columns = np.zeros((*whole.shape[:2], last, whole.shape[2]))
     for i in range(last):
+        # M_last = -sum of the others: each unknown moment acts on its tube and, reversed, on the last.
         columns[i, :, i] = whole[i]
         columns[last, :, i] = -whole[last]
     moved = np.linalg.solve(one.left, columns.reshape(len(one.left), size)).reshape(*whole.shape[:2], size)
@@ -171,6 +177,7 @@ def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
         real = _real(values)
         order = np.argsort(-real)
         top = float(real[order[0]])
+        # The next eigenvalue of this block or of another: a double one has no derivative.
         following = max(following, *real[order[1:2]].tolist(), top if best is not None and top <= best[0] else 0.0)
         if best is None or top > best[0]:
             following = max(following, 0.0 if best is None else best[0])
@@ -181,6 +188,7 @@ def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
     if value - following < 1e-9:
         return Mode(value, np.full_like(theta, np.nan), np.full_like(theta, np.nan), np.nan)
     values, vectors = np.linalg.eig(matrix.T)
+    # Left vectors of K are the right ones of K'; the nearest eigenvalue is the same one.
     left = vectors[:, int(np.argmin(np.abs(values - value)))].real
     y, zeta = np.zeros_like(theta), np.zeros_like(theta)
     places = np.ix_(one.block.points, one.block.tubes)

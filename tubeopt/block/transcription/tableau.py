@@ -92,7 +92,9 @@ def tableau(family: str = "gauss", degree: int = 6) -> Tableau:
         # Radau IIA: the roots of P_K - P_{K-1} on [-1, 1], of which the last is 1 exactly.
         x = np.sort(legendre.legroots([0.0] * (degree - 1) + [-1.0, 1.0]).real)
         x[-1] = 1.0
+    # Powers of x would make this matrix ill-conditioned; Legendre polynomials keep it near orthogonal.
     coefficients = np.linalg.inv(legendre.legvander(x, degree - 1))
+    # a_ij = int_0^c_i of the j-th Lagrange polynomial and b_j = int_0^1; 0.5 maps [-1, 1] to [0, 1].
     once = legendre.legint(coefficients, lbnd=-1, scl=0.5)
     return Tableau(
         family=family,
