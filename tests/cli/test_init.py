@@ -174,7 +174,7 @@ def test_a_file_that_is_there_stays(run: Run, tmp_path: Path, what: str) -> None
     assert line == f"{tmp_path}: this is a directory; it must be a file"
 
 
-SCRIPT = "import sys; from tubeopt.cli.start import main; main(sys.argv[1:])"
+SCRIPT = "import sys; from tubeopt.cli import main; main(sys.argv[1:])"
 
 
 def talk(*arguments: str, answers: list[str]) -> tuple[int, str]:

@@ -17,7 +17,7 @@ from tubeopt.solvers.compiled.library import COMPILING
 
 def process(*arguments: str, first: str = "", cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
     """The program after some Python, which stands for what a command imports."""
-    script = f"{first}\nimport sys\nfrom tubeopt.cli.start import main\nmain(sys.argv[1:])\n"
+    script = f"{first}\nimport sys\nfrom tubeopt.cli import main\nmain(sys.argv[1:])\n"
     command = [sys.executable, "-c", script, *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
 

@@ -88,7 +88,7 @@ def test_lists(run: Run) -> None:
 def completed(*words: str) -> list[str]:
     """What bash proposes for the last word."""
     typed = {"_TUBEOPT_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
-    script = "from tubeopt.cli.start import main; main([])"
+    script = "from tubeopt.cli import main; main([])"
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, env=os.environ | typed, capture_output=True, text=True, check=False)
     return done.stdout.split()

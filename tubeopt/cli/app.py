@@ -56,11 +56,13 @@ class LazyCommand(TyperCommand):
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         """The context of the command itself, which thereby is what is run."""
+        # Click runs the command of the context, so that the real one takes over from here.
         return self.command.make_context(*arguments, **options)
 
 
 def _documented(module: str, function: str) -> str:
     """The docstring of a function, read from its file without running it."""
+    # Importing the module for one sentence would load Matplotlib or SciPy for the help of all commands.
     tree = ast.parse((Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8"))
     (node,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function)
     return flowing(ast.get_docstring(node) or "")
@@ -71,6 +73,7 @@ class PlanByDefault(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put `plan` in front of arguments that name no command."""
+        # A file named like a command would need `plan` in front of it.
         if args and args[0] not in self.commands and args[0] != "--help":
             args = ["plan", *args]
         rest: list[str] = super().parse_args(ctx, args)
@@ -147,6 +150,7 @@ def _code(typed: Sequence[str], heard: Sequence[int]) -> object:
     """What a command ends with: its exit code, where it is not 0."""
     try:
         with awake():
+            # Ctrl-C came while Python imported: nothing was started yet.
             if heard:
                 raise KeyboardInterrupt
             return program()(typed, prog_name="tubeopt", standalone_mode=False)
@@ -163,10 +167,12 @@ def main(arguments: Sequence[str] | None = None, heard: Sequence[int] = ()) -> N
     """
     typed = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in typed
+    # Warnings may come before the flags are parsed, so that these two are searched in the text.
     with listening(quiet=as_json or "--quiet" in typed), interruptible(as_json) as telling:
         try:
             code = _code(typed, heard)
             if code == INTERRUPTED:
+                # The watcher has the lock if it already reports: then this waits until it ends the process.
                 telling.acquire()
                 stop_workers()
                 complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)

@@ -136,6 +136,7 @@ def serve(study: ServeEntry, output: Output) -> None:
         address = f"ws://{HOST}:{server.port}"
         told(Served(robot, address, robot.name or "robot", server.token), output)
 
+    # Ctrl-C is the usual end of a server: exit code 0.
     with left_alone(), suppress(KeyboardInterrupt):
         asyncio.run(_until_interrupted(server, _ready))
     if not (output.as_json or output.quiet):

@@ -55,6 +55,7 @@ def command(example: str, *, note: str = "", without: Sequence[str] = ()) -> Cal
     """
 
     def _of(function: Made) -> Made:
+        # Annotations are strings here; Typer needs the types.
         taken = inspect.signature(function, eval_str=True).parameters
         return _command(function, [part for name, part in taken.items() if name != "output"], example, note, without)
 
@@ -136,7 +137,9 @@ def asks(
     def _question(typed: Mapping[str, Any]) -> Iterator[S]:
         given = keys.given(typed)
         missing = {key: flag for key, flag in flag_of.items() if keys.fields[key].is_required() and key not in given}
+        # The sentence of the check names the flag; its description says what to type.
         lacks = {f"{flag} is missing": f": {_about(keys.fields[key])}" for key, flag in missing.items()}
+        # Defaults are left out: a message about them would name a flag that was not typed.
         with told_by_flag({key: keys.names[key] for key in given if typed[key] != usual[key]}, flag_of):
             try:
                 question = check(study, constant | given, "", names=keys.names_of(given) | missing)
@@ -171,6 +174,7 @@ def asks_file(study: type[F], *, example: str, note: str = "") -> Callable[[Call
             key: str(resolved(value).absolute()) if isinstance(value, str) and _is_file(keys.fields[key]) else value
             for key, value in keys.given(typed).items()
         }
+        # A goal on the command line replaces any other goal of the file, or the study would have two.
         typed_sets = [one for one in study.either if not one.isdisjoint(given)]
         replaced = frozenset().union(*(one for one in study.either if typed_sets and one not in typed_sets))
         written = {key: value for key, value in load_yaml(path).items() if key not in replaced}
@@ -211,8 +215,10 @@ def answer(study: Study, output: Output) -> None:
 
 def ask(study: Study, output: Output) -> Any:
     """The answer to a study, with a bar while it is computed; nothing is computed that could not be saved."""
+    # An optimisation takes minutes: a directory that cannot be written is reported before.
     can_be_saved(output.out)
     check_formats(output, _command_of(study.kind))
+    # Studies of rigs and molds have no robot.
     robot = getattr(study, "robot", None)
     for words in fit_warnings(robot) if robot is not None else ():
         LOGGER.warning(words)
@@ -241,6 +247,7 @@ def _with_what_was_found(error: SolveError, out: Path | None) -> SolveError:
     if out is None or error.solution is None:
         return error
     try:
+        # A solution without a report, such as plain arrays, is not saved.
         found = report(error.solution)
     except TypeError:
         return error
@@ -386,6 +393,7 @@ def _read(field: FieldInfo, typed: Any) -> Any:
         return typed
     kind = _plain(field.annotation)
     if _is_file(field):
+        # A mapping or list is typed instead of a file, as `--load "{tip_force_mN: [10, 0, 0]}"`.
         return read_flow(typed) if typed.startswith(("{", "[")) else typed
     if get_origin(kind) is list:
         if typed in (NONE, ""):
@@ -452,6 +460,7 @@ def words(choices: Sequence[str]) -> Completion:
 
 def files(key: str) -> Completion:
     """What completes the file of a key: names of those that come with tubeopt, and paths."""
+    # The folder of a key is its name or its plural: robot -> robots.
     near = [FOLDERS.get(key, ""), key, f"{key}s"]
     folder = next((name for name in near if name and (FOLDER / name).is_dir()), "*")
 

@@ -122,6 +122,7 @@ def _answered(given: New, kind: type[New], text: Callable[[New], str], *, asks_n
     An answer that is refused is asked for again; where all together are refused, all are, each with what was typed as
     the usual one.
     """
+    # A script has no terminal: it must not wait for answers.
     if given.model_fields_set or asks_nothing or not sys.stdin.isatty():
         return text(given)
     typed: dict[str, str] = {}

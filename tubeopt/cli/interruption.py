@@ -55,17 +55,22 @@ def interruptible(as_json: bool) -> Iterator[threading.Lock]:
     if threading.current_thread() is not threading.main_thread():
         yield telling
         return
+    # A signal handler of Python waits for the next bytecode. The wakeup descriptor is written by C at once.
     heard, told = socket.socketpair()
+    # The C handler must not block where the buffer is full.
     told.setblocking(False)
     over = threading.Event()
 
     def _watch() -> None:
         while number := heard.recv(1):
+            # `wait` returns True where the block ended by itself in time.
             if number[0] != signal.SIGINT or _OWN or over.wait(PATIENCE):
                 continue
+            # Only one of the two threads reports the interruption.
             if telling.acquire(blocking=False):
                 _end(as_json)
 
+    # A full buffer means that Ctrl-C was already noted: no warning is needed.
     before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
     watcher = threading.Thread(target=_watch, daemon=True)
     watcher.start()
@@ -126,4 +131,5 @@ def _end(as_json: bool) -> None:
         sys.stderr.write("\r\x1b[2K\x1b[?25h")  # whatever bar was there, and the cursor that it hid
     complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
     sys.stdout.flush()
+    # `sys.exit` would raise in this thread only, and wait for the solver in the other.
     os._exit(INTERRUPTED)

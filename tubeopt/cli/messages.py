@@ -40,6 +40,7 @@ class Messages(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Show, and keep, one message."""
         text, warned = record.getMessage(), record.levelno >= logging.WARNING
+        # Every point of a sweep may repeat the same warning.
         if warned and text in self.warnings:
             return
         if warned:
@@ -71,6 +72,7 @@ def _heard(
 def listening(*, quiet: bool) -> Iterator[None]:
     """Hear what the library logs, and what Python warns of, until the end of the block."""
     heard, before, level = Messages(quiet), LIBRARY.handlers[:], LIBRARY.level
+    # An application that calls a command may have handlers of its own: they return at the end.
     LIBRARY.handlers[:] = [heard]
     if sys.stderr.isatty():
         KERNEL.setLevel(logging.INFO)  # who waits sees why
@@ -122,6 +124,7 @@ def failure(error: Exception) -> tuple[str, int, str] | None:
     """Message, exit code and kind of what a command raised; None of what is nobody's mistake but ours."""
     for kind, (code, name) in CODES.items():
         if isinstance(error, kind):
+            # The library reports in m and rad; commands read mm and deg.
             return "\n".join(map(as_typed, str(error).splitlines())), code, name
     # What Typer says of arguments; the Click that it brings along has no public name.
     message, context = getattr(error, "format_message", None), getattr(error, "ctx", None)
@@ -139,6 +142,7 @@ def _in_our_words(error: Any) -> str:
     if flag is not None and context is not None and error.message.startswith("No such option"):
         known = [name for part in context.command.params for name in part.opts if name.startswith("--")]
         return f"there is no option {flag}{_meant(flag, known)}"
+    # "10, 20, 30" is three arguments for the shell.
     extra = re.search(r"unexpected extra argument.* \(([-+\d. e]+)\)$", getattr(error, "message", ""))
     if extra is None:
         return ""
@@ -148,6 +152,7 @@ def _in_our_words(error: Any) -> str:
 def _meant(flag: str, known: list[str]) -> str:
     """Flags that are called alike, whatever their unit; where there is none, those of the same unit."""
     units = {name: unit_of(name.strip("-").replace("-", "_")) for name in (flag, *known)}
+    # --tip-mm and --tip-deg are alike: units are compared apart from names.
     stems = {name: name.strip("-")[: -len(unit) or None].rstrip("-") for name, unit in units.items()}
     own, others = stems.pop(flag), list(stems.values())
     close = [own] if own in others else []
@@ -189,6 +194,7 @@ def _in_flags(line: str, flags: Mapping[str, str]) -> str:
     out = line
     if absent is not None and named <= flags.keys():
         out = " and ".join(flags[key] for key in absent.groups() if key) + line[absent.end() :]
+    # Keys with an underscore are unambiguous and go first. A plain word is replaced only where a key was.
     for key, flag in sorted(flags.items(), key=lambda item: "_" not in item[0]):
         if "_" in key:
             out = re.sub(rf"(?<![\w./-]){key}(?!\w)", flag, out)
@@ -203,7 +209,9 @@ def _with_flag(line: str, flags: Mapping[str, str]) -> str:
     if not found or ":" in what or what.startswith("-"):
         return line
     words = _words(what)
+    # The library says "speed of the tip", the flag is --tip-speed-mm-per-s: words are compared without order.
     named = [key for key, flag in flags.items() if flag and _words(parted(key)[0]) <= words]
+    # With several candidates no flag is better than a wrong one.
     if len(named) != 1:
         return line
     stem, unit = parted(named[0])

@@ -83,6 +83,7 @@ class Output:
 
     def __post_init__(self) -> None:
         if self.width_mm is not None:
+            # Typer would say "not a valid float", without the range.
             number = parse_number(self.width_mm)
             if isinstance(number, str) or not NARROWEST_MM <= number <= WIDEST_MM:
                 raise InputError(
@@ -139,6 +140,7 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
     try:
         with keeping("nothing was saved" if output.out is None else f"{output.out} may hold a part of the answer"):
             _write(answer, output, files, pictures)
+        # After saving: a design that misses its goal is still written, and then ends with code 3.
         answer.conclude()
     except (InputError, SolveError, NotProvedError, typer.Exit) as error:
         ending = error
@@ -158,6 +160,7 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
 def _write(answer: Report[Any], output: Output, files: list[Path], pictures: list[Path]) -> None:
     """Save an answer and draw its pictures, and name in `files` and `pictures` what is there."""
     with _saved_as(output, output.pictures[0]):
+        # Files are named one by one: those before an error are still reported.
         files += answer.save(output.out) if output.out else []
         files += answer.convert(output.out) if output.out else []
     for form in output.pictures if output.out or output.plot else ():
@@ -193,6 +196,7 @@ def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None
     told = None if ending is None else failure(ending)
     if told is not None:
         record["error"] = error_record(*told)
+        # The object on stdout has the message: stderr stays empty for programs.
         ending = typer.Exit(told[1])
     print(to_text(record), end="")
     return ending
@@ -216,11 +220,13 @@ def can_be_saved(out: Path | None) -> None:
     if out is None:
         return
     place = out
+    # The directory may be new: its nearest parent decides.
     while not place.exists() and place != place.parent:
         place = place.parent
     why = "it is a file" if place.is_file() else ""
     if not why:
         try:
+            # Permissions alone do not show a read-only file system.
             with tempfile.TemporaryFile(dir=place):
                 return
         except OSError as error:

@@ -77,6 +77,7 @@ def figure(
     question = load_study(study)
     if not has_pictures(question.kind):
         raise InputError(f"{study}: kind is {question.kind}; it has no plots")
+    # command.txt has the width as a number: the figure is the same if the journal's style changes.
     width = output.width_mm or str(style.width_mm)
     typed = ["tubeopt", "figure", study, "--journal", journal, "--width-mm", width, "--out", str(output.out)]
     paper = replace(output, width_mm=width, formats=style.format, no_title=True)
@@ -145,6 +146,7 @@ def sweep(
         with keeping(f"finished points are in {output.out}; the same command resumes the run"):
             present(report(_into(output.out)), output)
         return
+    # The journal needs a directory; the table is read before it is removed.
     with tempfile.TemporaryDirectory() as directory:
         present(report(_into(Path(directory)).unkept()), output)
 

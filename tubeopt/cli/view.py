@@ -69,6 +69,7 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     With --out, files saved in the browser are also written to DIR.
     """
     asked = study
+    # What is typed replaces what the study has.
     given: dict[str, Any] = {"load": asked.external_load, "waypoints": asked.trajectory}
     shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
     if asked.study is not None:

@@ -89,10 +89,12 @@ def unusual(key: str, unit: str, value: Any, usual: Typical) -> Iterator[str]:
         return
     largest = max(numbers, key=abs)
     size = abs(to_si(largest, UNITS[unit] if unit else Decimal(1)))
+    # 0 has no size: it is the same in every unit.
     if size == 0 or usual.least <= size <= usual.most:
         return
     listed = ", ".join(str(number) for number in numbers)
     sentence = f"{key} is {f'[{listed}]' if isinstance(value, list) else listed}"
+    # Kelvin and Celsius differ by an offset; all other units by a factor.
     alike = [(other, scale, Decimal(0)) for other, scale in others(unit)]
     for other, scale, zero in [("K", Decimal(1), ZERO_CELSIUS)] if unit == "degC" else alike:
         if usual.least <= abs(to_si(largest - zero, scale)) <= usual.most:
@@ -117,6 +119,7 @@ NotNegative = Annotated[Decimal, Field(ge=0), BeforeValidator(decimal)]
 
 def _whole(value: object) -> int:
     number = decimal(value)
+    # 12.0 is a whole number too: spreadsheets write it so.
     if number != number.to_integral_value():
         raise ValueError(f"is {shown(value)}; it must be a whole number")
     return int(number)
@@ -202,7 +205,9 @@ def in_file(
             raise ValueError(f"is {shown(value)}; it must be the path of {what}")
         path = resolved(value, info.context["directory"]) if info.context else resolved(value)
         if info.context:
+            # A built-in file keeps its name, so that a command that repeats the study runs anywhere.
             info.context["files"][info.field_name] = value if shipped().get(value) == path else str(path)
+        # Pydantic checks keys in their order: a key with a problem is absent here.
         if of and of not in info.data:  # it has problems itself; it is None where it was left out
             return None
         found = read(path, info.data[of]) if of else read(path)
@@ -235,6 +240,7 @@ def check(
     """
     try:
         with undoubted():
+            # The library warns in SI units. The sentences below warn once, with key and unit of the file.
             entry = model.model_validate(data, context={"directory": Path(where).parent, "files": {}})
     except ValidationError as error:
         problems = error.errors(include_url=False)
@@ -248,6 +254,7 @@ def check(
         problems = kinds
     sentences = []
     for problem in problems:
+        # A flag is in no file: its message begins with the flag.
         prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in called} else ""
         sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), called)]
     raise InputError("\n".join(sentences))
@@ -304,6 +311,7 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
         case "literal_error":
             words = re.findall(r"'(.*?)'", context["expected"])
             if "<name>" in loc:
+                # The material of a tube is a name or a mapping; pydantic only lists the names.
                 words.append("a mapping with its keys")
             return [f"{path} is {shown(value)}; it must be {_either(words)}{nearest(value, words)}"]
         case "too_short":
@@ -350,6 +358,7 @@ def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
     places = [model]
     for part in loc:
         inner = [one.model_fields[part].annotation for one in places if part in one.model_fields]
+        # A list of alternatives has several models: all their keys are proposed.
         places = [found for annotation in inner for found in models(annotation)] or places
     return [key for one in places for key in one.model_fields]
 

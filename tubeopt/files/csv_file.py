@@ -18,6 +18,7 @@ from ..typing import Array
 from .files import read_bytes
 from .units import UNITS, ZERO_CELSIUS, decimal, meant, others, parse_number, parted, to_si
 
+# 60 digits: a number of 17 digits times a unit of 50 is exact before it becomes a float.
 CONTEXT = Context(prec=60)
 
 MOST_PROBLEMS = 20
@@ -126,6 +127,7 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
     if kind := kind_of(content):
         raise InputError(f"{path}: this is {kind}; it must be a table as text, such as CSV")
     lines = [line.strip(" ") for line in re.split(r"\r\n|\r|\n", decoded(content))]
+    # Line numbers are those of the file, comments and empty lines included.
     numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip(",; \t") and not line.startswith("#")]
     separator = ""
     if numbered and (said := re.fullmatch(r'"?sep=(.)"?', numbered[0][1])):  # a line that Excel writes and reads
@@ -268,6 +270,7 @@ SPELLED = {
 
 def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
     """A table whose columns have the names and units of `known` where they mean one of them."""
+    # Columns are compared without their units, which may differ from those of tubeopt.
     wanted = {parted(name)[0]: name for name in known}
     columns, problems = list(table.columns), list[str]()
     scales = [AS_IT_IS] * len(columns)
@@ -280,10 +283,12 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
             continue
         own = parted(target)[1]
         if not unit and own:
+            # A number without unit could be in mm or in m, so that nothing is guessed.
             problems.append(f"column {name} has no unit; call it {target}, or {word} with another unit")
         elif unit == own:
             columns[k] = target
         elif (unit, own) == ("K", "degC"):
+            # The offset is no factor: Kelvin is not among the units of `ALIKE`.
             columns[k], scales[k] = target, Scale(Decimal(1), ZERO_CELSIUS)
         elif (size := dict(others(own)).get(unit)) is not None:
             columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(others(unit))[own]))
@@ -299,6 +304,7 @@ def _read_name(name: str) -> tuple[str, str]:
     found = re.fullmatch(r"(.*?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?", name.strip())
     word, unit = (found[1], found[2]) if found else _with_unit(name)
     word = re.sub(r"[\s.\-]+", "_", word.strip().lower()).strip("_")
+    # Rot1, rot_1 and rotation_1 are the same column.
     numbered = re.fullmatch(r"([a-z_]+?)_?(\d+)", word)
     base, number = (numbered[1], f"_{numbered[2]}") if numbered else (word, "")
     return NAMES.get(base, base) + number, SPELLED.get(unit.lower(), unit)
@@ -307,6 +313,7 @@ def _read_name(name: str) -> tuple[str, str]:
 def _with_unit(name: str) -> tuple[str, str]:
     """A name and the longest unit at its end, behind a blank or an underscore: u_x and per_m of "u_x_per_m"."""
     parts = re.split(r"[_\s]+", name.strip())
+    # From the longest ending on: "mm_per_s" would otherwise be read as "s".
     for k in range(1, len(parts)):
         unit = "_".join(parts[k:])
         unit = SPELLED.get(unit.lower(), unit)

@@ -146,6 +146,7 @@ class Named:
     known: Mapping[str, Any]
 
     def __hash__(self) -> int:
+        # A dict has no hash, and each table exists once.
         return id(self.known)
 
 
@@ -197,6 +198,7 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 
 def _parameter(function: Callable[..., Any], name: str) -> FieldSpec:
+    # Decorators such as `typed` keep the signature, but not the names of the module.
     plain = inspect.unwrap(function)
     part = inspect.signature(plain).parameters[name]
     # Only this annotation: other parameters may have types that are imported for type checkers alone.
@@ -263,6 +265,7 @@ def check_fields(what: Any, owner: str = "") -> None:
 
 
 def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
+    # `positive` says "greater than 0", which is clearer than a bound of 0.
     bounded = allowed.above == 0 or allowed.least == 0
     number = positive(label, value, zero=allowed.least == 0) if bounded else finite(label, value)
     if allowed.least is not None and number < allowed.least:
@@ -314,9 +317,11 @@ def check_size(label: str, value: Any, usual: Typical, file_unit: str) -> None:
         return
     plain = plain_unit(file_unit)
     sign = f" {in_words(plain)}".rstrip()
+    # The unit of the file is the likeliest mistake: its number was given without conversion.
     sizes = sorted(others(plain), key=lambda one: one[0] != file_unit)
     meant = (other for other, size in sizes if usual.least <= abs(number) * float(size) <= usual.most)
     right = next(meant, None)
+    # Small numbers are often meant, such as a gap of 1 um. Only a unit that explains them is worth a warning.
     if right is None and abs(number) < usual.least:
         return
     words = "" if right is None else f": was {number:g} {in_words(right)} meant?"

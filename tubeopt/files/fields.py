@@ -90,6 +90,7 @@ def entry_of(
         base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
         extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
     """
+    # A key that the entry defines itself replaces the one of the dataclass: it may have another form.
     own = {*(extra or {}), *base.model_fields}
     keys = {key: field for key, field in keys_of(what, names).items() if key not in own}
     told = what if base is Part else base
@@ -153,6 +154,7 @@ def made(what: type[D], entry: Any) -> D:
         InputError: values that it refuses.
     """
     try:
+        # The reader of the file warns by key; the dataclass would warn again in SI.
         with undoubted():
             return what(**values(what, entry))
     except InputError as error:
@@ -190,6 +192,7 @@ def _described(said: FieldSpec) -> Described:
     named = said.first(Key) or Key("")
     annotation, read, write = _kind(kind, said.marks, named.unit)
     default: Any = said.default if absent is None else absent.value
+    # A list of parts has no default in a file: an empty list and no key mean the same.
     several = get_origin(kind) is tuple and dataclasses.is_dataclass(get_args(kind)[0])
     if said.optional or several or default is None:
         annotation = annotation | None
@@ -205,6 +208,7 @@ def _default(field: Described) -> Any:
         return Field(**options)
     if isinstance(field.default, dict):  # a part: what it is where none of its keys is given
         return Field(default_factory=field.annotation, **options)
+    # Pydantic does not check defaults: they must have the type that a file would give.
     whole = getattr(field.annotation, "__origin__", None) is int
     return Field(field.default if whole else _decimals(field.default), **options)
 
@@ -271,6 +275,7 @@ def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
     def _write(value: float) -> Any:
         if zero:
             return plainest(Decimal(repr(value)) - zero)
+        # Digits are added until the same float comes back.
         return value if scale == 1 else in_unit(value, scale)
 
     usual = [mark for mark in marks if isinstance(mark, Typical)]
@@ -295,6 +300,7 @@ def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str)
     one, several = (_kind(kind, marks, suffix) for kind in kinds)
     number: Any = Annotated[one.annotation, Tag("<number>")]
     listed: Any = Annotated[several.annotation, Tag("<list>")]
+    # A discriminator chooses one alternative: without it, messages would list the faults of both.
     either = Annotated[
         number | listed, Discriminator(lambda value: "<list>" if isinstance(value, list) else "<number>")
     ]
@@ -316,5 +322,6 @@ def _by_name(kind: Any, known: Mapping[str, Any]) -> KeyType:
     def write(thing: Any) -> Any:
         return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
 
+    # Names are short in files; own constants need a mapping.
     either = named_or(entry_of(kind), known)
     return KeyType(either, lambda written: known[written] if isinstance(written, str) else written.build(), write)

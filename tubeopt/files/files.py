@@ -50,9 +50,11 @@ def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
         InputError: the file cannot be written there.
     """
     path = Path(path)
+    # In the same directory: `os.replace` is atomic only within one file system.
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # The thread that ends the process after Ctrl-C removes these files, since no `finally` runs then.
         _UNFINISHED.add(temporary)
         try:
             yield temporary
@@ -166,9 +168,11 @@ class Journal:
 
     def append(self, index: int, entry: Mapping[str, Any]) -> None:
         """Write the line of a point; `entry` holds a "record", or a "failure"."""
+        # Reading entries moves the position: every line is appended at the end.
         place = self._file.seek(0, os.SEEK_END)
         self._write({"index": index, **entry})
         self._note(index, place, "failure" in entry)
+        # fsync waits for the disk, and points may take less than that: many share one.
         if time.monotonic() - self._synced > SYNC_INTERVAL:
             self._sync()
 
@@ -191,6 +195,7 @@ class Journal:
 
     def _note(self, index: int, place: int, failed: bool) -> None:
         self.done[index] = place
+        # A point that failed before and was computed again has two lines: the last one counts.
         (self.failed.add if failed else self.failed.discard)(index)
 
     def _read(self) -> None:
@@ -208,6 +213,7 @@ class Journal:
             else:
                 self._note(data["index"], place, "failure" in data)
             place += len(line)
+        # A line without its end would swallow the next one.
         self._file.truncate(place)
         if place == 0:
             self._write(self._head)

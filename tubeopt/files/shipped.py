@@ -55,6 +55,7 @@ def resolved(path: str | PathLike[str], beside: Path = Path()) -> Path:
     """
     local = beside / path
     named = shipped().get(str(path))
+    # A local file goes first: a robot in the working directory is not replaced by a built-in one.
     if named is None or os.path.isfile(local):
         return local
     for ending in ENDINGS:

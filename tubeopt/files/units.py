@@ -98,6 +98,7 @@ TO_MM = TO_MILLI = 1e3
 def unit_of(key: str) -> str:
     """The unit that `key` ends in, the longest of `UNITS`: "mm_per_s" of "tip_speed_mm_per_s"; "" where it has none."""
     parts = key.split("_")
+    # The longest ending goes first: "mm_per_s" ends in "s" too.
     endings = ("_".join(parts[k:]) for k in range(1, len(parts)))
     return next((ending for ending in endings if ending in UNITS), "")
 
@@ -228,6 +229,7 @@ def shown(value: object) -> str:
     """`value` as a message shows it: as it was written, and never long."""
     if value is None or isinstance(value, bool):
         return {None: "empty", True: "true", False: "false"}[value]
+    # A float keeps the digits as written; lists are shortened.
     text = str(value) if _is_number(value) else reprlib.repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -70,6 +70,7 @@ def _parsed(text: str, path: str) -> Any:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
         problem = error.problem or ""
+        # PyYAML splits some sentences: "expected a single document", "but found another document".
         if problem.startswith("but "):
             problem = f"{error.context}, {problem}"
         raise InputError(f"{path}:{line} not valid YAML: {problem}") from None
@@ -114,6 +115,7 @@ class _Loader(yaml.SafeLoader):
 
     def exact_float(self, node: yaml.ScalarNode) -> Decimal:
         try:
+            # YAML 1.1 allows 1_000 for 1000.
             return Decimal(str(node.value).replace("_", ""))
         except InvalidOperation:
             return Decimal(self.construct_yaml_float(node))  # .inf and .nan
@@ -165,6 +167,7 @@ def commented(model: type[BaseModel], data: Mapping[str, Any], header: str) -> s
 
 def _mapping(alternatives: Sequence[type[BaseModel]], data: Mapping[str, Any], *, told: bool = False) -> Iterator[str]:
     """Lines of a mapping; without comments where they were `told` before."""
+    # Of several models the one that has all the keys: a load or a robot has several forms.
     fields = next((known for one in alternatives if data.keys() <= (known := _keys(one)).keys()), {})
     for key, value in data.items():
         field = fields.get(key)
