@@ -244,11 +244,9 @@ static double above_all(const double *h, int m, int symmetric, double before, do
 ALWAYS_INLINE double largest_of(Krylov *l, double *vector) {
     double small[LANCZOS * LANCZOS], y[LANCZOS], value = 0, beside = 0, *basis = l->basis;
     int n = l->n, stride = l->stride, steps = n < l->steps ? n : l->steps, m = 0;
-    l->settled = 1;
-    if (!n) return 1; /* an arm of length zero: nothing softens */
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
-    for (;; m++) {
+    for (l->settled = 0;; m++) {
         double *last = basis + (size_t)m * stride, *next = last + stride, *corner = small + m * (LANCZOS + 1), before = beside;
         memcpy(next, last, n * sizeof(double));
         l->apply(l->of, next);
