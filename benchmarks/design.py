@@ -20,11 +20,10 @@ from tests.examples import THESIS
 from tubeopt import ConcentricRobot, SolveError, forward_kinematics, optimize_design
 from tubeopt.design import DesignSolution, Reach, count_snaps
 from tubeopt.design.infeasibility import best_of
-from tubeopt.design.multistart import rank, solve_from, start_values
 from tubeopt.design.optimize import add_worst_cases
 from tubeopt.design.program import compile_task
 from tubeopt.design.requirements import of_kind
-from tubeopt.design.solve import solve
+from tubeopt.design.solve import rank, solve, solve_from, start_values
 from tubeopt.runs.design_study import DesignStudy
 from tubeopt.runs.study_file import load_study
 

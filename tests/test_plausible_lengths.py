@@ -12,7 +12,7 @@ import pytest
 import tubeopt
 from tests.examples import THESIS
 from tubeopt.errors import ImplausibleWarning
-from tubeopt.planning.entry import EntryRegion
+from tubeopt.planning.plan import EntryRegion
 from tubeopt.validation import Measurements
 
 REST = tubeopt.forward_kinematics(THESIS, np.zeros(3))

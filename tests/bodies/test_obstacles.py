@@ -8,8 +8,17 @@ import pytest
 
 from tubeopt import InputError
 from tubeopt.bodies.distance_field import DistanceField
-from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere, nearest_distance
-from tubeopt.bodies.scene import Lookout, Scene, scene_of
+from tubeopt.bodies.obstacles import (
+    Box,
+    Capsule,
+    HalfSpace,
+    Lookout,
+    Obstacle,
+    Scene,
+    Sphere,
+    nearest_distance,
+    scene_of,
+)
 
 BODIES: tuple[Obstacle, ...] = (
     Sphere((0.01, -0.02, 0.05), 0.013),

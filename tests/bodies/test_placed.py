@@ -10,8 +10,7 @@ from tubeopt.bodies.anatomy import Turned, seen_from
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame
-from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, RoundCone, Sphere
-from tubeopt.bodies.scene import Scene
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, RoundCone, Scene, Sphere
 
 TABLE = DistanceField(np.random.default_rng(1).uniform(0.01, 0.02, (3, 4, 5)), np.full(3, 5e-3), stands_for="points")
 

@@ -28,8 +28,7 @@ from tubeopt import (
     forward_kinematics,
     load_robot,
 )
-from tubeopt.bodies.obstacles import Obstacle, Sphere
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.obstacles import Obstacle, Sphere, scene_of
 from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.command import Command, ServoOptions, Why

@@ -34,9 +34,9 @@ from tubeopt.design import (
     solve,
 )
 from tubeopt.design.infeasibility import apply_changes, best_of, shown_infeasible
-from tubeopt.design.multistart import multistart
 from tubeopt.design.optimize import DesignStatus
 from tubeopt.design.program import Program, compile_task
+from tubeopt.design.solve import multistart
 from tubeopt.solvers.time_limit import LateError, within
 from tubeopt.typing import Array
 

@@ -21,8 +21,8 @@ from tubeopt.design import (
     tolerance,
     tolerance_analysis,
 )
-from tubeopt.design.multistart import multistart
 from tubeopt.design.program import compile_task
+from tubeopt.design.solve import multistart
 from tubeopt.design.stock import combinations, with_sizes
 from tubeopt.design.tolerance import sample_tubes
 from tubeopt.typing import Array

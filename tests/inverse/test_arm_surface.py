@@ -14,8 +14,7 @@ from tests.examples import CONFIGS, CRL, THESIS
 from tests.inverse_targets import reachable
 from tubeopt import IkSession, InverseOptions, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
-from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from tubeopt.bodies.scene import Lookout, Scene
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Lookout, Obstacle, Scene, Sphere
 from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse import closest, multistart

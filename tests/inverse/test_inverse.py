@@ -26,8 +26,7 @@ from tubeopt import (
     forward_kinematics,
     inverse_kinematics,
 )
-from tubeopt.bodies.obstacles import Sphere
-from tubeopt.bodies.scene import Scene
+from tubeopt.bodies.obstacles import Scene, Sphere
 from tubeopt.equilibrium.batch import solved_batch
 from tubeopt.inverse import joint_path, multistart
 from tubeopt.inverse.arm_surface import ArmSurface

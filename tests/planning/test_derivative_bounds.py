@@ -10,9 +10,9 @@ import pytest
 
 from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
-from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.loaded_branch import _Bounds
 from tubeopt.planning.sections import Constants, CurvatureBounds, DerivativeBounds, TransportBounds
+from tubeopt.planning.trajectory_trace import Sizes
 from tubeopt.typing import Array
 
 

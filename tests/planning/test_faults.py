@@ -12,7 +12,7 @@ from tests.examples import nested
 from tubeopt import verify_trajectory
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.planning import proof
-from tubeopt.planning.clearance_bound import Wanted
+from tubeopt.planning.trajectory_trace import Wanted
 
 ROOM = 1.01 * proof.ACCURACY
 

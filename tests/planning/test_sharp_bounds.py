@@ -12,14 +12,13 @@ import pytest
 from tests.examples import THESIS, nested
 from tubeopt import Load, forward_kinematics
 from tubeopt.bodies.frames import base_frame
-from tubeopt.bodies.obstacles import Sphere
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import arms as several_arms
 from tubeopt.planning import branch, loaded_branch, reach_share, trajectory_trace
-from tubeopt.planning.clearance_bound import Cells, Sizes, Wanted, cleared
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, Arms, Constants, DerivativeBounds, Intervals, linear
+from tubeopt.planning.trajectory_trace import Cells, Sizes, Wanted, cleared
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 

@@ -21,14 +21,13 @@ from tubeopt import (
     plan_trajectory,
     verify_trajectory,
 )
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.obstacles import scene_of
 from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions, trajectory_trace
-from tubeopt.planning.clearance_bound import Wanted
 from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
 from tubeopt.planning.sections import DerivativeBounds, inverse, turned
-from tubeopt.planning.trajectory_trace import Link, Step, TrajectoryVerifier, _divided, _meetings
+from tubeopt.planning.trajectory_trace import Link, Step, TrajectoryVerifier, Wanted, _divided, _meetings
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array

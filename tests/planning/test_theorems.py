@@ -16,10 +16,10 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.servo import Guard
 from tubeopt.planning.branch import branch, least_root, whirled
-from tubeopt.planning.clearance_bound import Sizes
 from tubeopt.planning.loaded_branch import SIXTH
 from tubeopt.planning.sections import Arms, Constants, Intervals
 from tubeopt.planning.sections import part as part_of
+from tubeopt.planning.trajectory_trace import Sizes
 
 
 @pytest.mark.parametrize(("along", "wide", "height"), [(4e-3, 0.0, 5e-3), (3e-3, 4e-3, 2e-3), (1e-3, 8e-3, 1e-4)])

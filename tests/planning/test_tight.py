@@ -31,8 +31,7 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.bodies.corridors import Corridor
-from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
-from tubeopt.bodies.scene import Scene
+from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Scene, Sphere
 from tubeopt.inverse import search
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock

@@ -10,14 +10,12 @@ import pytest
 
 from tests.examples import DEG, TWO_TUBE, eccentric_robot, nested
 from tubeopt import forward_kinematics
-from tubeopt.bodies.obstacles import Sphere
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import proof, trajectory_trace
-from tubeopt.planning.clearance_bound import Wanted
 from tubeopt.planning.sections import Arms
-from tubeopt.planning.trajectory_trace import BranchEndsError, Link, Step, TrajectoryVerifier, follow
+from tubeopt.planning.trajectory_trace import BranchEndsError, Link, Step, TrajectoryVerifier, Wanted, follow
 from tubeopt.robots.robot import Robot
 
 

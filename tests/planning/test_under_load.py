@@ -24,8 +24,7 @@ from tubeopt import (
     plan_trajectory,
     verify_trajectory,
 )
-from tubeopt.bodies.obstacles import Sphere
-from tubeopt.bodies.scene import scene_of
+from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch

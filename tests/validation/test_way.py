@@ -18,8 +18,7 @@ from tubeopt.validation import (
     validate,
     where_to_measure,
 )
-from tubeopt.validation.descent import hold_out, predicted_held_out
-from tubeopt.validation.fitting import FitProblem
+from tubeopt.validation.fitting import FitProblem, hold_out, predicted_held_out
 from tubeopt.validation.measurements import Timeline, deal, passes, runs_of
 from tubeopt.validation.model import ArmModel, State
 from tubeopt.validation.parameters import choose_parameters
@@ -364,7 +363,7 @@ def test_what_no_configuration_determines_is_said() -> None:
 
 
 def test_tubes_of_equal_length_are_measured_where_they_move_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tubeopt.validation.placing.CANDIDATES", 24)
+    monkeypatch.setattr("tubeopt.validation.identifiability.CANDIDATES", 24)
     two = load_robot("configs/robots/two_tube.yaml")
     found = where_to_measure(two, ["rotation_1", "curvature_1"], 4, seed=2)
     assert np.allclose(found.translations[:, 0], found.translations[:, 1], rtol=0, atol=1e-12)

@@ -22,9 +22,8 @@ from ..files.units import MM
 from ..typing import Array, Index
 from .distance_field import DistanceField
 from .frames import Frame, agreed, ras
-from .obstacles import AWAY, THICK, Point3, RoundCone, as_points, distance_of_numbers, greater
+from .obstacles import AWAY, THICK, Point3, RoundCone, Scene, as_points, distance_of_numbers, greater
 from .polygons import read_polygons, read_vtk
-from .scene import Scene
 from .triangles import Triangles, oriented
 
 LOGGER = logging.getLogger(__name__)

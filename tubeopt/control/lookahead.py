@@ -28,8 +28,7 @@ import numpy as np
 
 from ..block.transcription.buffered import Buffered
 from ..block.transcription.explicit import Kind, explicit_arm
-from ..bodies.obstacles import Obstacle
-from ..bodies.scene import Scene
+from ..bodies.obstacles import Obstacle, Scene
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
 from ..inverse.answer import InverseOptions

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arguments import typed
-from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.scene import Lookout, Scene, scene_of
+from ..bodies.obstacles import Lookout, Obstacle, Scene, checked_obstacles, scene_of
 from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium

@@ -27,11 +27,10 @@ from ..stability import snap_free_certificate
 from ..typing import Array
 from .constraints import Limit, relaxed
 from .evaluation import FEASIBLE, Attempt, Rows, attempt, evaluate, evaluated_at, violation
-from .multistart import Ranking
 from .parameters import TUBE_FIELDS, WHOLE
 from .program import Program, elastic, points_of, recompiled
 from .requirements import Coverage, Reach, SnapFree, Strain, of_kind
-from .solve import LEAST_SLACK, NEARLY_FEASIBLE, best_from, improve, to_feasibility
+from .solve import LEAST_SLACK, NEARLY_FEASIBLE, Ranking, best_from, improve, to_feasibility
 from .task import DesignTask, extreme_lengths
 
 # Steps of a limit, or part of a margin, by which a bound must miss it: far above round-off of the bound, far below

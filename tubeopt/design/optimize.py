@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from ..arguments import renamed, typed
-from ..bodies.scene import scene_of
+from ..bodies.obstacles import scene_of
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, whole
@@ -24,12 +24,12 @@ from ..typing import Array, Progress, StatusEnum
 from .evaluation import Attempt, Report
 from .exchange import carry, certified_at, violations
 from .infeasibility import DesignNotFoundError, best_of
-from .multistart import Ranking, multistart, rank, solve_from
 from .objectives import key_of
 from .parameters import NAMES, UNITS
 from .program import Added, Program, compile_task, recompiled
 from .requirements import Avoid, SnapFree, SnapFreeInUse, of_kind
 from .sensitivities import Dimension, Sensitivity, remarks, sensitivities
+from .solve import Ranking, multistart, rank, solve_from
 from .task import DesignTask
 from .verify import Check, Verification, solve_again, verify
 

@@ -13,8 +13,7 @@ from ..arguments import typed
 from ..block.custom import CustomRequirement
 from ..block.quantities import Quantities
 from ..bodies.corridors import Corridor as Vessel
-from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.scene import scene_of
+from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium

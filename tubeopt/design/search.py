@@ -21,12 +21,11 @@ from ..solvers.time_limit import TIME_LIMIT, LateError, limited, within
 from ..typing import Array, Delegate, Progress
 from .evaluation import FEASIBLE, attempt, robot_at, violation
 from .infeasibility import best_of
-from .multistart import multistart, rank, start_values
 from .objectives import Objective
 from .optimize import DesignSolution, DesignStatus, solution_of
 from .program import Program, compile_task
 from .requirements import SnapFree
-from .solve import to_feasibility
+from .solve import multistart, rank, start_values, to_feasibility
 from .task import DesignTask
 
 # Part of every range. Scores of planning are steps of 1/count: a smaller simplex sees one value only and stops, a

@@ -19,12 +19,12 @@ from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
 from ..typing import Progress
 from .infeasibility import shown_infeasible
-from .multistart import multistart
 from .objectives import key_of
 from .optimize import add_worst_cases
 from .parameters import of_section
 from .program import compile_task
 from .requirements import Length, Nesting, Strain, Wall
+from .solve import multistart
 from .task import DesignTask
 
 # Requirements on dimensions alone, which bound a candidate without an equilibrium.

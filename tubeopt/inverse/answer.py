@@ -9,7 +9,7 @@ from typing import Annotated
 
 from ..arguments import typed
 from ..block.custom import CustomObjective, CustomRequirement
-from ..bodies.scene import Scene
+from ..bodies.obstacles import Scene
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, positive, whole

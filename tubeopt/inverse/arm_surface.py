@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.scene import Lookout, Scene
+from ..bodies.obstacles import Lookout, Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask

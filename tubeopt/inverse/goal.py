@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
-from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.scene import Scene, scene_of
+from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
 from ..equilibrium.linearised import curvature_at, place_at, position_at
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
-from ..bodies.scene import Scene
+from ..bodies.obstacles import Scene
 from ..equilibrium.answer import point_of
 from ..equilibrium.continuation import shortest_arm
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of

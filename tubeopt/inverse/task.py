@@ -30,8 +30,7 @@ from ..block.transcription.explicit import (
     explicit_rotations,
     explicit_size,
 )
-from ..bodies.obstacles import Obstacle
-from ..bodies.scene import Scene, scene_of
+from ..bodies.obstacles import Obstacle, Scene, scene_of
 from ..equilibrium.result import Equilibrium
 from ..robots.load import Load
 from ..typing import Array, Delegate, Mask

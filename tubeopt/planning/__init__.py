@@ -2,10 +2,9 @@
 
 from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
-from .entry import EntryRegion, plan_from_region
 from .goals import TipGoal
 from .motion import RateLimits
-from .plan import plan_trajectory
+from .plan import EntryRegion, plan_from_region, plan_trajectory
 from .proof import Proof, verify_trajectory
 from .question import PlanOptions
 from .reach_share import PairReach, PairShare, ReachShare, RegionReach, evaluate_reach

@@ -29,8 +29,7 @@ import scipy
 from ..arguments import typed
 from ..bodies.anatomy import seen_from
 from ..bodies.frames import Frame
-from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles
-from ..bodies.scene import scene_of
+from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles, scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
@@ -41,11 +40,23 @@ from ..inverse.clock import Clock
 from ..robots.robot import Robot, check_robot
 from ..solvers.time_limit import LEAST_SECONDS, LONG_TIME_LIMIT
 from ..typing import Array, Index
-from .clearance_bound import SHARE, Table, Wanted, parted
 from .motion import RateLimits
 from .proof import Proof, ProofStatus, verify_trajectory
 from .sections import Constants, Intervals
-from .trajectory_trace import SHORTEST, BranchEndsError, Link, Step, TrajectoryVerifier, follow, halves, joined
+from .trajectory_trace import (
+    SHARE,
+    SHORTEST,
+    BranchEndsError,
+    Link,
+    Step,
+    Table,
+    TrajectoryVerifier,
+    Wanted,
+    follow,
+    halves,
+    joined,
+    parted,
+)
 
 # Each halves the intervals in which the bound is not sharp.
 MOST_ROUNDS = 12

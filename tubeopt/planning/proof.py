@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..bodies.scene import scene_of
+from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..display import Displayed
 from ..equilibrium.jacobian import position_slopes
 from ..equilibrium.kinematics import forward_kinematics
@@ -48,9 +47,8 @@ from ..solvers.time_limit import LONG_TIME_LIMIT
 from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Delegate, Mask, StatusEnum
-from .clearance_bound import Wanted
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
-from .trajectory_trace import SHORTEST, Link, Step, TrajectoryTrace, TrajectoryVerifier, follow, halves, joined
+from .trajectory_trace import SHORTEST, Link, Step, TrajectoryTrace, TrajectoryVerifier, Wanted, follow, halves, joined
 
 TIGHT = 0.029
 """Share of the speed of the tip by which its bound may lie above what was measured."""

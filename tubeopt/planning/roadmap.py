@@ -18,8 +18,7 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..bodies.obstacles import Obstacle
-from ..bodies.scene import Same
+from ..bodies.obstacles import Obstacle, Same
 from ..display import Displayed
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, LateError

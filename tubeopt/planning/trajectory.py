@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..bodies.frames import Frame, Plane
-from ..bodies.obstacles import Obstacle
-from ..bodies.scene import scene_of
+from ..bodies.obstacles import Obstacle, scene_of
 from ..display import Displayed
 from ..equilibrium.readings import to_model, to_readings
 from ..equilibrium.result import Equilibrium

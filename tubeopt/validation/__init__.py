@@ -5,9 +5,9 @@ from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_
 from .effects import EFFECTS, KINDS
 from .fitting import Estimate, Fit, FitOptions, fit
 from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
+from .identifiability import Placement, where_to_measure
 from .measurements import JointLog, Measurements, Parity
 from .parameters import Parameter, choose_parameters
-from .placing import Placement, where_to_measure
 from .registration import SENSOR_FRAME, BasePose, Registration, register
 from .selection import Comparison, Step, compare_effects
 

@@ -1,16 +1,36 @@
-"""What measured tips tell about parameters, and what they do not, in words; whether latency, play and friction part."""
+"""What measured tips tell about parameters and what not, in words; and where to measure so that they tell most.
+
+Configurations to measure are D-optimal: of many random ones, those that make the determinant of the parameters'
+covariance least, the registration being estimated along (D_s-optimality; Atkinson, Donev and Tobias, Optimum
+Experimental Designs (2007), section 10.3), added one by one and then exchanged while that gains (Fedorov 1972). A path
+through them does not snap.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
+from ..arguments import typed
+from ..display import Displayed
+from ..equilibrium.readings import to_readings
+from ..errors import InputError, SolveError
+from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, form, unit, usual_length
+from ..inverse.joints import joint_space
+from ..robots.robot import Robot
+from ..solvers.blas import small
 from ..solvers.robust_least_squares import Descent
-from ..typing import Array
+from ..solvers.time_limit import TIME_LIMIT, limited
+from ..stability import follow
+from ..typing import Array, Mask
 from .effects import EFFECTS
-from .model import ArmModel, State
+from .measurements import Measurements
+from .model import ArmModel, State, solve_poses
 from .parameters import Parameter, choose_parameters, groups
 
 # A combination of parameters is undetermined if a large change of it moves the tips by less than this part of the
@@ -92,11 +112,11 @@ def doubts(
 def louder(left: Sequence[float], given: Sequence[float | None]) -> list[str]:
     """Remarks where residuals are far beyond the noise that was given: of positions, m, and of directions, rad."""
     words = []
-    for spread, noise, unit in zip(left, given, ("m", "rad"), strict=True):
+    for spread, noise, kind in zip(left, given, ("m", "rad"), strict=True):
         if noise and spread > 3.0 * noise:
             words.append(
-                f"residuals are {spread / noise:.2g} times the noise that was given ({shown(spread, unit)} for "
-                f"{shown(noise, unit)}): the intervals are too narrow, since the model lacks something or the noise is "
+                f"residuals are {spread / noise:.2g} times the noise that was given ({shown(spread, kind)} for "
+                f"{shown(noise, kind)}): the intervals are too narrow, since the model lacks something or the noise is "
                 "larger"
             )
     return words
@@ -160,3 +180,259 @@ def _beside(column: Array, others: Array) -> Array:
     scale = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
     answer = np.linalg.lstsq(others / scale, column, rcond=1e-10)[0]
     return np.asarray(column - (others / scale) @ answer)
+
+
+# Registrations of measurements that are planned; "saved" is of a calibration, which comes after them.
+PLANNED_REGISTRATIONS = ("rigid", "base-axis", "none")
+
+
+# Random configurations that are chosen from. For curvature and rotations of the thesis robot, 300 give standard
+# errors up to 2.6 times larger; 1200 change them by -21 to +8 % and take 10 s in place of 6 s.
+CANDIDATES = 600
+
+# Times as many are drawn at most, until enough are admissible: where fewer than one in 60 is, the limits leave a
+# corner.
+DRAWS = 60
+
+# Times that every chosen configuration is offered for exchange (Fedorov). It ends earlier where nothing is exchanged.
+EXCHANGES = 8
+
+# Random choices whose median states the gain of the chosen one.
+COMPARED = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Placement(Displayed):
+    """Configurations to measure, in an order that can be driven."""
+
+    robot: Robot
+    """That is to be measured."""
+    rotations: Annotated[Array, unit("deg"), "rotations of the drives at the waypoints"]
+    """Shape (N, n), readings; home where a segment goes round a snap."""
+    translations: Annotated[Array, unit("mm"), "translations of the drives at the waypoints"]
+    """Shape (N, n), readings."""
+    measured: Annotated[Mask, "true for waypoints that are measured"]
+    """Shape (N,)."""
+    margin: Array
+    """(N,) stability margin."""
+    parameters: tuple[str, ...]
+    """Names."""
+    units: tuple[str, ...]
+    """Of their standard errors."""
+    standard_errors: Array
+    """(P,) expected at `noise`."""
+    random: Array
+    """(P,) of as many random configurations, the median."""
+    noise: Annotated[
+        float,
+        unit("mm"),
+        form(".3g", label="assumed noise"),
+        "noise of the measurement that the expected errors assume",
+    ]
+
+
+@typed
+@small
+@limited
+def where_to_measure(
+    robot: Robot,
+    parameters: Sequence[str],
+    count: Annotated[int, Range(least=3)] = 30,
+    *,
+    min_margin: Annotated[float, MARGIN] = 0.1,
+    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 0.5e-3,
+    registration: Annotated[str, OneOf(PLANNED_REGISTRATIONS)] = "rigid",
+    seed: Annotated[int, Range(least=0)] = 0,
+    time_limit: float = TIME_LIMIT,
+) -> Placement:
+    """Configurations within the joint limits whose tips determine parameters best.
+
+    Each has at least the margin `min_margin`, and is reached from home by a straight motion of the joints on which the
+    robot was followed without a snap, so that every leg of the way can at worst go through home.
+
+    Args:
+        parameters: as for `fit`; those that need time (latency, play) are found by driving one path slowly and fast.
+        count: number of configurations. Their measured numbers must be more than the unknowns.
+        min_margin: smallest allowed stability margin, below 1.
+        noise: standard deviation of a measured coordinate, for the expected errors, m.
+        registration: planned transformation from device frame to base frame: rigid, base-axis or none.
+        seed: random seed of the candidate configurations.
+        time_limit: s, on the clock.
+
+    Raises:
+        InputError: too few configurations, a noise or margin out of range, and what `choose_parameters` raises.
+        SolveError: too few configurations of the robot have the margin.
+        TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
+    """
+    usual_length("noise", noise, SEEN_WITHIN)
+    if not 0 <= min_margin < 1:
+        raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
+    alpha, shift, tips = _candidates(robot, min_margin, seed)
+    data = Measurements(*to_readings(robot, alpha, shift), tips, source="where to measure")
+    chosen, model = _asked(robot, data, parameters, registration, count)
+    slopes = _scaled(model, chosen, noise)
+    best = _reachable(lambda usable: _exchange(slopes, len(chosen), count, usable), robot, (alpha, shift), tips)
+    scale = np.array([p.scale for p in chosen])
+    random = np.random.default_rng(seed + 1)
+    others = [_errors(slopes[random.choice(len(data), count, replace=False)], len(chosen)) for _ in range(COMPARED)]
+    rows, joints = _way(robot, alpha[best], shift[best])
+    margin = solve_poses(robot, *joints, model.stations).margin
+    return Placement(
+        robot,
+        *to_readings(robot, *joints),
+        measured=rows >= 0,
+        margin=margin,
+        parameters=tuple(p.name for p in chosen),
+        units=tuple(p.unit for p in chosen),
+        standard_errors=_errors(slopes[best], len(chosen)) * scale,
+        random=np.median(others, axis=0) * scale,
+        noise=noise,
+    )
+
+
+def _asked(
+    robot: Robot, data: Measurements, names: Sequence[str], registration: str, count: int
+) -> tuple[tuple[Parameter, ...], ArmModel]:
+    """The parameters that are to be found, and the model of what is seen; raises as `where_to_measure`."""
+    for name in names:
+        if name.startswith(tuple(kind for kind, effect in EFFECTS.items() if effect.history)):
+            raise InputError(
+                f"parameter {name!r} depends on the path: single configurations do not "
+                "determine it; record one path slowly and fast"
+            )
+    chosen = choose_parameters(robot, data, names, registration)
+    model = ArmModel(robot, data, chosen, registration)
+    if 3 * count <= len(chosen) + model.freedoms:
+        raise InputError(
+            f"count is {count}; {len(chosen) + model.freedoms} unknowns need more than {3 * count} numbers"
+        )
+    if count > len(data) // 2:
+        raise SolveError(f"{len(data)} of {CANDIDATES} random configurations have the margin; {count} are needed")
+    _, lost = undetermined(chosen, model.jacobian(model.start), model.length)
+    if lost:
+        raise InputError(f"{lost[0].rsplit(';', 1)[0]}, wherever it is measured; leave it out, or measure the base")
+    return chosen, model
+
+
+def _reachable(
+    choose: Callable[[Mask], list[int]], robot: Robot, joints: tuple[Array, Array], tips: Array
+) -> list[int]:
+    """The best of those configurations that are reached from home without a snap; raises SolveError if too few are."""
+    (alpha, shift), usable = joints, np.ones(len(joints[0]), dtype=bool)
+    while True:
+        best = choose(usable)
+        legs = {k: (_home(robot), (alpha[k], shift[k]), tips[k]) for k in best}
+        blocked = [k for k, leg in legs.items() if not _leg(robot, *leg)]
+        if not blocked:
+            return best
+        usable[blocked] = False
+        if usable.sum() < len(best):
+            raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
+
+
+def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Array]:
+    """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin; and where
+    the tips (C, 3) are."""
+    random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
+    straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
+    low, high = np.array(limits.translations).T
+    found: list[Array] = []
+    for _ in range(CANDIDATES * DRAWS):
+        if len(found) == CANDIDATES:
+            break
+        drawn = random.uniform(low, np.minimum(high, straight)) - space.offset[robot.n_tubes :]
+        q = np.append(space.lower[: robot.n_tubes], drawn[[tubes[0] for tubes in space.carriages]])
+        shift = space.joint(q)[robot.n_tubes :]
+        if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max():
+            found.append(shift)
+    if not found:
+        raise SolveError("no random translations within the limits satisfy the tube order")
+    shift = np.array(found)
+    least, most = np.array(limits.rotations).T
+    alpha = random.uniform(least, most, size=(len(found), robot.n_tubes))
+    poses = solve_poses(robot, alpha, shift, np.zeros(1))
+    good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
+    if good.sum() < 3:
+        raise SolveError(f"too few random configurations of the robot have the margin {min_margin:g}")
+    return alpha[good], shift[good], poses.position[good, 0]
+
+
+def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array:
+    """(C, 3, Q) slopes of every candidate, by scaled parameters and the registration, in units of the noise."""
+    slopes = model.jacobian(model.start) / noise
+    slopes[..., : len(chosen)] *= [p.scale for p in chosen]
+    slopes[..., len(chosen) : len(chosen) + 3] *= 0.1  # rad
+    slopes[..., len(chosen) + 3 :] *= 1e-2  # m
+    return slopes
+
+
+def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[int]:
+    """The rows of a D_s-optimal choice."""
+    size = slopes.shape[2]
+    # Next to nothing stands for what is not known yet.
+    start = 1e-9 * float(np.einsum("caq,caq->", slopes, slopes)) / size * np.eye(size)
+    chosen: list[int] = []
+
+    def best(without: Sequence[int]) -> int:
+        information = start + np.einsum("caq,car->qr", slopes[list(without)], slopes[list(without)])
+        gain = _gain(information, slopes) - _gain(information[parameters:, parameters:], slopes[..., parameters:])
+        gain[~usable] = -np.inf
+        gain[list(without)] = -np.inf
+        return int(np.argmax(gain))
+
+    while len(chosen) < count:
+        chosen.append(best(chosen))
+    for _ in range(EXCHANGES):
+        before = list(chosen)
+        for k in range(count):
+            chosen[k] = best([j for i, j in enumerate(chosen) if i != k])
+        if chosen == before:
+            break
+    return chosen
+
+
+def _gain(information: Array, slopes: Array) -> Array:
+    """(C,) by which each candidate raises log det of the information."""
+    gained = slopes @ np.linalg.inv(information) @ slopes.transpose(0, 2, 1)
+    return np.asarray(np.linalg.slogdet(np.eye(3) + gained)[1])
+
+
+def _errors(slopes: Array, parameters: int) -> Array:
+    """(P,) standard errors in the scales of the parameters."""
+    information = np.einsum("caq,car->qr", slopes, slopes)
+    return np.asarray(np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0))[:parameters])
+
+
+def _home(robot: Robot) -> tuple[Array, Array]:
+    return robot.home_rotations, robot.home_translations
+
+
+def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
+    """Whether a straight motion snaps nowhere, and leads to the equilibrium with a tip where that is given."""
+    try:
+        path = follow(robot, [start[0], end[0]], [start[1], end[1]])
+    except SolveError:
+        return False
+    arrived = path.equilibria[-1]
+    return not path.snaps and (tip is None or float(np.linalg.norm(arrived.tip_position - tip)) < 1e-6)
+
+
+def _way(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Rows of a way from home, each time to the nearest that is left, -1 for home, and its joint values."""
+    home = _home(robot)
+    place = np.hstack([rotations, 20.0 * translations])  # an arm bends by about 20 rad per m
+    left, here, order = list(range(len(place))), np.append(home[0], 20.0 * home[1]), [-1]
+    while left:
+        nearest = min(left, key=lambda k: float(np.linalg.norm(place[k] - here)))
+        left.remove(nearest)
+        here = place[nearest]
+        order.append(nearest)
+    joints = [home if k < 0 else (rotations[k], translations[k]) for k in order]
+    rows, out = [-1], [home]
+    for (_, start), (k, end) in pairwise(zip(order, joints, strict=True)):
+        if k >= 0 and start is not home and not _leg(robot, start, end):
+            rows.append(-1)
+            out.append(home)
+        rows.append(k)
+        out.append(end)
+    return np.array(rows), (np.array([a for a, _ in out]), np.array([d for _, d in out]))

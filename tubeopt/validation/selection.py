@@ -40,8 +40,7 @@ from ..solvers.robust_least_squares import Descent, Weights, cost_of, descend
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Mask, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
-from .descent import BY_CHORDS, predicted_held_out
-from .fitting import Fit, FitOptions, FitProblem, check_counts, weigh
+from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, check_counts, predicted_held_out, weigh
 from .identifiability import left_out
 from .measurements import Measurements, deal, passes
 from .model import ArmModel, State

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...bodies.corridors import load_mesh
 from ...bodies.images import field_of_image, read_image
-from ...bodies.obstacles import Obstacle
-from ...bodies.scene import scene_of
+from ...bodies.obstacles import Obstacle, scene_of
 from ...equilibrium.readings import to_model
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
