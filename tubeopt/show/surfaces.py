@@ -51,6 +51,7 @@ class Surface:
 def grid_faces(rows: int, columns: int) -> Faces:
     """Triangles between neighbours of a grid of vertices, whose last column is next to the first: two and two of four
     corners."""
+    # Vertex (k, j) has the number k columns + j. Modulo closes each ring, so that no seam is left open.
     k, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     ahead = (j + 1) % columns
     return two_of_four(
@@ -102,11 +103,15 @@ def swept(line: Array, radii: Array, *, sides: int = SIDES, capped: bool = True)
     """What lies around a polyline (k, 3) at distances (k,), m, with half balls at its ends if `capped`."""
     step = np.diff(line, axis=0)
     length = np.linalg.norm(step, axis=1)[:, None]
+    # A sphere is a line of length zero: any direction serves, and z avoids a division by 0.
     along = np.where(length > 0, step / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+    # The ring at a corner lies in the plane that halves the angle between both segments.
     middle = along[:-1] + along[1:]
+    # At a reversal by 180 deg both cancel; the bound leaves a zero vector, not NaN.
     middle /= np.maximum(np.linalg.norm(middle, axis=1)[:, None], 1e-12)
     rings = list(zip(line, [along[0], *middle, along[-1]], radii, strict=True))
     if capped:
+        # A quarter of the facets around covers a quarter of a circle: facets of balls are about square.
         lifts = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
         first, last, begin, end = line[0], line[-1], along[0], along[-1]
         front = [(first - radii[0] * np.sin(x) * begin, begin, radii[0] * np.cos(x)) for x in lifts[:0:-1]]
@@ -115,6 +120,8 @@ def swept(line: Array, radii: Array, *, sides: int = SIDES, capped: bool = True)
     angle = np.arange(sides) * 2 * np.pi / sides
     aside, vertices = axes_about(along[0])[0], []
     for centre, normal, radius in rings:
+        # The direction to the first vertex is projected from ring to ring, a discrete parallel transport.
+        # A frame made anew at each ring could jump, and the facets between would be twisted.
         aside = aside - (aside @ normal) * normal
         aside = aside / max(float(np.linalg.norm(aside)), 1e-12)
         around = np.cos(angle)[:, None] * aside + np.sin(angle)[:, None] * np.cross(normal, aside)
@@ -126,6 +133,7 @@ def revolved(profile: Array, *, sides: int = SIDES) -> Surface:
     """A body of revolution about z: radius and height (k, 2), from the top down along the outside."""
     angle = -np.arange(sides) * 2 * np.pi / sides
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    # (k, sides, 3): radius times the unit ring, plus height along z. The angle falls, so that facets face outwards.
     vertices = profile[:, 0, None, None] * ring + profile[:, 1, None, None] * np.array([0.0, 0.0, 1.0])
     return Surface(vertices.reshape(-1, 3), grid_faces(len(profile), sides))
 
@@ -142,12 +150,14 @@ def _plane(point: Array, normal: Array, reach: float) -> Surface:
     x, y, z = axes_about(normal / np.linalg.norm(normal))
     foot = z * float(point @ z)
     corners = [foot + reach * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    # Both sides, since a viewer may stand on either.
     faces = np.array([[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]], dtype=np.uint32)
     return Surface(np.array(corners), faces)
 
 
 def axes_about(z: Array) -> Array:
     """(3, 3) rows of a right-handed frame whose third axis is `z`."""
+    # The coordinate axis farthest from z: the cross product is at least sqrt(2/3) long, so no digits are lost.
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
     x /= np.linalg.norm(x)
     return np.array([x, np.cross(z, x), z])
@@ -169,12 +179,15 @@ class Centreline:
     """The centreline of an equilibrium at any arc length: cubic between the points, exact in position and tangent."""
 
     def __init__(self, equilibrium: Equilibrium) -> None:
+        # A breakpoint is in the answer twice, once for each section; splines need increasing arc lengths.
         s, keep = np.unique(equilibrium.arc_length, return_index=True)
         self.length = float(s[-1])
         frame, position = equilibrium.frame[keep], equilibrium.position[keep]
         if len(s) < 2:  # an arm of length zero: the tangent at the plate, of any length
             s, frame, position = np.array([0.0, 1.0]), np.repeat(frame, 2, axis=0), np.array([[0, 0, 0], [0, 0, 1.0]])
+        # The third column of a frame is the tangent r'(s): its data make the cubic of order h^4.
         self._position = scipy.interpolate.CubicHermiteSpline(s, position, frame[:, :, 2])
+        # Linear is enough across the arm: `axes` projects and normalises it, and the error is a turn about the tangent.
         self._across = scipy.interpolate.interp1d(s, frame[:, :, 0], axis=0)
 
     def position(self, s: ArrayLike) -> Array:
@@ -185,8 +198,10 @@ class Centreline:
     def axes(self, s: Array) -> tuple[Array, Array, Array]:
         """Unit vectors of the cross-section at `s` (k,), x and y, and the tangent: (k, 3) each."""
         s = np.clip(s, 0, self.length)
+        # Between points |r'| of the cubic is 1 only to O(h^3).
         tangent = _unit(self._position.derivative()(s))
         across = self._across(s)
+        # One step of Gram and Schmidt keeps the section square to the tangent.
         across = _unit(across - (across * tangent).sum(1, keepdims=True) * tangent)
         return across, np.cross(tangent, across), tangent
 
@@ -216,8 +231,11 @@ def visible(equilibrium: Equilibrium) -> list[Stretch]:
     """The tubes as far as they show, outermost first: from where the last tube around it ends, each to its own end."""
     place = equilibrium.robot.assembly(equilibrium.translations).across
     shown = []
+    # Tubes are numbered from the innermost, so those with larger index can be around this one.
     for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
+        # Side by side, tubes have other axes and hide nothing of each other; 1 nm is below any real offset.
         around = np.hypot(*(place[i + 1 :] - place[i]).T) < 1e-9
+        # Where all tubes around end behind the plate, the tube shows from the plate on (0).
         start = float(equilibrium.tube_end[i + 1 :].max(where=around, initial=0.0))
         if end > start:
             shown.append(Stretch(i, start, end, equilibrium.robot.tubes[i].outer_diameter / 2, place[i]))
@@ -227,13 +245,16 @@ def visible(equilibrium: Equilibrium) -> list[Stretch]:
 def slotted(tube: Tube, held: float, first: float, last: float) -> list[tuple[float, float, float]]:
     """Stretches of arc length between `first` and `last`, m, of a tube held `held` m behind the plate, with the part of
     the tube's own bending stiffness that is left there, at most 1."""
+    # Arc length is counted from the plate, and the proximal end is `held` behind it.
     own, begin = float(tube.bending_stiffness), -held
     out: list[tuple[float, float, float]] = []
     for length, _, bending, _ in stretches(tube):
         low, high = max(begin, first), min(begin + length, last)
+        # Of a stiffness that varies, the least: the colour warns of the weakest place.
         least = extremes([bending], length)[0] if isinstance(bending, Series) else float(bending)
         part = min(least / own, 1.0)
         if high > low:
+            # Adjacent stretches of one shade are one surface: fewer parts, and no ring between them.
             if out and out[-1][2] == part:
                 out[-1] = (out[-1][0], high, part)
             else:
@@ -329,9 +350,11 @@ def robot_parts(
         held, first, last = float(assembly.transmission[each.tube]), max(each.start, low), min(each.end, high)
         for k, (begin, stop, left) in enumerate(slotted(tube, held, first, last)):
             name = f"tube_{each.tube + 1}" + f"_{k + 1}" * bool(k)
+            # Rings are shared out by the length that is shown: a close-up has as many as a whole arm.
             s = detail.along(begin, stop, high - low)
             surface = tube_surface(line, s, each.radius, each.offset, sides=detail.sides)
             parts.append(Part(name, surface, _mixed(colour, 0.0, 1 - shade(left))))
+    # Ends outside of a window are not seen: a rim there would float in front of nothing.
     cut = [each for each in shown if low <= each.end <= high]
     bores: list[Surface] = []
     for each in cut:
@@ -371,12 +394,14 @@ def ring_surface(line: Centreline, s: float, radii: tuple[float, float], offset:
 
 def plate_radius(equilibrium: Equilibrium) -> float:
     """Radius at which to draw the base plate, m: in proportion to the arm, and well beyond its tubes."""
+    # With all tubes withdrawn the arm is short, and 7 % of it could be thinner than a tube.
     thickest = max(tube.outer_diameter for tube in equilibrium.robot.tubes)
     return max(0.07 * float(equilibrium.arc_length[-1]), 4 * thickest)
 
 
 def plate_part(radius: float, *, rings: int = 1, sides: int = 64) -> Part:
     """The base plate, its upper face at z = 0; cut into rings where it is sorted by depth."""
+    # Painters sort facets by the depth of their middle: large facets of one ring would hide what is in front.
     radii, low = np.linspace(0.0, radius, rings + 1), -0.25 * radius
     profile = [(r, 0.0) for r in radii] + [(radius, 0.0), (radius, low)] + [(r, low) for r in radii[::-1]]
     return Part("plate", revolved(np.array(profile), sides=sides), PLATE_COLOUR)
@@ -426,6 +451,7 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
 
 def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
     """A tube as a solid: its outside, closed by a disc at either end."""
+    # Two rings at least: a stretch below STEP is one row of facets.
     count = 2 + int((stretch.end - stretch.start) / STEP)
     side = tube_surface(
         line, np.linspace(stretch.start, stretch.end, count), stretch.radius, stretch.offset, sides=TUBE_FACETS
@@ -434,6 +460,7 @@ def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
     here, ahead = np.arange(TUBE_FACETS), (np.arange(TUBE_FACETS) + 1) % TUBE_FACETS
     first, last = len(side.vertices), len(side.vertices) + 1
     far = (count - 1) * TUBE_FACETS
+    # Opposite orders at both ends: each disc faces away from the tube, as a watertight body needs.
     discs = [(np.full(TUBE_FACETS, first), ahead, here), (np.full(TUBE_FACETS, last), far + here, far + ahead)]
     faces = np.concatenate([side.faces, *(np.column_stack(disc) for disc in discs)]).astype(np.uint32)
     return Surface(np.concatenate([side.vertices, rings[[0, -1]].mean(1)]), faces)
@@ -445,6 +472,7 @@ def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
         line, scene = Centreline(equilibrium), library.Scene()
         for stretch in visible(equilibrium):
             surface = closed_surface(line, stretch)
+            # Processing would merge vertices and renumber facets.
             body = library.Trimesh(surface.vertices * scale, surface.faces, process=False)
             body.visual.face_colors = [*rgb(tube_colour(stretch.tube)), 255]
             scene.add_geometry(body, node_name=f"tube_{stretch.tube + 1}", geom_name=f"tube_{stretch.tube + 1}")
@@ -466,14 +494,17 @@ class Piece(NamedTuple):
 def pieces(equilibrium: Equilibrium) -> Iterator[Piece]:
     """The arm as straight pieces, whose ends lie on the axes of the tubes."""
     line = Centreline(equilibrium)
+    # A straight arm has curvature 0; 1e-9 per m then gives one piece.
     tightest = max(float(np.linalg.norm(equilibrium.curvature, axis=1).max()), 1e-9)
     for stretch in visible(equilibrium):
         length = stretch.end - stretch.start
+        # A chord h of an arc with curvature k has the sagitta k h^2 / 8, which must not exceed CHORD.
         s = np.linspace(stretch.start, stretch.end, 1 + max(1, int(np.ceil(length / np.sqrt(8 * CHORD / tightest)))))
         x, y, _ = line.axes(s)
         points = line.position(s) + stretch.offset[0] * x + stretch.offset[1] * y
         for k in range(len(s) - 1):
             along = (points[k + 1] - points[k]) / np.linalg.norm(points[k + 1] - points[k])
+            # The chord is not quite the tangent, so the section axis loses its part along it.
             across = x[k] - (x[k] @ along) * along
             across /= np.linalg.norm(across)
             frame = np.column_stack([across, np.cross(along, across), along])
@@ -509,6 +540,7 @@ def _write_mjcf(equilibrium: Equilibrium, path: Path) -> None:
             arm, "geom", name=f"tube_{piece.tube}_{k}", type="capsule", fromto=ends, size=_numbers([piece.radius]),
             rgba=_colour(piece.tube),
         )  # fmt: skip
+    # SciPy has the scalar of a quaternion last, MuJoCo first.
     x, y, z, w = Rotation.from_matrix(equilibrium.tip_rotation).as_quat()
     SubElement(arm, "site", name="tip", pos=_numbers(equilibrium.tip_position), quat=_numbers([w, x, y, z]))
     _write_xml(model, path)
@@ -525,6 +557,7 @@ def _name(equilibrium: Equilibrium) -> str:
 
 
 def _numbers(values: Any) -> str:
+    # Adding 0.0 turns -0 into 0. Nine digits keep 1 nm at an arm of 1 m.
     return " ".join(f"{value + 0.0:.9g}" for value in values)
 
 

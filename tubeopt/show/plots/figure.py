@@ -37,7 +37,9 @@ class NotebookFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         out = io.BytesIO()
+        # A figure that was changed since (stale) needs its layout engine again.
         with nullcontext() if self.stale else as_it_stands(self):
+            # Without the version of Matplotlib the same data give the same bytes.
             self.savefig(out, format="png", dpi=SCREEN_DPI, metadata={"Software": None})
         return out.getvalue()
 
@@ -67,21 +69,27 @@ def stack(figure: NotebookFigure) -> None:
     """
     panels = [(axes, spec) for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
     grids = {id(grid): grid for _, spec in panels if isinstance(grid := spec.get_gridspec(), GridSpec)}
+    # Panels of several grids, or arrows across panels, have places that stacking would break.
     if len(grids) != 1 or figure.artists:
         return
     (grid,) = grids.values()
     ratios, rows = (np.asarray(each, dtype=float) for each in (grid.get_width_ratios(), grid.get_height_ratios()))
     widths = (ratios / ratios.sum()).tolist()
+    # A panel across several columns cannot be in one of them.
     if len(widths) < 2 or min(widths) < SLIM or any(len(spec.colspan) > 1 for _, spec in panels):
         return
     width = float(figure.get_figwidth())
     counts = [sum(spec.colspan.start == k for _, spec in panels) for k in range(len(widths))]
     heights = [
+        # A panel that gets wider keeps its height; one that gets narrower keeps its shape.
         min(figure.drawn_for[1] * min(1.0, width / (share * figure.drawn_for[0])), count * TALL * width)
         for share, count in zip(widths, counts, strict=True)
     ]
     stacked = figure.add_gridspec(
-        len(rows) * len(widths), 1, height_ratios=np.outer(heights, rows / rows.sum()).ravel().tolist()
+        # Each column keeps the proportions of its rows.
+        len(rows) * len(widths),
+        1,
+        height_ratios=np.outer(heights, rows / rows.sum()).ravel().tolist(),
     )
     for axes, spec in panels:
         first = len(rows) * spec.colspan.start
@@ -130,6 +138,7 @@ def faults(figure: Figure) -> list[Fault]:
     width, height = figure.get_size_inches()
     found = [Fault("high", f"{height / width:.2f} widths")] if height > TALLEST * width + 1e-6 else []
     texts = [(text, text.get_window_extent()) for text, _ in drawn_texts(figure)]
+    # Half a point: anti-aliased edges of letters may touch the border.
     page = figure.bbox.padded(_points(figure, 0.5))
     found += [
         Fault("clipped", text.get_text())
@@ -156,9 +165,11 @@ def relieve(figure: Figure) -> None:
         ]
         if not pairs:
             return
+        # Numbers of one scale that overlap each other: hiding every other keeps the scale regular.
         crowded = {id(one[1]): one[1] for one, other in pairs if one[1] is not None and one[1] is other[1]}
         for axis in crowded.values():
             _thin(axis)
+        # Shared by all moves of a round, so that two names do not move to the same place.
         boxes = [box for _, _, box in texts]
         for one, other in pairs:
             if one[1] is None or one[1] is not other[1]:
@@ -191,6 +202,7 @@ def _of_axes(axes: Axes) -> Iterator[tuple[Text, Axis | None]]:
         if isinstance(axis, Axis) and axis.get_visible():
             yield axis.label, None
             yield axis.get_offset_text(), None
+            # Matplotlib keeps labels of ticks outside of the view, which are not drawn.
             low, high = sorted(axis.get_view_interval())
             slack = 1e-9 * (high - low)
             for tick, at in zip(axis.get_major_ticks(), axis.get_majorticklocs(), strict=False):
@@ -211,6 +223,7 @@ def _overlap(figure: Figure, one: Bbox, other: Bbox) -> bool:
 def _thin(axis: Axis) -> None:
     """Label every other tick of an axis whose labels overlap one another."""
     shown = [tick for tick in axis.get_major_ticks() if tick.label1.get_visible() or tick.label2.get_visible()]
+    # From the second on: the first label is where a reader begins.
     for tick in shown[1::2]:
         tick.label1.set_visible(False)
         tick.label2.set_visible(False)
@@ -224,6 +237,7 @@ def clipped(figure: Figure) -> list[tuple[Text, float]]:
         box = text.get_window_extent()
         beyond = max(page.x0 - box.x0, 0.0) + max(box.x1 - page.x1, 0.0)
         if beyond > _points(figure, 0.5) and text.get_rotation() == 0:
+            # 5 % less, as breaking at blanks rarely fills a line exactly.
             out.append((text, 0.95 * (box.width - beyond)))
     return out
 
@@ -231,6 +245,7 @@ def clipped(figure: Figure) -> list[tuple[Text, float]]:
 def _make_room(figure: Figure, one: Placed, other: Placed, boxes: list[Bbox]) -> None:
     """Of two texts that overlap hide the number of a scale, or move a name."""
     for text, axis, _ in (other, one):
+        # A reader can infer a number of a scale from its neighbours, but not a name.
         if axis is not None or text.get_gid() == SCALE:
             text.set_visible(False)
             return
@@ -245,6 +260,7 @@ def _move(figure: Figure, text: Annotation, box: Bbox, boxes: list[Bbox]) -> boo
     line: Any = text.get_fontsize()
     x, y = text.xyann  # points
     shifts = [(i, j) for i in range(-STEPS, STEPS + 1) for j in range(-STEPS, STEPS + 1) if i or j]
+    # The nearest free place first: a name far from its point is read as that of another.
     for i, j in sorted(shifts, key=lambda at: float(np.hypot(*at))):
         there = box.translated(_points(figure, i * line), _points(figure, j * line))
         inside = figure.bbox.x0 <= there.x0 and there.x1 <= figure.bbox.x1
@@ -288,10 +304,12 @@ def _drawn_points(axes: Any, artist: Any) -> Iterator[tuple[float, float, float 
     found: Any = artist  # what Matplotlib says of its arrays is too wide
     places: Any
     values: Any = None
+    # Rules such as axvline have one coordinate in parts of the panel: they are no data.
     if isinstance(artist, Line2D) and artist.get_transform() is axes.transData:
         places = found.get_xydata()
     elif isinstance(artist, PathCollection):
         places, values = found.get_offsets(), found.get_array()
+    # A mesh has corners of its cells; a value belongs to the middle of its four.
     elif isinstance(artist, QuadMesh):
         corners = found.get_coordinates()
         places = (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
@@ -299,6 +317,7 @@ def _drawn_points(axes: Any, artist: Any) -> Iterator[tuple[float, float, float 
     elif isinstance(artist, AxesImage) and np.ndim(found.get_array()) == 2:
         values = found.get_array()
         left, right, bottom, top = found.get_extent()
+        # Row 0 of an image is its lowest or its uppermost, by `origin`.
         low, high = (bottom, top) if found.origin == "lower" else (top, bottom)
         rows, columns = values.shape
         across, up = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
@@ -314,5 +333,6 @@ def _drawn_points(axes: Any, artist: Any) -> Iterator[tuple[float, float, float 
         yield from ((x, y, "") for x, y in points.tolist())
         return
     told: Array = np.ma.filled(np.ma.asarray(values, dtype=float), np.nan).ravel()
+    # Masked cells of a map are NaN here, and have no row.
     kept = np.isfinite(told)
     yield from ((x, y, value) for (x, y), value in zip(points[kept].tolist(), told[kept].tolist(), strict=True))

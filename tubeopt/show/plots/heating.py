@@ -105,7 +105,9 @@ def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
 
 def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
     """Counts over time, and the ideal ones."""
+    # A count acts from its instant to the next: the value is after the step.
     axes.step(plan.time, plan.duty, where="post", color=TUBE, lw=0.8, label="counts")
+    # The ideal duty is the mean of its slot, and belongs to the middle.
     axes.plot(plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, color=IDEAL, lw=0.9, label="ideal")
     axes.set_ylabel("duty (of 255)")
     axes.set_ylim(0, None)
@@ -113,6 +115,7 @@ def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
 
 
 def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
+    # Between pulses the battery recovers to its voltage at rest, which would hide the sag.
     on = plan.duty > 0
     axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
     axes.set(ylabel="battery,\nwhile on (V)", xlabel="time (s)")
@@ -186,7 +189,9 @@ def plot_feedback(answer: LedHeating) -> Figure:
     inside = history.in_hold(feedback.law)
     for axes in (whole, close):
         _window(axes, answer.plan)
+    # NaN breaks the line where the heating of a rig has ended. Rigs end at different times.
     running = np.where(history.place < len(feedback.law.planned), 1.0, np.nan)
+    # Column 0 is the nominal rig, which is no sample.
     whole.plot(history.time, (history.hottest * running)[:, 1:], color=TUBE, lw=0.3, alpha=0.35)
     whole.plot([], [], color=TUBE, label=f"hottest of the curve, {feedback.samples} rigs")
     held = np.where(inside, 1.0, np.nan)

@@ -70,6 +70,7 @@ def _first_order(start: Equilibrium, end: Equilibrium, payloads: Array) -> Array
     assert start.load is not None
     assert end.load is not None
     force = np.subtract(end.load.force, start.load.force)
+    # The force grows along a straight line, so that its part is that of the payload.
     part = (payloads - payloads[0]) / (payloads[-1] - payloads[0])
     return np.asarray(part[:, None] * (start.compliance[:3, :3] @ force))
 
@@ -91,10 +92,12 @@ def plot_load_limits(
     panels = figure.subplots(1, len(limits), subplot_kw={"projection": "polar"}, squeeze=False)[0]
     most = max(float(np.nanmax(values)) for values in limits.values()) * TO_MILLI
     for panel, (plane, values) in zip(panels, limits.items(), strict=True):
+        # One turn more, and not back to 0: otherwise the line would run back over the whole turn.
         closed = np.append(angles, angles[0] + 2 * np.pi), np.append(values, values[0]) * TO_MILLI
         panel.plot(*closed, color=TUBE_COLOURS[0], lw=1.6)
         folds = np.array([kind == "fold" for kind in kinds[plane]])
         panel.plot(angles[folds], values[folds] * TO_MILLI, "o", ms=3, color=TUBE_COLOURS[0])
+        # Open marks: bifurcations, where the arm buckles, and limits of unknown kind.
         panel.plot(angles[~folds], values[~folds] * TO_MILLI, "o", ms=4, mfc="white", mec=TUBE_COLOURS[0])
         panel.set_ylim(0, 1.08 * most)
         panel.set_xticks(np.radians([0, 90, 180, 270]))
@@ -152,6 +155,7 @@ CHI_SQUARED_95 = 5.991
 
 
 def _ellipse(axes: Axes, centre: Array, covariance: Array, colour: str) -> None:
+    # x' C^-1 x = c is an ellipse with half axes sqrt(c lambda_i) along the eigenvectors of C.
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = np.array([np.cos(angle), np.sin(angle)])
@@ -273,7 +277,9 @@ def _draw(axes: Axes, band: FrictionBand, across: int, magnified: float) -> None
     line = band.equilibrium.position[:, [across, 2]] * TO_MM
     slope = band.equilibrium.frame[:, :, 2][:, [across, 2]]
     size = np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+    # The tangent turned by 90 deg; where the arm points at the viewer it is 0, and the band has no width.
     normal = np.column_stack([-slope[:, 1], slope[:, 0]]) / size
+    # Support function of a box with half edges w: its reach along n is sum |n_i| w_i.
     widths = [("to first order", np.abs(normal * band.first_order[:, [across, 2]]).sum(1), 0.45)]
     if np.isfinite(band.guaranteed).all():
         widths.insert(0, ("guaranteed", band.guaranteed, 0.18))

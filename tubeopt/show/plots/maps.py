@@ -103,7 +103,9 @@ def energy_levels(energies: Sequence[Array]) -> Array:
     """Levels (mJ) for maps of energy in J, spread as the square root from the least: even rings around a minimum."""
     low = min(float(energy.min()) for energy in energies) * TO_MILLI
     high = max(float(energy.max()) for energy in energies) * TO_MILLI
+    # Levels must increase, also where the energy is constant.
     span = max(high - low, 1e-9 * max(abs(high), 1e-12))
+    # Near a minimum the energy grows with the square of the angle: squares of even steps give even rings.
     return np.asarray(low + span * np.linspace(0, 1, ENERGY_LEVELS + 1) ** 2)
 
 
@@ -115,6 +117,7 @@ def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet
     energy = energy_map.energy.T * TO_MILLI
     filled = axes.contourf(first, second, energy, levels=levels, cmap=MAP, norm=BoundaryNorm(levels, 256))
     axes.contour(first, second, energy, levels=levels, colors=INK, linewidths=0.3, alpha=0.5)
+    # A path from one minimum to another must rise to a saddle of index 1 at least (mountain pass theorem).
     saddles = sorted({e.energy * TO_MILLI for e in energy_map.equilibria if e.index == 1})
     if saddles:
         axes.contour(first, second, energy, levels=saddles, colors="white", linewidths=1.1)
@@ -169,6 +172,7 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
     curves = [_smooth(*piece) for piece in pieces(stability_map)]
     look: Any = {"cmap": MAP, "vmin": 0, "vmax": 1, "shading": "nearest", "rasterized": True}
     reached = stability_map.snaps > 0
+    # Across the boundary the margin jumps. One interpolation over both sides would smear the jump.
     image = axes.pcolormesh(fine, fine, _filled(stability_map, fine, ~reached, curves), **look)
     handles: list[Artist] = []
     if curves:
@@ -200,8 +204,10 @@ def _smooth(directions: Array, points: Array, approach: Array) -> Curve:
     dense = np.concatenate([*parts, directions[-1:]])
     distance, square = np.hypot(*points.T), approach**2
     if len(directions) > 1:
+        # Monotone cubics do not overshoot, so that distances stay positive and squares too.
         distance, square = (scipy.interpolate.PchipInterpolator(directions, y)(dense) for y in (distance, square))
     ray = np.column_stack([np.cos(dense), np.sin(dense)])
+    # Distances at which the margin ahead of the snap was computed; the last, 0, is the snap with margin 0.
     before = distance[:, None] - np.append(APPROACH, 0.0)
     known, there = before[..., None] * ray[:, None], before >= 0
     values = np.column_stack([square, np.zeros(len(dense))])
@@ -214,6 +220,7 @@ def _filled(stability_map: StabilityMap, fine: Array, mine: Mask, curves: Sequen
     angles = np.degrees(stability_map.angles)
     first, second = (axis[mine] for axis in np.meshgrid(angles, angles, indexing="ij"))
     known = np.vstack([np.column_stack([first, second]), *(curve.known for curve in curves)])
+    # At a fold margin^2 is linear in the distance to it (saddle-node), which a cubic follows; a root it cannot.
     own = np.clip(stability_map.margin[mine], 0, 1) ** 2
     square = np.concatenate([own, *(curve.square for curve in curves)])
     if not len(known):
@@ -227,9 +234,11 @@ def _filled(stability_map: StabilityMap, fine: Array, mine: Mask, curves: Sequen
 def _interpolated(known: Array, values: Array, places: Array) -> Array:
     """Smoothly between known points, and as the nearest of them beyond."""
     nearest = scipy.interpolate.NearestNDInterpolator(known, values)
+    # Fewer points may have no triangulation with an inside.
     if len(known) < 4:
         return np.asarray(nearest(places))
     out: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(places)
+    # Outside of the convex hull of the points there is no triangle, and the result is NaN.
     beyond = ~np.isfinite(out)
     out[beyond] = nearest(places[beyond])
     return out
@@ -242,8 +251,10 @@ def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
 
     rings = []
     for directions, points, *_ in curves:
+        # The square's rim between two directions has its corners at odd multiples of 45 deg.
         corners = np.arange(np.ceil(directions[0] / CORNER - 0.5), directions[-1] / CORNER - 0.5) * CORNER + CORNER / 2
         outer = np.degrees(rim(np.sort(np.append(directions, corners))))
+        # Along the boundary, and back along the rim of the map: what lies between is behind the snap.
         rings.append(Path(np.vstack([points, outer[::-1], points[:1]]), closed=True))
     region = Path.make_compound_path(*rings)
     look: Any = {"facecolor": "none", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
@@ -311,7 +322,9 @@ def plot_branch(
 def smooth(branch: Branch) -> Branch:
     """The branch with many more points, on a cubic spline through its own, which are kept."""
     columns = np.column_stack([branch.fraction, branch.rotations, branch.tip_rotations])
+    # Over its own length a branch is single-valued, also at folds, where it turns back in the input.
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(columns, axis=0), axis=1))])
+    # A point that was found twice has no length from the last, and splines need increasing places.
     along, keep = np.unique(along, return_index=True)
     fine = np.union1d(along, np.linspace(0.0, along[-1], FINE_POINTS))
     values = scipy.interpolate.CubicSpline(along, columns[keep])(fine)
@@ -321,6 +334,7 @@ def smooth(branch: Branch) -> Branch:
         fraction=values[:, 0],
         rotations=values[:, 1 : n + 1],
         tip_rotations=values[:, n + 1 :],
+        # Linear, as a cubic could overshoot to the other sign and move a fold.
         margin=np.interp(fine, along, branch.margin[keep]),
     )
 
@@ -338,10 +352,12 @@ def landing(branch: Branch, fold: int) -> tuple[float, Array] | None:
     None where the branch has none.
     """
     count = len(branch.fraction)
+    # Into the unstable part: the side of the fold with the smaller margin.
     step = 1 if branch.margin[min(fold + 1, count - 1)] < branch.margin[max(fold - 1, 0)] else -1
     gap = branch.fraction - branch.fraction[fold]
     k = fold + step
     while 0 <= k + step < count:
+        # A change of sign: between both points the branch has the input of the fold again.
         if gap[k] * gap[k + step] <= 0 and gap[k] != gap[k + step]:
             part = gap[k] / (gap[k] - gap[k + step])
             margin = branch.margin[k] + part * (branch.margin[k + step] - branch.margin[k])
@@ -360,6 +376,7 @@ def _ahead(branch: Branch, fold: int) -> bool:
 
 def stable_parts(margin: Array) -> list[tuple[int, int, bool]]:
     """First and last point of every part of a curve that is all stable or all unstable, and whether it is stable."""
+    # A segment from a fold (margin 0) is of the kind of its other end.
     stable = margin[:-1] + margin[1:] > 0
     cuts = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1).tolist(), len(stable)]
     return [(first, last, bool(stable[first])) for first, last in pairwise(cuts)]

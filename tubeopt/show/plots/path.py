@@ -57,6 +57,7 @@ def plot_path(path: Path) -> Figure:
     The curves have the points of `path.dense`, those between waypoints included. At a snap they break: an open mark
     before it, a full mark after it.
     """
+    # A fold lies between waypoints: with waypoints alone the margin would not be seen to fall to 0.
     parts = path.dense
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -150,6 +151,7 @@ def animate_path(
     """
     film_ending(file)
     count = len(path.equilibria)
+    # Waypoints are numbered from 1, as in the table.
     along = np.arange(1.0, count + 1) if values is None else np.asarray(values, dtype=float)
     if along.shape != (count,):
         raise InputError(f"values has shape {along.shape}; it must be ({count},), one per waypoint")
@@ -157,6 +159,7 @@ def animate_path(
     tips = np.array([arm.tip_position for _, arm, _ in shots])
     if view is None and path.snaps:
         jump = np.array([path.snaps[0].before.tip_position, path.snaps[0].after.tip_position])
+        # Centred, as the direction of the jump counts, and not where it is.
         across = widest_view(jump - jump.mean(0))
         view = across.elevation, across.azimuth
     stage = stage_for([Sweep([arm for _, arm, _ in shots], along, tips)], (), view)

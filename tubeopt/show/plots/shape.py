@@ -167,8 +167,10 @@ def draw_scenes(
     With `close_ups`, a column of close-ups of the last equilibrium stands to the right.
     """
     everyone = [*equilibria, *(ghost for some in ghosts for ghost in some)]
+    # One view for all, ghosts included: only then are the shapes comparable.
     seen = View(*view) if view is not None else widest_view(np.concatenate([each.position for each in everyone]))
     meshes = [_scene_mesh(equilibrium, some) for equilibrium, some in zip(equilibria, ghosts, strict=True)]
+    # Heads of arrows count for the box, or a force at the outermost tip would leave it.
     heads = [arrow.end for equilibrium in equilibria for arrow in pushes(equilibrium)]
     box = Box.around(np.concatenate([*(mesh.corners.reshape(-1, 3) for mesh in meshes), np.reshape(heads, (-1, 3))]))
     last = equilibria[-1]
@@ -211,6 +213,7 @@ def pushes(equilibrium: Equilibrium) -> list[Arrow]:
     load = equilibrium.load
     if load is None:
         return []
+    # A following load is given in the frame of the tip, and is drawn in that of the plate.
     turned = equilibrium.tip_rotation if load.frame == "tip" else np.eye(3)
     line = Centreline(equilibrium) if load.points else None
     places = [line.position([part.at])[0] for part in load.points if line is not None]
@@ -218,6 +221,7 @@ def pushes(equilibrium: Equilibrium) -> list[Arrow]:
     for kind, unit, colour in (("force", "mN", FORCE), ("moment", "mN m", MOMENT)):
         acting = [turned @ getattr(load, kind), *(np.array(getattr(part, kind)) for part in load.points)]
         sizes = [float(np.linalg.norm(each)) for each in acting]
+        # Forces and moments have scales of their own: N and N m cannot be compared.
         scale = FORCE_SHARE * float(equilibrium.arc_length[-1]) / (max(sizes) or 1.0)
         for at, push, size in zip((equilibrium.tip_position, *places), acting, sizes, strict=True):
             if size > 0:
@@ -230,6 +234,7 @@ def _along(equilibrium: Equilibrium) -> list[Arrow]:
     load, length = equilibrium.load, float(equilibrium.arc_length[-1])
     if load is None or load.distributed is None:
         return []
+    # Midpoints of equal intervals: no arrow at the ends, where point loads are.
     s = length * (np.arange(COMB) + 0.5) / COMB
     per_length, places, out = load.per_length(s), Centreline(equilibrium).position(s), []
     for part, unit, colour in ((slice(0, 3), "mN/m", FORCE), (slice(3, 6), "mN m/m", MOMENT)):
@@ -279,6 +284,7 @@ def draw_plate(axes: Axes, points: Array, view: View) -> None:
 
 def _scene_mesh(equilibrium: Equilibrium, ghosts: Sequence[Equilibrium]) -> Mesh:
     """The robot on its plate, and the ghosts."""
+    # One mesh, since facets of ghosts and robot hide each other and must be sorted together.
     parts = [_plate_mesh(plate_radius(equilibrium)), robot_mesh(equilibrium)]
     return Mesh.join(parts + [robot_mesh(ghost, opacity=GHOST_OPACITY) for ghost in ghosts])
 
@@ -287,6 +293,7 @@ def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view:
     """Every centreline as it falls straight down onto the floor."""
     for equilibrium in equilibria:
         fallen = equilibrium.position.copy()
+        # The box is in mm, positions are in m.
         fallen[:, 2] = box.low[2] / TO_MM
         shadow = view.project(fallen)
         axes.plot(shadow[:, 0], shadow[:, 1], color=FAINT, lw=1.3, alpha=0.4, solid_capstyle="round", zorder=1)
@@ -295,6 +302,7 @@ def _draw_shadows(axes: Axes, equilibria: Sequence[Equilibrium], box: Box, view:
 def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
     """Name each tube to the lower right of the middle of where it shows, and the tip to the upper left of it."""
     line = Centreline(equilibrium)
+    # Where the picture is on paper is known after its layout only; a scene is about SCENE_HEIGHT points high.
     low, high = axes.get_ylim()
     points_per_mm = SCENE_HEIGHT / max(high - low, 1e-9)
     lowest = np.inf
@@ -327,6 +335,7 @@ def _beside(line: Centreline, s: float, view: View) -> Array:
 def close_up_radius(equilibrium: Equilibrium) -> float:
     """Radius of what a close-up shows, m: a tube, and all that the widest sheath of an eccentric robot holds."""
     diameter = np.array([tube.outer_diameter for tube in equilibrium.robot.tubes])
+    # Twice the offset of a tube's axis, plus its diameter, is the width of the bundle around the arm's axis.
     across = diameter + 2 * equilibrium.robot.assembly(equilibrium.translations).offset
     return float(max(1.7 * diameter.max(), 1.1 * across.max()))
 
@@ -338,6 +347,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
 
     radius, end = close_up_radius(equilibrium), bundle.end
     centre = Centreline(equilibrium).position([end])[0]
+    # Four radii either way also fill the circle where the arm is seen at a slant of 15 deg.
     mesh = robot_mesh(equilibrium, window=(end - 4 * radius, end + 4 * radius), detail=CLOSE_UP)
     shown = facets(mesh.only(_within(view.project(mesh.corners - centre), radius * TO_MM)), view, centre)
     axes.add_collection(shown, autolim=False)
@@ -376,6 +386,7 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
 def _within(corners: Array, radius: float) -> Mask:
     """(k,) whether anything of facets, as seen (k, 4, 3), may show in a circle about the origin."""
     middle = corners[..., :2].mean(1)
+    # Triangle inequality: no point of a facet is nearer to the origin than its middle less its reach.
     reach = np.linalg.norm(corners[..., :2] - middle[:, None], axis=2).max(1)
     inside: Mask = np.linalg.norm(middle, axis=1) - reach < 1.05 * radius
     return inside
@@ -384,6 +395,7 @@ def _within(corners: Array, radius: float) -> Mask:
 def _draw_scale_bar(axes: Axes) -> None:
     """A bar of a round length below a close-up."""
     low, high = axes.get_xlim()
+    # A quarter of the width or less, of a round length.
     length, y = rule_step(high - low), 1.1 * low
     axes.plot([-length / 2, length / 2], [y, y], color=INK, lw=1.5, solid_capstyle="butt", clip_on=False)
     axes.text(0, 1.05 * y, f"{number(length, 3)} mm", ha="center", va="top")
@@ -462,6 +474,7 @@ def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Arra
     rotation, torsion = equilibrium.rotation[tube, inside], equilibrium.torsion[tube, inside]
     if len(s) < 2:
         return s, rotation, torsion
+    # theta is smooth within a section only: a cubic across a breakpoint would round off the jump of theta'.
     cuts = np.unique(np.searchsorted(s, [0.0, *equilibrium.section_start, s[-1]] - np.array(1e-12)))
     parts: list[Array] = []
     for first, last in pairwise(cuts[cuts < len(s)]):
@@ -469,6 +482,7 @@ def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Arra
         slopes = torsion[own].copy()
         if first > 0:
             slopes[0] = _first_slope(s[own], rotation[own], torsion[own])
+        # 300 points over the arm are finer than the pixels of a panel; points of the solution are kept.
         fine = np.union1d(s[own], np.linspace(s[first], s[last], 2 + int(300 * (s[last] - s[first]) / s[-1])))
         curve = scipy.interpolate.CubicHermiteSpline(s[own], rotation[own], slopes)
         if parts and abs(slopes[0] - torsion[first]) > JUMP * np.ptp(torsion):
@@ -480,6 +494,8 @@ def _curve(equilibrium: Equilibrium, tube: int, end: float) -> tuple[Array, Arra
 
 def _first_slope(s: Array, rotation: Array, torsion: Array) -> float:
     """theta' where a section begins, from what stands behind it: the answer holds the value in front of a jump."""
+    # Krogh's polynomial takes a repeated abscissa as value and slope. At the first point the slope is the unknown.
+    # One value, then up to three values with slopes: seven conditions, degree 6.
     points = np.r_[0, np.repeat(np.arange(1, min(len(s), 4)), 2)]
     values = rotation[points]
     values[2::2] = torsion[points[2::2]]

@@ -38,8 +38,10 @@ class View:
     def axes(self) -> Array:
         """(3, 3) unit vectors to the right, upwards, and towards the viewer, as rows."""
         up, around = np.radians([self.elevation, self.azimuth])
+        # The horizontal axis of the picture stays level, so that z is upright from every side.
         right = np.array([-np.sin(around), np.cos(around), 0.0])
         towards = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+        # Rows of an orthonormal matrix: a product with it keeps lengths in all but the third coordinate.
         return np.array([right, np.cross(towards, right), towards])
 
     @property
@@ -50,6 +52,7 @@ class View:
     @property
     def towards_light(self) -> Array:
         """(3,) unit vector towards the light: above the viewer's left shoulder."""
+        # In the coordinates of the viewer: the light moves with him, and no side is ever dark.
         light = np.array([-0.5, 0.6, 0.62])
         return np.asarray(light / np.linalg.norm(light) @ self.axes)
 
@@ -61,10 +64,16 @@ class View:
 
 def widest_view(points: Array) -> View:
     """A view in which points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
+    # First right singular vector: the horizontal direction in which points lie farthest from the plate's axis.
+    # Points are not centred, since the plate is in the picture too.
     _, _, directions = np.linalg.svd(points[:, :2])
+    # The sign of a singular vector is arbitrary; here it points to where most of the arm is.
     along = directions[0] * (1.0 if np.sum(points[:, :2] @ directions[0]) >= 0 else -1.0)
+    # At 90 deg the bend would lie in the plane of the picture; 60 deg brings it a little forwards.
     wanted = np.degrees(np.arctan2(along[1], along[0])) - 60.0
+    # At multiples of 90 deg a wall would be seen edge-on; 30 and 60 deg show both walls.
     azimuths = np.array([quarter + turn for quarter in (-180, -90, 0, 90) for turn in (30, 60)])
+    # The largest cosine is the nearest azimuth, whatever multiples of 360 deg lie between.
     return View(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - wanted)))]))
 
 
@@ -81,7 +90,9 @@ class Box:
         """The box around points (k, 3) in m, its sides on whole rules, its floor at the lowest point."""
         low, high = points.min(0) * TO_MM, points.max(0) * TO_MM
         step = rule_step(float((high - low).max()) * (2 if narrow() else 1))
+        # Without the slack, round-off at a whole rule would add one more empty row of squares.
         lower, upper = np.floor(low / step + 1e-9) * step, np.ceil(high / step - 1e-9) * step
+        # Shadows fall onto the floor: a floor below the lowest point would part them from the plate.
         lower[2] = low[2]
         return cls(lower, upper, step)
 
@@ -98,6 +109,7 @@ def rule_step(span: float) -> float:
 
 def round_below(value: float) -> float:
     """..., 0.5, 1, 2, 5, 10, 20, ...: the greatest that does not exceed a positive value."""
+    # 1, 2 and 5 split a decade into about equal ratios.
     decade = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * decade <= value) * decade)
 
@@ -107,7 +119,9 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
     viewer = view.towards_viewer
+    # Of two opposite walls, the one that the viewer's direction points away from is behind the scene.
     back = np.where(viewer > 0, box.low, box.high)
+    # The floor stays below, also for a view from underneath.
     back[2] = box.low[2]
     front = np.where(viewer > 0, box.high, box.low)
     lines, outlines = [], []
@@ -143,6 +157,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
     middle, (width, height) = outline.mean(0), np.ptp(outline, axis=0).tolist()
     # What fills four inches of paper: the height of the box, or more where the width of the panel is what limits.
     four_inches = max(height, 4.0 * width * axes.figure.dpi / axes.get_window_extent().width)
+    # Two upright edges are outlines of the box. The scale of z stands at the left one.
     left = min(((front[0], back[1]), (back[0], front[1])), key=lambda xy: view.project(np.array([*xy, 0.0]))[0])
     for axis, name in enumerate("xyz"):
         edge = np.array([front[0], front[1], box.low[2]]) if axis < 2 else np.array([*left, 0.0])
@@ -152,6 +167,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
         if np.linalg.norm(stop - start) < 1e-6 * height:
             continue  # seen end-on
         outward = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
+        # Of both normals of the edge, the one away from the middle of the box: numbers stand outside.
         outward *= np.sign(outward @ ((start + stop) / 2 - middle))
         rules = _spaced(box, axis, stop - start, four_inches)
         if axis < 2 and view.axes[0, axis] ** 2 < 0.5:
@@ -168,13 +184,15 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
 
 
 def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
-    """The rules along `axis` that may carry numbers without parallel_slowdown, if its edge is seen as `edge` (2,).
+    """The rules along `axis` that may carry numbers without overlap, if its edge is seen as `edge` (2,).
 
     `four_inches` of paper are so long in the scene; numbers are wider than high.
     """
     length = float(np.linalg.norm(edge))
+    # A number takes 7.5 % of four inches across and 4 % upwards: 0.3 in and 0.16 in, at 8 points.
     room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * four_inches
     gap = length * box.step / (box.high[axis] - box.low[axis])
+    # Numbers at round multiples of the rules, so that a reader counts in 1, 2, 5, 10.
     every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
     rules = box.rules(axis)
     kept: Array = rules[np.round(rules / box.step).astype(int) % every == 0]
@@ -224,6 +242,7 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
     seen = view.project(mesh.corners if centre is None else mesh.corners - centre)
     order = np.argsort(mesh.depth(view.towards_viewer))
     colours = mesh.lit(view.towards_viewer, view.towards_light)[order]
+    # Painter's algorithm: facets are small against their distances, so sorting by their middles suffices.
     # Opaque facets are drawn with a hair of their own colour around them, which closes the seams between neighbours.
     edges = np.where(colours[:, 3:] < 1, 0.0, colours)
     corners: Any = seen[order, :, :2]  # an array is drawn at once, a list facet by facet
@@ -244,6 +263,7 @@ class Mesh(NamedTuple):
 
     def depth(self, towards_viewer: Array) -> Array:
         """(k,) distance towards the viewer, m, to draw far facets first; `towards_viewer` (3,) points at the viewer."""
+        # Only order matters, so the mean of the corners stands for the whole facet.
         depth: Array = self.corners.mean(1) @ towards_viewer
         return depth + self.lift * (self.normals @ towards_viewer)
 
@@ -263,26 +283,35 @@ class Mesh(NamedTuple):
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:
         """All facets of `parts` as one mesh, so that they can be sorted by depth together."""
+        # With an empty mesh in front, no parts at all are a mesh too.
         nothing = Mesh(np.empty((0, 4, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty(0))
         return Mesh(*map(np.concatenate, zip(nothing, *parts, strict=True)))
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:
         """(k, 4) colours under a light from `towards_light` (unit, (3,)), seen from `towards_viewer`."""
+        # Open surfaces are seen from both sides: a normal away from the viewer is reversed.
         facing = np.where(self.normals @ towards_viewer < 0, -1.0, 1.0)
         cosine = facing * (self.normals @ towards_light)
+        # Half-way vector of Blinn (1977): a mirror image where the normal halves the angle of both.
         half = towards_viewer + towards_light
+        # Power 30 makes a spot of about 12 deg (half its height), as on polished metal.
         gloss = np.clip(facing * (self.normals @ (half / np.linalg.norm(half))), 0, 1) ** 30
+        # Half Lambert: the cosine from -1 to 1 becomes 0 to 1, so that form stays visible away from the light.
         shade = 0.45 + 0.55 * (0.5 + 0.5 * cosine)
         colours = self.colours.copy()
         colours[:, :3] = np.clip(colours[:, :3] * shade[:, None], 0, 1)
+        # A blend towards white cannot exceed 1.
         colours[:, :3] += 0.35 * gloss[:, None] * (1 - colours[:, :3])
         return colours
 
 
 def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: bool = False) -> Mesh:
     """A surface in a colour (4,) as RGBA: two of its triangles at a time are a facet; `triangles`, each for itself."""
+    # `two_of_four` splits corners 0 1 2 3 into 0 1 2 and 0 2 3: entries 0, 1, 2 and 5 are the four again.
+    # Half as many facets are drawn in half the time, without a seam along the diagonal.
     faces = surface.faces[:, [0, 1, 2, 2]] if triangles else surface.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]
     corners = surface.vertices[faces]
+    # The diagonals also give a normal where two corners coincide, as at the pole of a ball.
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal /= np.where(length > 0, length, 1.0)

@@ -67,9 +67,11 @@ RC: dict[str, Any] = {
     "hatch.linewidth": 0.5,
     "legend.frameon": False,
     "mathtext.fontset": "dejavusans",
+    # Type 42 keeps letters as text in PDF and EPS; publishers refuse the default, Type 3.
     "pdf.fonttype": 42,
     "ps.fonttype": 42,
     "savefig.facecolor": "white",
+    # Letters as text, and a fixed salt for names, so that equal data give an equal file.
     "svg.fonttype": "none",
     "svg.hashsalt": "tubeopt",
     "text.color": INK,
@@ -158,6 +160,7 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
     from .figure import NotebookFigure
 
     wanted = WIDTH.get()
+    # The aspect ratio changes with the power 0.35 alone: a page half as wide keeps 78 % of the height.
     scale = 1.0 if wanted is None else wanted / INCH / width
     # Letters keep their size, so that what is narrower needs more of its height.
     return NotebookFigure(
@@ -217,6 +220,7 @@ def name_above(axes: Axes, x: float, words: str, row: int = 0) -> None:
 def widen(axes: Axes, least: float) -> None:
     """Let the y axis span at least `least`, so that round-off about a constant does not look like a signal."""
     low, high = axes.get_ylim()
+    # Symmetric about the middle, so that a constant is a line across the panel.
     if high - low < least:
         middle = (low + high) / 2
         axes.set_ylim(middle - least / 2, middle + least / 2)
@@ -298,6 +302,7 @@ def fitted(draw: Callable[[], Figure]) -> Figure:
 
     best: tuple[tuple[int, float], Figure] | None = None
     for letters, stacked in ATTEMPTS:
+        # On a wide page columns have room side by side; stacking is tried only once letters are small.
         if stacked and not narrow() and letters > 0.7:
             continue
         figure = draw()
@@ -305,6 +310,7 @@ def fitted(draw: Callable[[], Figure]) -> Figure:
             return figure
         if not arrange(figure, stacked=stacked, letters=letters):
             continue
+        # Readable texts come first, then room for panels; beyond ROOMY larger panels count no more.
         merit = len(faults(figure)), -min(_filled(figure), ROOMY)
         if best is not None and best[0][0] == 0 and -best[0][1] > FAIR and merit[1] > GAIN * best[0][1]:
             break  # panels of a given shape do not grow with smaller letters
@@ -356,6 +362,7 @@ def arrange(figure: Figure, *, stacked: bool, letters: float = 1.0) -> bool:
                 _fold_lines(text, room)
             _lay_out(figure)
             relieve(figure)
+        # Matplotlib reports panels without room only by this warning.
         warnings.simplefilter("error", UserWarning)
         try:
             figure.draw_without_rendering()
@@ -390,6 +397,7 @@ def _scale_letters(figure: Figure, scale: float) -> None:
             axis.set_tick_params(length=scale * first.tick1line.get_markersize(), pad=scale * first.get_pad())
         if axes.get_legend() is not None:
             _legend_anew(axes)
+    # Gaps of the layout are in inches and do not follow the letters.
     engine: Any = figure.get_layout_engine()
     engine.set(**{name: scale * pad for name, pad in engine.get().items() if name in ("w_pad", "h_pad")})
 
@@ -410,6 +418,7 @@ def _legend_anew(axes: Axes, **other: Any) -> Legend:
     look: dict[str, Any] = {
         "ncols": legend._ncols,  # noqa: SLF001
         "loc": legend._loc,  # noqa: SLF001
+        # The anchor is known in pixels, and a new legend takes parts of the panel.
         "bbox_to_anchor": legend.get_bbox_to_anchor().transformed(axes.transAxes.inverted()).bounds,
         "borderaxespad": legend.borderaxespad,
         "columnspacing": legend.columnspacing,
@@ -428,6 +437,7 @@ def _lay_out(figure: Figure) -> None:
     if engine is None:
         return
     places = _places(figure)
+    # Each pass places panels by sizes of the last one; panels of equal aspect change their size with their place.
     for _ in range(LAYOUT_PASSES):
         engine.execute(figure)
         before, places = places, _places(figure)
@@ -448,6 +458,7 @@ def _uncover(axes: Axes) -> bool:
         _legend_anew(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return True
     own: Any = legend._ncols  # type: ignore[attr-defined]  # noqa: SLF001
+    # As many columns as the panel is wide: above it, every row of a legend costs height.
     columns = int(np.clip(axes.bbox.width / box.width * own, 1, len(legend.get_texts())))
     where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.1}
     _legend_anew(axes, ncols=columns, **where)
@@ -463,11 +474,13 @@ def _drawn_in(artist: Any, box: Any) -> bool:
     if isinstance(artist, Text):
         return bool(artist.get_text() and artist.get_window_extent().overlaps(box))
     if hasattr(artist, "get_xydata"):
+        # A line may cross the legend without a point of it inside.
         line = artist.get_transform().transform_path(artist.get_path())
         if artist.get_linestyle() not in ("None", "", " ") and line.intersects_bbox(box, filled=False):
             return True
         marked = artist.get_marker() not in ("None", "", " ", None)
         return bool(marked and box.count_contains(line.vertices) > 0)
+    # Shades such as bands of uncertainty may lie below a legend.
     if artist.get_alpha() is not None and np.max(artist.get_alpha()) <= SHADE:
         return False
     if len(artist.get_offsets()) > 1:
@@ -484,11 +497,13 @@ def _places(figure: Figure) -> Array:
 def _fold(figure: Figure) -> None:
     """Break headings, and stack legends, that are wider than the room they have."""
     figure.draw_without_rendering()
+    # The heading begins at 2 % of the width, and as much is left at its end.
     room = figure.bbox.width * 0.96
     for heading in figure.texts:
         _fold_lines(heading, room)
     for axes in figure.axes:
         inside = axes.get_subplotspec()
+        # Titles of adjacent panels would overlap where each takes the whole width.
         columns = 1 if inside is None else inside.get_gridspec().ncols / len(inside.colspan)
         for title in (axes.title, axes._left_title):  # type: ignore[attr-defined]  # noqa: SLF001
             if title.get_text():
@@ -541,6 +556,7 @@ def _fold_lines(text: Text, room: float, *, upright: bool = False) -> None:
             else:
                 done[-1] = done[-1].rstrip(",:")
                 done += _broken(text, part, room, upright=upright)
+    # Two blanks separate statements of a heading; the comma before a break is left out.
     text.set_text("\n".join(done))
 
 
@@ -559,6 +575,7 @@ def _length(text: Text, words: str, *, upright: bool) -> float:
     """Pixels that words take along their line."""
     before = text.get_text()
     text.set_text(words)
+    # Widths depend on letters, so words are measured by drawing them.
     box = text.get_window_extent()
     text.set_text(before)
     return float(box.height if upright else box.width)
@@ -571,6 +588,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     name = title or equilibrium.robot.name or f"{kind} robot, {equilibrium.robot.n_tubes} tubes"
     joints = [rotations_in_words(equilibrium.rotations)]
     if np.any(equilibrium.translations):
+        # Tubes on one carriage share a translation, which is named once.
         first = [tubes[0] for tubes in equilibrium.robot.moving_together]
         joints.append(f"translations ({millimetres(equilibrium.translations[first])}) mm")
     margin = f"margin {round(equilibrium.margin, 3) + 0.0:.3f}".replace("-", "\N{MINUS SIGN}")
@@ -579,6 +597,7 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = "margin unknown" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
     load = "" if equilibrium.load is None else f"load: {load_in_words(equilibrium.load)}"
+    # Only a hyphen in front of a number that begins a word is a minus: names such as "A-1" keep theirs.
     more = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
     if tip := tip_in_words(equilibrium.robot, equilibrium.tube_end):
         more.append(f"the tip is {tip}")

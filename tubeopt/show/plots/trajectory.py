@@ -136,7 +136,9 @@ def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
     """Instants (k,), s, and the equilibria there, from the first sample to where the proof ends, which is the last."""
     joints, proof = checked.joints, checked.proof
     first, last = float(joints.time[0]), float(joints.time[-1])
+    # Places of a proof are fractions of the whole motion, from 0 to 1.
     end = first + (proof.snap if proof.snap is not None else proof.followed) * (last - first)
+    # Samples may be far apart; margins between them are part of what was checked.
     instants = np.union1d(joints.time, np.linspace(first, last, LOOKED_AT))
     times, found = [first], [proof.samples[0] if proof.samples else proof.end]
     for time in instants[(instants > first) & (instants < end)]:
@@ -145,6 +147,7 @@ def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
             for values in (joints.rotations, joints.translations)
         )
         try:
+            # From the last equilibrium, so that the arm stays on its branch; from home it might land on another.
             here = forward_kinematics(joints.robot, rotations, translations, load=proof.end.load, start=found[-1])
         except SolveError:  # so close to a snap that no step from the last one reaches it
             break
@@ -185,6 +188,7 @@ def save_film(
         else ((0.04, 0.24, 0.92, 0.68), (0.13, 0.09, 0.83, 0.12))
     )
     scene, below = (figure.add_axes(place) for place in places)
+    # GIF has no compression between pictures: half the pictures, and less than half the dots.
     writer, dpi = (PillowWriter(fps=12), 100) if gif else (FFMpegWriter(fps=24), 150)
     draw(scene, below, 0)
     figure.draw_without_rendering()  # a scene of equal aspect takes its place, which its scales depend on
@@ -222,10 +226,12 @@ def stage_for(
     sweeps: Sequence[Sweep], obstacles: Sequence[Obstacle], view: tuple[float, float] | None
 ) -> tuple[View, Box]:
     """How motions are seen, by default across their widest side, and the box around them, bodies, and the plate."""
+    # One box for all pictures of a film: a box that changes would move the scene.
     passed = [each.base.placed(arm.position) for each in sweeps for arm in each.arms]
     points = np.concatenate([*passed, *(each.tips for each in sweeps)])
     seen = View(*view) if view is not None else widest_view(points)
     corners = [mesh.corners.reshape(-1, 3) for mesh in body_meshes(obstacles)]
+    # The plate's origin is in the box, also where no arm begins there.
     return seen, Box.around(np.concatenate([points, *corners, np.zeros((1, 3))]))
 
 
@@ -255,6 +261,7 @@ def draw_sweeps(
     parts = body_meshes(obstacles)
     for sweep in sweeps:
         for k, arm in enumerate(sweep.arms):
+            # Start and end are what a reader searches; between them arms overlap and must let through.
             strong = 1.0 if k == len(sweep.arms) - 1 else 0.45 if k == 0 else faint
             parts.append(robot_mesh(arm, opacity=strong, detail=SWEEPING).placed(sweep.base))
     scene.add_collection(facets(Mesh.join(parts), seen))
@@ -267,6 +274,7 @@ def _draw_way(scene: Axes, sweep: Sweep, seen: View) -> None:
     time, tips = sweep.time, seen.project(sweep.tips)
     way = tips
     if len(time) > 2 and not sweep.asked:
+        # Makima does not swing where the tip rests between motions, as a cubic spline would.
         curve = Akima1DInterpolator(time, tips, method="makima")
         way = curve(np.union1d(time, np.linspace(time[0], time[-1], WAY)))
     name, dots = ("targets", ".") if sweep.asked else ("tip", None)
@@ -286,6 +294,7 @@ def _body_mesh(obstacle: Obstacle, body: Obstacle) -> Mesh:
         surface = swept(np.array(obstacle.centreline), obstacle.radii, sides=SIDES, capped=False)
     else:
         surface = obstacle_surface(obstacle, 0.0, sides=SIDES)
+    # A corridor encloses the arm: in the opaque grey of obstacles it would hide it.
     around = isinstance(body, Corridor) or (isinstance(body, DistanceField) and not body.bounded)
     return facets_of(surface, VESSEL if around else OBSTACLE, triangles=isinstance(body, MeshObstacle))
 
@@ -317,6 +326,7 @@ def draw_joints(axes: Sequence[Axes], x: Array, rotations: Array, translations: 
     """Joint values (T, n), rad and m, over time, or what else there is of (T,), in the first two panels."""
     for name, panel, values in zip(FLAT, axes, (np.degrees(rotations), translations * TO_MM), strict=False):
         for i, row in enumerate(values.T):
+            # Outer tubes wider and behind: where joints move together, all curves stay visible.
             panel.plot(x, row, color=tube_colour(i), lw=1.2 + 1.1 * i, zorder=2 - 0.01 * i, label=f"tube {i + 1}")
         panel.set_ylabel(name)
         widen(panel, FLAT[name])
@@ -335,6 +345,7 @@ def along(axes: Sequence[Axes], x: Array, name: str = "time (s)") -> None:
         each.grid(axis="y")
         each.tick_params(labelbottom=each is axes[-1])
     axes[-1].set_xlabel(name)
+    # A motion of no duration would give a scale of no length.
     axes[-1].set_xlim(float(x[0]), max(float(x[-1]), float(x[0]) + 1e-9))
 
 
@@ -389,6 +400,7 @@ def plot_section(trajectory: Trajectory, *, plane: Plane | None = None, title: s
     if t.obstacles:
         u, v = (np.linspace(a, b, CELLS) for a, b in zip(low, high, strict=True))
         places = frame.placed(np.stack(np.broadcast_arrays(u[None], v[:, None], 0.0), axis=-1))
+        # The zero of the signed distance is the outline of bodies of every kind, without a section of each.
         away = nearest_distance(t.obstacles, places)
         axes.contourf(u * TO_MM, v * TO_MM, away, levels=[-np.inf, 0.0], colors=[BODY])
         axes.contour(u * TO_MM, v * TO_MM, away, levels=[0.0], colors=[FAINT], linewidths=0.7)
@@ -416,6 +428,7 @@ def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
 
     line, radius = ArmSurface(arm).line(ALONG)
     at, height = plane.frame.seen(line)[:, :2] * TO_MM, plane.height(line)
+    # A plane at height h cuts a ball of radius r in a disc of radius sqrt(r^2 - h^2).
     for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
         wide = 2 * TO_MM * half[half > 0]
         where: dict[str, Any] = {"units": "xy", "offsets": at[half > 0], "offset_transform": axes.transData}

@@ -160,6 +160,7 @@ def plot_workspace(
     headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
+    # From 0, since a share has a natural zero.
     share = _draw_section(sides, found, found.dexterity, (0.0, float(np.nanmax(found.dexterity))))
     worst = _draw_section(margins, found, found.margin, _span(found.margin))
     where: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.75, "aspect": 25, "pad": 0.02}
@@ -185,6 +186,7 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
     points, margin = table[:, -7:-4], table[:, -1]
     draw_plate(axes, points, view)
     seen = view.project(points)
+    # Of two tips at one place in the picture the nearer one is drawn last; stable, so that files are equal.
     order = np.argsort(seen[:, 2], kind="stable")
     style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
     low, high = _span(margin)
@@ -219,9 +221,11 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
         table = part[held(part, -np.inf)]
         x, y, z = table[:, -7:-4].T
         distance = np.hypot(x, y)
+        # On the axis the meridian is not determined: the tip is not turned.
         safe = np.where(distance > 0, distance, 1.0)
         cosine, sine = np.where(distance > 0, x / safe, 1.0), y / safe
         across, along, up = table[:, -4:-1].T
+        # Rotation by minus the azimuth of the tip, which brings it into the half-plane y = 0.
         turned = np.column_stack([cosine * across + sine * along, cosine * along - sine * across, up])
         tips = np.column_stack([distance, np.zeros(len(table)), z])
         store.add(tips, turned, -table[:, -1], np.ones(len(table), dtype=bool))  # of equal cells it keeps the largest
@@ -235,8 +239,10 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
     empty = np.isinf(margin)
     near = np.zeros(shape, np.uint64)
     for i, j in np.ndindex(3, 3):
+        # A bit per patch of directions; the union over a cell and its eight neighbours counts none twice.
         near |= patches[i : i + shape[0], j : j + shape[1]]
     shares = np.bitwise_count(near) / PATCHES
+    # Empty cells are inf here and lose against any neighbour.
     smallest = minimum_filter(margin, 3, mode="nearest")
     return _Section(edge, first, np.where(empty, np.nan, smallest), np.where(empty, np.nan, shares))
 
@@ -250,7 +256,9 @@ def _cell_size(workspace: Workspace) -> float:
             plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), tips[:, 2]])
             low, high, count = np.minimum(low, plane.min(0)), np.maximum(high, plane.max(0)), count + len(tips)
     longest = max(float((high - low).max()), 1e-3)
+    # Tips on a line, as of one tube that only slides, have no area.
     area = float(np.prod(np.maximum(high - low, longest / 100)))
+    # count / area samples per area, so an edge sqrt(area PER_CELL / count) holds PER_CELL of them.
     return max(float(np.sqrt(area * PER_CELL / count)), longest / 100)
 
 
@@ -265,6 +273,7 @@ def _draw_section(axes: Axes, found: _Section, values: Array, span: tuple[float,
     mean = gaussian_filter(np.where(inside, padded, 0.0), 0.7) / np.maximum(weight, 1e-9)
     if found.first[0] == 0:  # beyond the axis lies the other side
         weight[:2], mean[:2] = weight[3:1:-1], mean[3:1:-1]
+    # Rounded up.
     finer = -(-ACROSS // max(padded.shape))
     fine, part = (zoom(each, finer, order=1, grid_mode=True, mode="nearest") for each in (mean, weight))
     edges = [
@@ -289,8 +298,11 @@ def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
     from matplotlib.patches import Patch
 
     lost, held = (
-        np.unique(_fold(np.asarray((keys + 0.5) * loss.size), loss.size), axis=0) for keys in (loss.lost, loss.held)
+        # Voxels are known by their lower corner; half an edge more is the centre.
+        np.unique(_fold(np.asarray((keys + 0.5) * loss.size), loss.size), axis=0)
+        for keys in (loss.lost, loss.held)
     )
+    # A cell of the meridian holds voxels all around the axis, of which some may be lost and others not.
     alone = [cell for cell in lost.tolist() if cell not in held.tolist()]
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     outline: dict[str, Any] = {"edgecolor": LOST_COLOUR, "linewidth": 0.8, "hatch": "//////"}

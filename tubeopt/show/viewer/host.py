@@ -92,6 +92,7 @@ def _bind(host: str, port: int) -> None:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
+            # A server that has just ended leaves its port waiting for a minute.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
@@ -156,8 +157,10 @@ def titled_page(page: str, title: str) -> str:
 
 def is_own(host_header: str, origin: str | None, host: str) -> bool:
     """Whether a request is from the server's own page: right host, and origin the same where the browser tells one."""
+    # Browsers send the origin with every websocket, other programs none: these are not the danger.
     if origin is not None and origin.split("://", 1)[-1] != host_header:
         return False
+    # Without the port, and without the brackets of an IPv6 address.
     name = host_header.rsplit(":", 1)[0].strip("[]")
     return name in LOCAL_NAMES if host in LOCAL_NAMES else True
 
@@ -194,6 +197,7 @@ def png(picture: np.ndarray) -> bytes:
 
     image = Image.fromarray(np.asarray(picture, dtype=np.uint8))
     if image.mode == "RGBA":
+        # The background is transparent, which some programs show as black.
         white = Image.new("RGBA", image.size, (255, 255, 255, 255))
         image = Image.alpha_composite(white, image).convert("RGB")
     out = io.BytesIO()
@@ -232,6 +236,7 @@ def arms_page(plan: ArmsPlan) -> str:
     arms and bodies in the frame that they share. Raises InputError where viser is not installed."""
     names = " and ".join(arm.called for arm in plan.arms)
     with quiet_server("127.0.0.1", 0) as server:
+        # All arms must be in sight.
         longest = max((each.end for each in plan.trajectories), key=lambda e: float(e.arc_length[-1]))
         look_from(server.initial_camera, longest, far=1.3)
         reach = max(tube.length for arm in plan.arms for tube in arm.robot.tubes)

@@ -65,6 +65,7 @@ class Insights:
     @property
     def chores(self) -> list[tuple[float, Job]]:
         """What to do when it has been quiet for so many seconds."""
+        # The faster an answer, the sooner it is computed: a map that begins early would delay the others.
         return [(0.03, self._certify), (0.1, self._bear), (0.35, self._trace), (0.6, self._chart)]
 
     @property
@@ -95,6 +96,7 @@ class Insights:
     def _way(self) -> Way:
         """What the S-curve depends on."""
         here = self._session().equilibrium
+        # The rotation of the tube itself is the abscissa: turning it moves the mark and leaves the curve.
         return self._at(), self.tube, tuple(np.delete(here.rotations, self.tube).tolist())
 
     def _certify(self) -> None:
@@ -122,6 +124,7 @@ class Insights:
         try:
             self._curve = key, _s_curve(*key)
         except (InputError, SolveError) as error:
+            # The failure is remembered too, so that it is not tried again at every rest.
             self._curve = key, None
             self._panel.plot("curve", f"no S-curve here: {error}", text=True)
         self.plot()
@@ -133,6 +136,7 @@ class Insights:
 
         def urgent(done: int, of: int) -> None:
             if self._waiting():
+                # Raised from the progress of the search, which has no other exit.
                 raise _InterruptedError
 
         session = self._session()
@@ -154,6 +158,7 @@ class Insights:
 def _s_curve(place: Place, tube: int, others: tuple[float, ...]) -> Branch:
     """The branch along a turn of one tube, from one limit to the other; raises as `trace_branch` does."""
     robot, shift = place
+    # Limits may be infinite, and curves repeat after a turn.
     ends = np.clip(robot.limits.rotations[tube], -WIDEST, WIDEST)
     start, end = (np.insert(np.array(others), tube, angle) for angle in ends)
     return trace_branch(robot, start, end, np.array(shift))
@@ -181,6 +186,7 @@ class Worker:
     def post(self, job: Job, *, key: str | None = None) -> None:
         """Have a job done; one with a key takes the place of any that waits under the same key."""
         with self._change:
+            # Of the positions of a slider only the latest matters: without it the robot would lag behind the hand.
             if key is not None:
                 self._jobs = deque(waiting for waiting in self._jobs if waiting[0] != key)
             self._jobs.append((key, job))
@@ -204,6 +210,7 @@ class Worker:
             job: Job | None = None
             with self._change:
                 if not self._jobs:
+                    # None waits for a job without end. Zero means that a chore is due.
                     wait = max(0.0, quiet + left[0][0] - time.monotonic()) if left else None
                     if wait != 0.0:
                         self._change.wait(wait)
@@ -211,7 +218,9 @@ class Worker:
                     job = self._jobs.popleft()[1]
             if job is not None:
                 self._attempt(job)
+                # After each job all chores are due again: what they know may be of another state.
                 left, quiet = list(self._chores), time.monotonic()
+            # The condition may wake early or spuriously, so the time is checked again.
             elif self._open and left and time.monotonic() >= quiet + left[0][0]:
                 self._attempt(left.pop(0)[1])
 
@@ -259,10 +268,12 @@ class Axes:
 
 def ticks(low: float, high: float, *, angle: bool = False) -> Array:
     """Three to six round numbers in a range."""
+    # Angles are read in parts of a turn, not in tens.
     steps = [15, 30, 45, 90, 180, 360] if angle else []
     decade = 10.0 ** np.floor(np.log10((high - low) / 5))
     steps += [round_ * decade for round_ in (1, 2, 5, 10)] if not angle or (high - low) < 60 else []
     step = next((s for s in sorted(steps) if (high - low) / s <= 5.5), max(steps))
+    # The slack keeps a tick at the end of a range, which round-off could lose.
     first = np.ceil(low / step - 1e-9)
     return np.asarray(np.arange(first, np.floor(high / step + 1e-9) + 1) * step)
 
@@ -299,6 +310,7 @@ def _number(value: float) -> str:
 def _range(values: Array, least: float) -> tuple[float, float]:
     """A range around values, no narrower than `least`."""
     low, high = float(np.min(values)), float(np.max(values))
+    # Six per cent keep lines off the frame; the last bound avoids a scale of no length.
     room = max(0.06 * (high - low), (least - (high - low)) / 2, 1e-12)
     return low - room, high + room
 
@@ -334,6 +346,7 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
     colour = tube_colour(tube)
     body = []
     for first, last, stable in stable_parts(fine.margin):
+        # The spline has 2000 points and the plot about 270 pixels.
         part = slice(first, last + 1, 4)
         body.append(axes.line(x[part], y[part], colour, dashed=not stable))
     body += [axes.dot(x[k], y[k], colour, hollow=True, radius=3.0) for k in fold_points(fine)]
@@ -358,11 +371,14 @@ def map_plot(chart: StabilityMap, equilibrium: Equilibrium) -> str:
             (x0, y1), (x1, y0) = axes.at(corners[:2], corners[2:])
             dim = ".45" if chart.snaps[i, j] else "1"
             body.append(
+                # 0.3 pixels more close the seams that browsers leave between rectangles.
                 f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0 + 0.3:.1f}" height="{y1 - y0 + 0.3:.1f}" '
                 f'fill="rgb{margin_colour(chart.margin[i, j])}" opacity="{dim}"/>'
             )
+    # Only relative rotations matter: turning all tubes together turns the whole arm.
     still = max(set(range(equilibrium.robot.n_tubes)) - set(chart.tubes))
     relative = np.degrees(equilibrium.rotations - equilibrium.rotations[still])
+    # Into [-180, 180) deg, the range of the map.
     wrapped = (relative + 180) % 360 - 180
     wound = bool(np.abs(wrapped - relative)[[first, second]].max() > 1e-9)
     body.append(axes.dot(float(wrapped[first]), float(wrapped[second]), "#111", hollow=wound))

@@ -48,6 +48,7 @@ def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
     if plane is None:
         return ""
     corners = [part.surface.vertices[part.surface.faces] for part in parts if part.name == SECTION]
+    # The cross product of two sides of a triangle has twice its area as length.
     twice = sum(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners)
     told = ", ".join(f"{x:.3g}" for x in plane.normal + 0.0)
     across = next((name for name, axis in ACROSS.items() if (plane.normal == axis).all()), told)
@@ -58,7 +59,11 @@ def cut_surface(surface: Surface, plane: Plane) -> Surface:
     """The part of a surface up to a plane: triangles across it are cut there."""
     trimesh = extra("trimesh.intersections", "view", "bodies that are cut")
     vertices, faces, _ = trimesh.slice_faces_plane(
-        surface.vertices, surface.faces.astype(np.int64), -plane.normal, plane.point
+        # trimesh keeps what lies ahead of the normal, and what is behind is wanted.
+        surface.vertices,
+        surface.faces.astype(np.int64),
+        -plane.normal,
+        plane.point,
     )
     return Surface(vertices, faces.astype(np.uint32))
 
@@ -67,6 +72,7 @@ def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array
     """What a plane cuts of bodies within a box: squares whose middles lie in one of them, facing beyond the plane."""
     corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
     side, frame = plane.height(corners), plane.frame
+    # All corners on one side: by convexity the plane misses the whole box.
     if not side.min() <= 0 <= side.max():
         return _squares(np.zeros((0, 4, 3)))
     along = frame.seen(corners)[:, :2]
@@ -74,6 +80,7 @@ def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array
     u, v = (np.arange(a + size / 2, b, size) for a, b in zip(along.min(0), along.max(0), strict=True))
     middle = frame.placed(np.stack(np.broadcast_arrays(u[:, None], v[None], 0.0), axis=-1))
     within = ((middle >= low) & (middle <= high)).all(-1)
+    # Outside of the box there is nothing but half-spaces without end, which would fill the whole plane.
     inside = middle[within & (nearest_distance(obstacles, middle) < 0)]
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2 @ frame.axes[:, :2].T
     return _squares(inside[:, None] + square)
@@ -127,9 +134,11 @@ def swept_volume(playback: Playback) -> Swept:
     for run in _runs(playback):
         rings = [_rings(each) for each in run]
         shapes += len(rings)
+        # A run of one shape is paired with itself: its volume is that of the arm.
         pairs = zip(rings, rings[1:] or rings, strict=False)
         for a, b in pairs:
             for k in range(PIECES):
+                # Four rings span one piece of the arm at two times; their hull covers the motion of points along lines.
                 points = np.concatenate([a[k], a[k + 1], b[k], b[k + 1]]).astype(np.float32)
                 hulls.append(manifold3d.Manifold.hull_points(np.ascontiguousarray(points * TO_MM)))
     whole = manifold3d.Manifold.batch_boolean(hulls, manifold3d.OpType.Add)
@@ -143,12 +152,14 @@ def _runs(playback: Playback) -> list[list[Equilibrium]]:
     points = playback.waypoints
     steps = strides(points.rotations, points.translations, turn=STEP, slide=SLIDE)
     count = np.maximum(np.ceil(steps), 1).astype(int)
+    # The union grows with the number of hulls: beyond MOST_SHAPES all steps are coarsened alike.
     count = np.maximum(1, np.floor(count * min(1.0, MOST_SHAPES / max(count.sum(), 1)))).astype(int)
     times = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(points.time, points.time[1:], count, strict=False)]
     runs: list[list[Equilibrium]] = [[playback.path.equilibria[0]]]
     before = 0.0
     for t in np.concatenate([*times, np.empty(0)]):
         if snaps_between(playback, before, float(t)):
+            # A hull across a snap would fill the space that the arm flew through.
             runs.append([])
         runs[-1].append(state_at(playback, float(t)))
         before = float(t)

@@ -76,6 +76,7 @@ class Scene:
         plate = plate_part(plate_radius(equilibrium))
         low = float(plate.surface.vertices[:, 2].min())
         self.layer("plate", [plate])
+        # Whole units, so that bold lines meet the edges of the floor.
         reach = 4 * float(np.ceil(max(tube.length for tube in equilibrium.robot.tubes) * SCALE))
         self._api.add_grid(
             "/floor",
@@ -106,6 +107,7 @@ class Scene:
             if self._trail is not None:
                 self._trail.visible = False
             return
+        # (k - 1, 2, 3): single segments take a colour each, which a line does not.
         segments = np.stack([trail[:-1, :3], trail[1:, :3]], axis=1).astype(np.float32) * SCALE
         colours = np.array([[margin_colour(m)] * 2 for m in trail[1:, 3]], dtype=np.uint8)
         if self._trail is None:
@@ -162,6 +164,7 @@ class Scene:
         """Draw a part; what stands there with as many vertices is changed, and not made anew."""
         vertices = (part.surface.vertices * SCALE).astype(np.float32)
         handle = self._parts.get(name)
+        # New vertices of an old mesh are sent without faces, and the browser builds nothing anew.
         if handle is not None and handle.vertices.shape == vertices.shape:
             handle.vertices = vertices
             handle.visible = True
@@ -178,6 +181,7 @@ class Scene:
             part.surface.faces,
             color=part.colour,
             opacity=None if part.opacity >= 1 else part.opacity,
+            # Back faces of closed opaque bodies are never seen; leaving them out saves work.
             side="front" if part.opacity >= 1 else "double",
             cast_shadow=False,
             receive_shadow=False,
@@ -215,6 +219,7 @@ class Mark:
             self._arrows.position = tuple(place * SCALE)
 
     async def _drawn(self, event: Any) -> None:
+        # The start of a drag is a click without motion.
         if event.phase != "start":
             self._dragged(np.array(event.target.position) / SCALE, event.phase == "end")
 
@@ -245,6 +250,7 @@ def obstacle_parts(obstacles: Sequence[Obstacle], reach: float) -> list[Part]:
 SIDES = {
     "side": (1.4, 0.0, 0.45),
     "front": (0.0, -1.4, 0.45),
+    # Exactly above, the direction of view and "up" would be parallel, and the camera could roll.
     "above": (0.0, -1e-3, 1.9),
     "corner": (0.85, -0.85, 0.75),
 }
@@ -254,8 +260,10 @@ it begins."""
 
 def look_from(seen: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:
     """Put a camera of viser's to one of `SIDES`, `far` times as far away, so that it sees the whole robot."""
+    # With all tubes withdrawn the camera would stand in the plate.
     length = max(float(equilibrium.arc_length[-1]), 0.02) * SCALE
     seen.position = tuple(far * length * np.array(SIDES[side]))
+    # About the middle of an arm, which bends away from the axis.
     seen.look_at = (0.0, 0.0, 0.45 * length)
 
 
@@ -274,6 +282,7 @@ def arrow_surface(start: Array, end: Array) -> Surface:
     """An arrow from one place to another."""
     length = float(np.linalg.norm(end - start))
     shaft, head, tall = 0.015 * length, 0.05 * length, 0.8 * length
+    # Points at edges are twice there, so that no normals are averaged across them and edges look sharp.
     profile = [(0.0, length), (head, tall), (head, tall), (shaft, tall), (shaft, 0.0), (shaft, 0.0), (0.0, 0.0)]
     body = revolved(np.array(profile))
     return Surface(start + body.vertices @ axes_about((end - start) / length), body.faces)
@@ -287,9 +296,11 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
     """
     s = after.arc_length
     first = np.column_stack([np.interp(s, before.arc_length, u) for u in before.curvature.T])
+    # Half a cosine: the motion begins and ends at rest.
     weights = ((1 - np.cos(np.pi * np.arange(count + 1) / count)) / 2)[:, None, None]
     u = (1 - weights) * first + weights * after.curvature
     h = np.diff(s)
+    # Mean curvature times length is the rotation vector of a step; without its third entry, no twist of the frame.
     turn = np.concatenate([(u[:, :-1] + u[:, 1:]) / 2 * h[:, None], np.zeros((count + 1, len(h), 1))], axis=2)
     frame = np.empty((count + 1, len(s), 3, 3))
     frame[:, 0] = after.frame[0]
@@ -297,6 +308,7 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
     position[:, 0] = after.position[0]
     for k in range(len(h)):
         frame[:, k + 1] = frame[:, k] @ scipy.spatial.transform.Rotation.from_rotvec(turn[:, k]).as_matrix()
+        # r' = R e3 by the trapezoidal rule.
         position[:, k + 1] = position[:, k] + h[k] * (frame[:, k, :, 2] + frame[:, k + 1, :, 2]) / 2
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.
     ends = Centreline(before).position(s), after.position

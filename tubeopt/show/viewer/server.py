@@ -87,9 +87,11 @@ class Player:
         if self._playing is not None:
             self._playing = None
             return
+        # At its end, the same button plays it again from the beginning.
         if self._time >= self.playback.duration:
             self._time = 0.0
         self.to(self._time)
+        # The instant at which time 0 of the trajectory was: the clock less the time reached.
         self._playing = time.monotonic() - self._time
         self._do(self._tick)
 
@@ -102,6 +104,7 @@ class Player:
         if now >= self.playback.duration:
             self._playing = None
             return
+        # Each tick is a job of its own, so that what the hand does comes in between.
         time.sleep(max(0.0, TICK - (time.monotonic() - began)))
         self._do(self._tick)
 
@@ -113,6 +116,7 @@ class Player:
         if self._session().robot != playback.path.equilibria[0].robot:
             self._playing = None
             raise InputError(OTHER_TUBES)
+        # Only a motion has a history; a leap of the slider passes no snap.
         since = self._time if log else None
         self._time = min(max(seconds, 0.0), playback.duration)
         self._change(lambda session: play_to(session, playback, self._time, since=since))
@@ -160,6 +164,7 @@ class Tab(Wishes):
     def change(self, verb: Verb, *, held: int | str | None = None, key: str | None = None, pause: bool = True) -> None:
         def go() -> None:
             if isinstance(held, int) and held < self.session.robot.n_tubes:
+                # The S-curve is that of the tube that was moved last.
                 self._insights.tube = held
             self._change(verb, held)
 
@@ -173,6 +178,7 @@ class Tab(Wishes):
                 return
             # Taken back without a snap on the way: it is where the robot was, not how it came from here.
             earlier = self._past.pop()
+            # `_change` remembers the state before it; taken back twice, it would only alternate between two.
             self._change(lambda session: replace(earlier, last=()))
             self._past.pop()
 
@@ -182,6 +188,7 @@ class Tab(Wishes):
         def led(session: Session) -> tuple[Session, str]:
             return pull(session, target, min_margin=self.panel.least_margin, obstacles=self._obstacles)
 
+        # While the target is dragged, all steps together are one change for undo.
         self.change(led, held=None if done else "lead")
 
     def drive(self, velocity: np.ndarray) -> None:
@@ -223,6 +230,7 @@ class Tab(Wishes):
 
     def look(self, side: str) -> None:
         def go() -> None:
+            # A camera that was turned over keeps its roll otherwise.
             self._client.camera.up_direction = (0.0, 0.0, 1.0)
             look_from(self._client.camera, self.session.equilibrium, side)
 
@@ -285,6 +293,7 @@ class Tab(Wishes):
         self.session, said = changed if isinstance(changed, tuple) else (changed, "")
         moved = self.session is not before
         if moved:
+            # A slider that is dragged makes dozens of changes; undo takes back the whole.
             if held is None or held != earlier:
                 self._past.append(before)
             self.scene.clear("ghosts")
@@ -295,6 +304,7 @@ class Tab(Wishes):
             self.panel.tick("workspace", "swept", on=False)  # which are of other tubes
         self._say(said, bad=bool(said))
         self._stale = True
+        # Pictures of states in between are skipped where more changes wait: the hand is followed without delay.
         if not self._worker.waiting:
             self._refresh(None if said else held)
 
@@ -302,10 +312,12 @@ class Tab(Wishes):
         """Show the session; the slider that is being dragged is left to the hand."""
         self._stale = False
         equilibrium = self.session.equilibrium
+        # All in one picture: otherwise arm, trail and target would be seen one after the other.
         with self._client.atomic():
             self.scene.show(equilibrium)
             if self._beside is not None and self._beside.visible and (words := self._beside.follow(self.session)):
                 self._say(words, bad=True)
+            # A target that is dragged belongs to the hand; following the tip, it would slip away.
             if self._held != "lead":
                 self._target.follow(equilibrium.tip_position)
             self._arrow.show(equilibrium, held=self._held == "push")
@@ -431,11 +443,13 @@ def serve(
         look_from(server.initial_camera, first.equilibrium)
         # Red, green, blue: x, y, z of the plate, 5 cm long.
         server.scene.world_axes.visible = True
+        # Sharing would publish the page over viser's relay.
         server.gui.configure_theme(show_share_button=False, show_logo=False)
 
         def came(client: Any) -> None:
             tab = Tab(client, view, hands)
             with lock:
+                # A browser may be gone before its tab is made: then nobody would close it.
                 if client.client_id in server.get_clients():
                     tabs[client.client_id] = tab
                     return
@@ -476,6 +490,7 @@ def _signals(over: threading.Event) -> Iterator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         over.set()
 
+    # Handlers only set an event: clean-up in a handler could wait for a lock that this thread holds.
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

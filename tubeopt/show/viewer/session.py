@@ -113,12 +113,14 @@ def check(
     """
     space, n = space_of(robot), robot.n_tubes
     q = space.join(rotations, translations)
+    # Values from a slider or a file are rounded; `scale` makes rad and m comparable.
     slack = 1e-9 * space.scale
     for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
         unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
         low, high = space.lower[k] * factor, space.upper[k] * factor
         raise InputError(f"{space.names[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}")
     gap = space.rows @ q - space.least
+    # Order of tubes: rows q >= least, a row for each pair of neighbours. Negative is how far it is broken.
     worst = np.minimum(space.rows @ here - space.least, 0.0) if here is not None else np.zeros_like(gap)
     short = [space.row_names[k] for k in np.flatnonzero(gap < worst - 1e-9 * space.length)]
     if order and short:
@@ -134,6 +136,7 @@ def allowed(robot: Robot, q: Array, joint: int) -> tuple[tuple[float, str], tupl
     low, high = (float(space.lower[joint]), "end of its range"), (float(space.upper[joint]), "end of its range")
     for gap, least, name in zip(space.rows, space.least, space.row_names, strict=True):
         if gap[joint] != 0:
+            # Solves gap . q = min(least, present value) for this joint, with the others fixed.
             bound = float((min(least, gap @ q) - gap @ q) / gap[joint] + q[joint]), name
             low, high = (max(low, bound), high) if gap[joint] > 0 else (low, min(high, bound))
     return low, high
@@ -162,6 +165,7 @@ def _moved(session: Session, rotations: Array, translations: Array) -> Session:
         return session
     ends = (here.rotations, rotations), (here.translations, translations)
     (steps,) = strides(*map(np.array, ends), turn=TRAIL_TURN, slide=TRAIL_SLIDE)
+    # Waypoints on the straight line add no turn: they are where the trail has points.
     part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(steps))))[:, None]
     path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here, load=here.load)
     return moved_along(session, path)
@@ -201,6 +205,7 @@ def moved_along(session: Session, path: Path) -> Session:
     """The session after its robot has gone along a path from where it was."""
     passed: list[Equilibrium] = []
     for k, there in enumerate(path.equilibria[1:]):
+        # Both sides of a snap, so that the trail shows the jump as a straight line.
         passed += [each for snap in path.snaps if snap.index == k for each in (snap.before, snap.after)]
         passed.append(there)
     return moved_to(session, passed[-1], path.snaps, passed=passed)
@@ -220,6 +225,7 @@ def moved_to(
     there = session.equilibrium if equilibrium is None else equilibrium
     steps = passed or [each for snap in snaps for each in (snap.before, snap.after)] + [there]
     tips = np.array([[*each.tip_position, each.margin] for each in steps])
+    # Bounded, as the whole trail is sent to the browser with every change.
     trail = tips if session.trail is None else np.concatenate([session.trail, tips])[-TRAIL:]
     recording = session.recording
     if recording is not None:
@@ -260,6 +266,7 @@ def other_equilibria(session: Session) -> list[Equilibrium]:
     here = session.equilibrium
     found = find_equilibria(session.robot, here.rotations, here.translations, load=here.load)
     distance = [float(np.abs(each.tip_rotations - here.tip_rotations).max()) for each in found]
+    # The present equilibrium is among them; the nearest is left out unless it is clearly another one.
     nearest = int(np.argmin(distance)) if found else -1
     return [each for k, each in enumerate(found) if k != nearest or distance[k] > SAME_TIP]
 
@@ -278,10 +285,12 @@ def redesign(session: Session, robot: Robot) -> Session:
     old, space = session.equilibrium, space_of(robot)
     q, before = space.join(old.rotations, old.translations), space_of(old.robot)
     inside = bool((space.clip(q) == q).all())
+    # Joint values out of order stay only where they were out of order before.
     keeps = inside and (space.admissible(q) or not before.admissible(session.q))
     rotations, translations = space.split(q if keeps else space.nearest(q))
     try:
         there = forward_kinematics(robot, rotations, translations, start=replace(old, robot=robot))
+        # 0.5 rad: a neighbour on the branch changes with the tubes, a snap usually turns a tip by much more.
         same = there.stable and float(np.abs(there.tip_rotations - old.tip_rotations).max()) < 0.5
     except (SolveError, InputError):
         same = False
@@ -332,6 +341,7 @@ def push_on(session: Session, load: Load) -> Session:
         return session
     path = push(here, load)
     there = path.equilibria[-1]
+    # Motion of the tip and redesign refuse an equilibrium with a load, even one without force.
     return moved_to(session, bare(there) if load == Load() else there, path.snaps)
 
 
@@ -351,6 +361,7 @@ def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
 
 def newtons_per_metre(equilibrium: Equilibrium) -> float:
     """Force on the tip that an arrow of one metre stands for."""
+    # The 2-norm is the largest singular value: displacement per force in the softest direction.
     softest = float(np.linalg.norm(equilibrium.compliance[:3, :3], 2))
     return 1 / (ARROW * softest)
 
@@ -372,6 +383,7 @@ def bearing_of(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | Non
     if load is None or rest is None:
         return None
     joints = equilibrium.rotations, equilibrium.translations
+    # From the unloaded state, as the limit is a factor on the whole load.
     limit = find_load_limit(equilibrium.robot, *joints, load, equilibrium=rest, up_to=UP_TO)
     return float(np.linalg.norm(equilibrium.tip_position - rest.tip_position)), limit
 

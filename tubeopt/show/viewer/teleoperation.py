@@ -54,6 +54,7 @@ class Hands:
 
     def admit(self, drive: Drive) -> str:
         """A word for a robot, which `drive` is told velocities (3,) of, as shares of the greatest speed."""
+        # 128 random bits: no other page can guess which robot to move.
         word = secrets.token_urlsafe(16)
         self._led[word] = drive
         return word
@@ -87,6 +88,7 @@ def read(message: str | bytes) -> tuple[str, Array]:
         raise InputError("the message has no tab and velocity") from None
     if not isinstance(word, str) or velocity.shape != (3,) or not np.isfinite(velocity).all():
         raise InputError("the velocity is not three finite numbers")
+    # Two keys at once are no faster than one; slower velocities stay as they are.
     return word, velocity / max(1.0, float(np.linalg.norm(velocity)))
 
 
@@ -107,6 +109,7 @@ class Hand:
             InputError: the robot bears a load, or is closer to a snap than the margin to keep.
         """
         now = time.monotonic()
+        # After a pause the first message would otherwise move the tip by the whole time of rest.
         passed, self._last = min(now - self._last, LONGEST), now
         if not velocity.any():
             return session, ""
@@ -115,9 +118,11 @@ class Hand:
         options = ServoOptions(speed=SPEED, min_margin=max(min_margin, LEAST_MARGIN))
         known = self._servo
         here = session.equilibrium
+        # The robot may have been moved by sliders meanwhile: a servo knows only what it did itself.
         if known is None or known.equilibrium is not here or (known.options, self._bodies) != (options, obstacles):
             known = Servo(session.robot, here, obstacles=obstacles, options=options)
             self._servo, self._bodies = known, obstacles
+        # Two messages may come at once; a step of no duration has no velocity.
         step = known.step(Command(velocity=SPEED * velocity), max(passed, 1e-3))
         return moved_to(session, step.equilibrium), step.why.words
 
@@ -171,6 +176,7 @@ def pull(
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:
     way = goal.position - tip
+    # Short parts keep the tip near the straight line: Gauss-Newton steps over a long way may go around.
     count = max(1, int(np.ceil(float(np.linalg.norm(way)) / (LONGEST_PULL * goal.space.length))))
     return [tip + way * k / count for k in range(1, count + 1)]
 

@@ -76,6 +76,7 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
             increase. Joint values out of the robot's limits, or no equilibrium at the start with the given tip
             rotations.
     """
+    # The column of times decides between both kinds of files.
     if TIME not in read_csv(path).columns:
         found = without_times(robot, load_path(path, robot))
     else:
@@ -105,6 +106,7 @@ def recorded(session: Session) -> Waypoints:
         InputError: nothing was recorded, or the robot did not move.
     """
     rows = np.array(session.recording or [np.zeros(2 * session.robot.n_tubes)])
+    # Equal rows would be waypoints at one time.
     moved = np.append(True, np.abs(np.diff(rows, axis=0)).max(1) > 0)
     if moved.sum() < 2:
         raise InputError("nothing was recorded: tick 'record what the robot passes', and move the robot")
@@ -115,6 +117,7 @@ def recorded(session: Session) -> Waypoints:
 def paced(rotations: Array, translations: Array) -> Array:
     """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
     seconds = strides(rotations, translations, turn=TURN_SPEED, slide=SLIDE_SPEED)
+    # Times must increase: 1 ms is far below a picture of the player.
     return np.concatenate([[0.0], np.cumsum(np.maximum(seconds, 1e-3))])
 
 
@@ -154,6 +157,7 @@ def _same(one: Equilibrium, other: Equilibrium) -> bool:
 def state_at(playback: Playback, time: float) -> Equilibrium:
     """Where the robot is at a time within the trajectory, s."""
     points = playback.waypoints
+    # The last waypoint not after `time`.
     k = min(max(int(np.searchsorted(points.time, time, side="right")) - 1, 0), len(points.time) - 1)
     here = playback.path.equilibria[k]
     if k == len(points.time) - 1 or time <= points.time[k]:
@@ -161,12 +165,14 @@ def state_at(playback: Playback, time: float) -> Equilibrium:
     part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
     parts = np.array([[0.0], [part]])
     way = [table[k] + parts * (table[k + 1] - table[k]) for table in (points.rotations, points.translations)]
+    # From the waypoint's equilibrium, which has the branch; a solve from home could end on another.
     return follow(here.robot, *way, start=here).equilibria[-1]
 
 
 def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
     """The snaps of a trajectory that happen after `start` and not after `end`, s."""
     times = playback.waypoints.time
+    # Half-open, so that a snap at the time of a tick is counted once.
     return tuple(snap for snap in playback.path.snaps if start < place_of(snap, times) <= end)
 
 
@@ -191,6 +197,7 @@ class Given:
         Raises:
             InputError: a name that no file can have.
         """
+        # The name comes from a browser: with directories, or "..", it could leave the folder.
         last = PurePosixPath(name.replace("\\", "/")).name
         if not last or last == ".." or "\0" in last:
             raise InputError(f"{name!r} is no name of a file")
@@ -200,6 +207,7 @@ class Given:
 
     def words(self, error: Exception) -> str:
         """What is wrong, in names of files as they were given."""
+        # The temporary folder means nothing to who loaded the file.
         return str(error).replace(f"{self._folder.name}/", "").replace(self._folder.name, "the files loaded here")
 
     def close(self) -> None:
