@@ -20,7 +20,7 @@ from tubeopt.bodies.anatomy import Anatomy
 from tubeopt.bodies.frames import Frame, base_frame
 from tubeopt.bodies.phantoms import bronchial_tree
 from tubeopt.errors import extra
-from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.runs.surroundings_file import load_anatomy
 from tubeopt.show.plots.trajectory import plot_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]

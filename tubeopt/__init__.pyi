@@ -87,9 +87,9 @@ from .robots.materials import NITINOL, Material
 from .robots.pieces import Piece, Slots
 from .robots.tubes import Tube
 from .runs.measurement_file import load_measurements
-from .runs.rig_file import load_rig, save_rig
 from .runs.study_file import load_study
 from .runs.sweeping import Sweep, sweep
+from .runs.workshop_file import load_rig, save_rig
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
 from .shaping.heating.controller import Feedback
 from .shaping.heating.plan import HeatingPlan

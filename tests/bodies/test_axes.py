@@ -15,8 +15,7 @@ from tubeopt import InputError
 from tubeopt.bodies.corridors import load_mesh, load_points
 from tubeopt.bodies.frames import stated_axes
 from tubeopt.bodies.images import read_image
-from tubeopt.runs.anatomy_file import load_anatomy, load_landmarks, load_pose
-from tubeopt.runs.obstacle_file import load_obstacles
+from tubeopt.runs.surroundings_file import load_anatomy, load_landmarks, load_obstacles, load_pose
 
 trimesh, nibabel, nrrd = (pytest.importorskip(name) for name in ("trimesh", "nibabel", "nrrd"))
 

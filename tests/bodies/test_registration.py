@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import InputError
 from tubeopt.bodies.frames import base_frame, register
-from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.runs.surroundings_file import load_anatomy
 from tubeopt.typing import Array
 
 PLACE = base_frame([0.03, -0.02, 0.05], [0.2, 0.4, 1.0], 0.8)

@@ -20,7 +20,7 @@ from tubeopt import InputError
 from tubeopt.bodies.corridors import MeshObstacle, load_mesh, load_points
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.bodies.solids import field_of_mesh, field_of_points, field_of_surface, largest_gap
-from tubeopt.runs.anatomy_file import load_anatomy
+from tubeopt.runs.surroundings_file import load_anatomy
 from tubeopt.show.plan_report import ARMS
 from tubeopt.show.viewer.view import load_bodies
 from tubeopt.typing import Array, Index

@@ -16,10 +16,10 @@ import pytest
 import tubeopt
 from tests.command_line import COLOUR, Run, answer, refused
 from tubeopt.files.yaml_file import load_yaml
-from tubeopt.runs.rig_file import BatteryEntry, RigEntry
 from tubeopt.runs.study_file import load_study
 from tubeopt.runs.sweep_file import load_sweep
 from tubeopt.runs.templates import KINDS
+from tubeopt.runs.workshop_file import BatteryEntry, RigEntry
 
 
 @pytest.fixture(autouse=True)

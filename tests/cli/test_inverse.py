@@ -15,8 +15,8 @@ from tubeopt import InputError, follow, forward_kinematics, load_equilibrium, lo
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Sphere
 from tubeopt.robots.file import load_waypoints
 from tubeopt.runs.inverse_study import load_joints, load_targets
-from tubeopt.runs.obstacle_file import load_obstacles
 from tubeopt.runs.study_file import load_study
+from tubeopt.runs.surroundings_file import load_obstacles
 
 ETR = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")
 TARGET = ("--target-mm", "50,30,150")

@@ -35,7 +35,7 @@ from tubeopt.files.checked import check
 from tubeopt.files.fields import EntryOf
 from tubeopt.robots.robot import resized
 from tubeopt.runs.inverse_study import InverseStudy
-from tubeopt.runs.obstacle_file import load_obstacles
+from tubeopt.runs.surroundings_file import load_obstacles
 from tubeopt.shaping.heating.rig import Circuit, Clamps, MoldBed
 from tubeopt.shaping.mold.spec import EndMill
 

@@ -14,11 +14,10 @@ from tubeopt import InputError
 from tubeopt.bodies.corridors import load_points
 from tubeopt.files.csv_file import read_csv
 from tubeopt.robots.file import load_waypoints
-from tubeopt.runs.anatomy_file import load_landmarks
 from tubeopt.runs.inverse_study import load_targets
 from tubeopt.runs.measurement_file import load_measurements
-from tubeopt.runs.mold_file import load_trials
-from tubeopt.runs.rig_file import load_heating_log
+from tubeopt.runs.surroundings_file import load_landmarks
+from tubeopt.runs.workshop_file import load_heating_log, load_trials
 
 PLAIN = "x_mm,y_mm,z_mm\n10.5,-20.25,150\n0,1e1,140.125\n"
 MM = np.array([[10.5, -20.25, 150.0], [0.0, 10.0, 140.125]])

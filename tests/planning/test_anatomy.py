@@ -23,10 +23,9 @@ from tubeopt.bodies.phantoms import LUMEN, TARGET, bronchial_tree, kidney, ventr
 from tubeopt.files.checked import check
 from tubeopt.planning import Trajectory, plan_trajectory
 from tubeopt.planning.smoothing import table_function
-from tubeopt.runs.anatomy_file import load_anatomy
 from tubeopt.runs.inverse_study import InverseStudy
-from tubeopt.runs.obstacle_file import load_obstacles
 from tubeopt.runs.plan_study import PlanStudy
+from tubeopt.runs.surroundings_file import load_anatomy, load_obstacles
 from tubeopt.show.plots.trajectory import plot_trajectory
 from tubeopt.show.viewer.scene import obstacle_parts
 from tubeopt.typing import Array, Mask

@@ -13,7 +13,7 @@ import tubeopt
 from tests.command_line import ROOT, Run, answer, refused
 from tubeopt import EntryRegion, InputError, PlanOptions, SolveError
 from tubeopt.bodies.obstacles import Sphere
-from tubeopt.runs.anatomy_file import load_pose
+from tubeopt.runs.surroundings_file import load_pose
 
 CRL = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
 START = (np.zeros(3), np.array([-0.02, -0.08, -0.09]))

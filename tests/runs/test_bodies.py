@@ -15,8 +15,8 @@ from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from tubeopt.files.checked import check
 from tubeopt.runs.design_parts import AvoidEntry
 from tubeopt.runs.inverse_study import InverseStudy
-from tubeopt.runs.obstacle_file import load_obstacles
 from tubeopt.runs.plan_study import PlanStudy
+from tubeopt.runs.surroundings_file import load_obstacles
 
 KINDS = "its kind must be one of sphere, capsule, half_space, box, corridor, mesh, anatomy"
 

@@ -453,5 +453,5 @@ def test_the_sweeps_in_configs_load(name: str) -> None:
 def test_help_has_an_example(run: Run) -> None:
     outcome = run("sweep", "--help")
     assert outcome.code == 0
-    for part in ("Example: tubeopt sweep configs/", "--json", "--out", "--scheduler"):
+    for part in ("Example: tubeopt sweep sweep_tips", "--json", "--out", "--scheduler"):
         assert part in outcome.out

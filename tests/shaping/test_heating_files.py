@@ -15,7 +15,7 @@ from PIL import Image
 from tubeopt import HeatingSpec, InputError, Material, Tube, load_rig, save_rig
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.robots.materials import NITINOL
-from tubeopt.runs.rig_file import load_heating_log, rig_from_dict
+from tubeopt.runs.workshop_file import load_heating_log, rig_from_dict
 from tubeopt.shaping.heating.calibration import HeatingLog, calibrate
 from tubeopt.shaping.heating.outcome import remarks
 from tubeopt.shaping.heating.plan import arduino_header, quench_time, slot_milliseconds

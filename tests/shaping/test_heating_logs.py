@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError
-from tubeopt.runs.rig_file import load_camera, load_heating_log
+from tubeopt.runs.workshop_file import load_camera, load_heating_log
 from tubeopt.shaping.firmware.line import SimulatedRig
 from tubeopt.shaping.heating.calibration import (
     FACTORS,

@@ -10,7 +10,7 @@ import pytest
 
 from tests.command_line import ROOT, THESIS, Run, answer, refused
 from tubeopt import ConcentricRobot, MoldSpec, Tube, load_robot, save_robot
-from tubeopt.runs.mold_file import load_mold_spec, mold_spec_from_dict
+from tubeopt.runs.workshop_file import load_mold_spec, mold_spec_from_dict
 from tubeopt.shaping.mold.ranking import rank_mold_materials
 
 ETR = str(ROOT / "configs" / "robots" / "thesis_etr.yaml")

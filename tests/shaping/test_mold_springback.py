@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tubeopt import InputError
-from tubeopt.runs.mold_file import load_springback, load_trials, save_springback
+from tubeopt.runs.workshop_file import load_springback, load_trials, save_springback
 from tubeopt.shaping import Springback, calibrate_springback
 
 RADII = np.array([40e-3, 60e-3, 80e-3, 120e-3, 200e-3])

@@ -22,8 +22,8 @@ from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
 from ..files.fields import asking, values
-from ..runs.obstacle_file import Bodies
 from ..runs.robot_keys import Posed, RobotPath, said_of
+from ..runs.surroundings_file import Bodies
 from ..show.command_report import Served
 from ..show.reports import report
 from .flags import asks

@@ -12,11 +12,11 @@ from pydantic import Field
 from ..errors import InputError
 from ..files.checked import Whole, in_file
 from ..runs.inverse_study import InverseStudy
-from ..runs.obstacle_file import Bodies
 from ..runs.plan_study import PlanStudy
 from ..runs.robot_keys import Loaded, Posed, RobotPath, joints_of
 from ..runs.stability_studies import SnapStudy
 from ..runs.study_file import Study, load_study
+from ..runs.surroundings_file import Bodies
 from ..show.command_report import Viewed
 from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES

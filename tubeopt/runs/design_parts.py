@@ -53,9 +53,8 @@ from ..robots.file import MaterialChoice, Range, material_of
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
 from ..typing import Array, Progress
-from .anatomy_file import AnatomyKey
-from .obstacle_file import Bodies
 from .robot_keys import RobotPath
+from .surroundings_file import AnatomyKey, Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
 """A number for every tube."""

@@ -38,7 +38,6 @@ from ..files.units import TO_MM
 from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
 from ..typing import Array, Progress
-from .anatomy_file import AnatomyKey, BasePart
 from .design_parts import (
     FEW,
     HARDLY,
@@ -52,9 +51,9 @@ from .design_parts import (
     hurried,
     load_stock,
 )
-from .obstacle_file import Place
 from .plan_study import PlacedPart, shared
 from .study_file import Timed
+from .surroundings_file import AnatomyKey, BasePart, Place
 
 StockPath = Annotated[
     tuple[StockTube, ...],

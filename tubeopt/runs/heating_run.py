@@ -28,8 +28,8 @@ from ..shaping.heating.sensors import Sensor, Thermocouple
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import FINE, thermal_model
 from ..typing import Progress
-from .rig_file import LOG_COLUMNS, load_rig
 from .study_file import Study
+from .workshop_file import LOG_COLUMNS, load_rig
 
 LOG_FILE = "log.csv"
 """Name of the log in the directory of a run."""

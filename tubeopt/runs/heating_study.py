@@ -34,9 +34,9 @@ from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Array, Progress
 from .mold_study import MoldPath
-from .rig_file import load_camera, load_heating_log, load_rig
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Timed
+from .workshop_file import load_camera, load_heating_log, load_rig
 
 
 @dataclass(frozen=True)

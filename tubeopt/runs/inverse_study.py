@@ -1,10 +1,11 @@
-"""Studies of inverse kinematics: joint values for a target, all of them, or for one target after another."""
+"""Studies of inverse kinematics, for one target or a table, and of the workspace."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -24,9 +25,11 @@ from ..robots.limits import check_target
 from ..robots.robot import Robot
 from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
-from .obstacle_file import Surrounded, TipPlace
+from ..workspaces import Findings, examine, workspace
+from ..workspaces.loss import require_centred
 from .robot_keys import HOME, Loaded, OnePerTube, RobotPath, joints_of
-from .study_file import Study
+from .study_file import Arguments, Options, Study, question
+from .surroundings_file import Surrounded, TipPlace
 
 # --- files of targets and of joint values -----------------------------------------------------------------------------
 
@@ -296,3 +299,24 @@ def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
         told = replace(solution, jump=leaps, reachable=None, path=None, straight_from_seed=False)
         out[k] = replace(rows[k], solution=told)
     return out
+
+
+# --- workspace --------------------------------------------------------------------------------------------------------
+
+
+@question("solving", keeps="finished samples are in {out}; the same command continues")
+def find_workspace(
+    robot: RobotPath,
+    sampling: Annotated[Options, Arguments(workspace, "samples", "method", "seed", "workers")],
+    examined: Annotated[Options, Arguments(examine, "size", "min_margin", "loss")],
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Tips at many joint values within a robot's limits.
+
+    With `out` the samples are saved there as they come, and a run that was stopped continues.
+    """
+    if examined["loss"]:
+        require_centred(robot)  # before the samples, which take minutes
+    found = workspace(robot, out=out, progress=progress, **sampling)
+    return examine(found, progress=progress, **examined)

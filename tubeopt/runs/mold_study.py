@@ -21,10 +21,9 @@ from ..shaping.mold.ranking import MaterialRating, rank_mold_materials
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import Calibration, Springback, calibrate_springback
 from ..typing import Progress
-from .mold_file import Trials, load_mold_spec, load_springback, load_trials
-from .rig_file import load_rig
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Arguments, Options, Study, Timed, question
+from .workshop_file import Trials, load_mold_spec, load_rig, load_springback, load_trials
 
 
 @dataclass(frozen=True, eq=False)

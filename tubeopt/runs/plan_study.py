@@ -38,10 +38,9 @@ from ..planning.tip_path import follow_the_leader, follow_tip_path
 from ..planning.trajectory import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from ..typing import Array, Progress
-from .anatomy_file import BasePart
-from .obstacle_file import Bodies, Place, Surrounded, TipPlace
 from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, said_of
 from .study_file import Study, Timed
+from .surroundings_file import BasePart, Bodies, Place, Surrounded, TipPlace
 
 RatesEntry = EntryOf[RateLimits]
 

@@ -21,11 +21,10 @@ from ..files.files import write_text
 from ..robots.file import ROBOT_KINDS
 from .design_parts import STOCK_KINDS
 from .inverse_study import JointsFile
-from .mold_file import MOLD_KINDS
-from .obstacle_file import ObstacleFile
-from .rig_file import RIG_KINDS
 from .study_file import STUDY_KINDS
+from .surroundings_file import ObstacleFile
 from .sweep_file import SweepEntry
+from .workshop_file import MOLD_KINDS, RIG_KINDS
 
 
 class _Numbers(GenerateJsonSchema):

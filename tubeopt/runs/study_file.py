@@ -248,7 +248,7 @@ STUDY_KINDS = Kinds(
         "plan": "plan_study.PlanStudy",
         "plan_arms": "plan_study.ArmsStudy",
         "verify": "plan_study.VerifyStudy",
-        "workspace": "workspace_study.find_workspace",
+        "workspace": "inverse_study.find_workspace",
         "heating": "heating_study.HeatingStudy",
         "led_heating": "heating_study.LedHeatingStudy",
         "heating_run": "heating_run.HeatingRunStudy",

@@ -31,10 +31,9 @@ from ..files.shipped import found, resolved
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
-from .mold_file import mold_spec_from_dict
-from .rig_file import rig_from_dict
 from .study_file import STUDY_KINDS, Study
 from .sweeping import NOT_A_RESULT, Axis, Points, Value, flatten
+from .workshop_file import mold_spec_from_dict, rig_from_dict
 
 Data = dict[str, Any]
 

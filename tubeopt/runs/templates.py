@@ -26,9 +26,9 @@ from ..robots.file import ROBOT_KINDS, load_robot, robot_from_dict
 from ..robots.materials import MATERIALS
 from ..robots.robot import Robot
 from ..shaping.materials import MOLD_MATERIALS
-from .rig_file import RIG_KINDS, rig_from_dict
 from .study_file import STUDY_KINDS
 from .sweep_file import SweepEntry
+from .workshop_file import RIG_KINDS, rig_from_dict
 
 Data = dict[str, Any]
 

@@ -17,9 +17,8 @@ from ..files.units import TO_MM, per_si
 from ..robots.file import save_robot
 from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
-from ..runs.mold_file import save_springback, springback_to_dict
 from ..runs.mold_study import Ranking
-from ..runs.rig_file import save_rig
+from ..runs.workshop_file import save_rig, save_springback, springback_to_dict
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clear_room, programs_of

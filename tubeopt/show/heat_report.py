@@ -15,7 +15,7 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..runs.heating_study import Heating, LedHeating, Success
-from ..runs.rig_file import rig_to_dict, save_rig
+from ..runs.workshop_file import rig_to_dict, save_rig
 from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of

@@ -23,8 +23,7 @@ from ...robots.file import Waypoints as Way
 from ...robots.file import load_waypoints as load_path
 from ...robots.load import Load
 from ...robots.robot import Robot
-from ...runs.anatomy_file import load_anatomy
-from ...runs.obstacle_file import load_obstacles
+from ...runs.surroundings_file import load_anatomy, load_obstacles
 from ...stability import Path as JointPath
 from ...stability import Snap, follow
 from ...stability.following import place_of
