@@ -33,6 +33,7 @@ GRADIENT = {
 }
 """Parameters of the certificate with the unit that its derivatives are per, and their names."""
 
+# As of every command: 3 where there is no solution, 4 where nothing is proved.
 EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
 """What `tubeopt certify` ends with."""
 
@@ -45,10 +46,12 @@ def sentence(a: Certification) -> str:
 def _finding(verdict: SnapAssessment) -> str:
     proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
     found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
+    # The certificate of eccentric robots bounds the torsional stiffness, not the margin.
     if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricSnapAssessment):
         return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
     if verdict.finding is Finding.SNAP_FREE:
         return f"{verdict.finding} (margin {proved} proved; {found} found)"
+    # An unstable equilibrium that the robot must pass proves a snap, though no path was followed to one.
     if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
         return f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
     if verdict.snap is None:
@@ -56,6 +59,7 @@ def _finding(verdict: SnapAssessment) -> str:
         if verdict.worst is not None and verdict.worst.margin < 0:
             least += ", an unstable equilibrium, so some path leads to a snap"
         return f"not proved (certificate {proved}), and search found no snap ({least})"
+    # What a search did not find within the limits may still be there: it is no proof.
     beyond = "" if verdict.decided else "search found that "
     where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
     start, end = (degrees(angles, ".6g") for angles in _way(verdict))
@@ -82,6 +86,7 @@ def command(a: Certification) -> str | None:
     if verdict.worst is None:
         return None
     angles, shift = _read(a, verdict.worst.equilibrium.rotations)
+    # 1e-4 deg is finer than any drive, and keeps the command short.
     return f"tubeopt equilibria {file} --rotations-deg {flag(np.round(angles, 4))} --translations-mm {flag(shift)}"
 
 
@@ -94,6 +99,7 @@ def _read(a: Certification, rotations: Array) -> tuple[Array, Array]:
 def _shares(a: Certification) -> list[tuple[tuple[int, int], float]]:
     """Pairs of tubes, from 1, and the part that each takes from a margin of 1; the largest first."""
     share = a.verdict.certificate.share
+    # The matrix of shares is symmetric: each pair once.
     pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
     return sorted((pair for pair in pairs if pair[1] > 0), key=lambda pair: -pair[1])
 
@@ -268,6 +274,7 @@ class CertificationReport(Report[Certification]):
 
     def _gradient(self) -> RenderableType:
         certificate = self.answer.verdict.certificate
+        # The smallest of several eigenvalues is not differentiable where two of them are equal.
         if not np.isfinite(certificate.gradient["curvature"]).all():
             if not np.isfinite(certificate.margin):
                 return Text("")

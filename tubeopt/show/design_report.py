@@ -263,6 +263,7 @@ class DesignReport(Report[DesignAnswer]):
             "out of time": "not tried in time",
         }
         for status, words in counts.items():
+            # A status may end in its reason: the beginning names the kind.
             count = sum(one.status.startswith(status) for _, one in choices[STOCK_ROWS:])
             rows += [[f"{count} more", "–", words]] if count else []
         return heads, rows
@@ -281,6 +282,7 @@ class DesignReport(Report[DesignAnswer]):
         found: dict[str, Drawing] = {"shapes": before_after(s, name)}
         if s.equilibria:
             found["poses"] = drawing("design.plot_poses", s)
+        # Of two tubes one relative rotation is all there is: a map over two has no meaning.
         if s.robot.n_tubes > 2:
             found["maps"] = lambda path=None: _draw_maps((s.task.robot, s.robot), path)
         if a.front is not None:
@@ -418,6 +420,7 @@ def pairs_of_places(share: PairShare, places: Sequence[Array]) -> str:
     they hold the pair."""
     columns = [f"{axis}{k}_mm" for k in (1, 2) for axis in "xyz"]
     rows = []
+    # Off the diagonal: both tips cannot be at one place.
     for i, j in np.argwhere(~np.eye(len(share.apart), dtype=bool)):
         apart = share.apart[i, j]
         told = "" if np.isnan(apart) else float(at_least(apart))
@@ -447,6 +450,7 @@ class PairReport(Report[PairAnswer]):
             paths.append(directory / f"arm_{arm.number}" / "robot.yaml")
             save_robot(arm.solution.robot, paths[-1])
         paths.append(directory / "pairs.csv")
+        # Targets are known in the frame of the first plate; both arms share the frame outside of it.
         places = a.plates[0].placed(a.after.reached[0].targets) * TO_MM
         write_text(paths[-1], pairs_of_places(a.after, list(places)))
         return [*paths, self.save_record(directory)]

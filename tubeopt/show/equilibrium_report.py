@@ -159,6 +159,7 @@ EQUILIBRIUM = described(
 def by_history(e: Equilibrium) -> Array | None:
     """(3,) half widths (m) to first order of where friction can hold the tip; None where the robot tells of none."""
     friction = friction_of(e.robot)
+    # A state that was followed with friction has a history already; the band is for unknown histories.
     if friction is None or e.friction is not None or not e.stable:
         return None
     from ..stability import friction_band  # with all of stability, which forward kinematics starts without

@@ -176,6 +176,7 @@ def _within(interval: tuple[float, float] | None) -> str:
 def _radii(c: Calibration) -> list[float] | None:
     """Least and greatest mold radius of the trials, m."""
     known = c.springback.curvature_range
+    # The largest curvature is the least radius.
     return None if known is None else [1 / max(known), 1 / min(known)]
 
 
@@ -212,6 +213,7 @@ class CalibrationReport(Report[Calibration]):
         assert back.curvature_range is not None
         yields = [
             (f"mold radius {TO_MM / kappa:.4g} mm yields", f"{TO_MM / back.obtained(kappa):.4g} mm")
+            # From the least radius up; a single curvature is both ends of its range.
             for kappa in sorted(set(back.curvature_range), reverse=True)
         ]
         return super().rows() + yields

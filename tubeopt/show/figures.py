@@ -81,6 +81,7 @@ class FigureReport(Report[Figures]):
         for name, draw in self.answer.shown.pictures().items():
             picture = directory / file_name(name)
             headings: list[str] = []
+            # A context variable reaches all pictures without an argument through every plot function.
             token = HEADINGS.set(headings)
             try:
                 figure = draw(picture)

@@ -73,6 +73,7 @@ def order_remarks(robot: Robot, translations: Array) -> list[str]:
 
 def row(values: ArrayLike, form: str) -> str:
     """Numbers with commas between them, none of them a negative 0."""
+    # Round-off below 1e-12 would show as -0.000.
     texts = (format(round(value, 12) + 0.0, form) for value in np.asarray(values, dtype=float))
     return ", ".join(text.removeprefix("-") if text.strip("-0.") == "" else text for text in texts)
 

@@ -39,6 +39,7 @@ def _verdict(plan: HeatingPlan) -> str:
 
 def held_duties(plan: HeatingPlan) -> tuple[int, int]:
     """Greatest and least duty during the hold."""
+    # The last instant is the end of the hold: its duty belongs to the slot after.
     duties = plan.duty[plan.in_hold][:-1]
     return int(duties.max()), int(duties.min())
 
@@ -263,6 +264,7 @@ class HeatingReport(Report[Heating]):
         paths = _save_schedule(self.answer.plan, directory, "schedule")
         for table in self.answer.tables:
             paths += _save_schedule(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V")
+        # The rig goes with the plan: only with it can the schedule be simulated again.
         data = self.record() | {"rig_data": rig_to_dict(self.answer.plan.rig)}
         write_text(directory / self.file, to_text(data))
         return [*paths, directory / self.file]
@@ -410,6 +412,7 @@ class LedHeatingReport(Report[LedHeating]):
         answer, feedback = self.answer, self.answer.feedback
         if not answer.plan.feasible:
             raise SolveError(missed(answer.plan))
+        # A heating that fails more often than not is no success, though the nominal rig keeps the window.
         if feedback.probability < 0.5:
             raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} random rigs stay in the window")
 
@@ -486,6 +489,7 @@ def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str
         return []
     who = "this computer" if row.get("led") else "the board's own law"
     rest = leader.rest
+    # The rest begins at the present slot; what is left of the hold begins as many slots later.
     hold = () if rest is None else rest.reading[max(leader.planner.law.hold[0] - rest.place, 0) :]
     told = [("led by", f"{who}; the rig heats {100 * leader.strength:+.0f} % more than its file says")]
     return told if not len(hold) else [*told, ("foretold", f"{min(hold):.0f} to {max(hold):.0f} degC in the hold")]
@@ -509,6 +513,8 @@ def _told(hello: dict[str, Any], row: dict[str, Any], readings: list[float]) -> 
 
 def _curve(readings: list[float]) -> str:
     """The readings so far as a line of blocks."""
+    # Every k-th reading, k rounded up, so that the line never exceeds WIDTH.
     shown = readings[:: max(1, -(-len(readings) // WIDTH))]
+    # A scale from 0 degC; at least 1, as all readings may be 0 or below.
     top = max(max(shown), 1.0)
     return "".join(BLOCKS[round(max(value, 0.0) / top * (len(BLOCKS) - 1))] for value in shown)

@@ -154,6 +154,7 @@ ROW = described(
     Row,
     "number",
     *OF_THE_TARGET,
+    # The target is known without a solution, so that its keys come from the row.
     *within([q for q in SOLUTION if q.key not in {own.key for own in OF_THE_TARGET}], lambda r: r.solution),
     "problem",
 )
@@ -201,6 +202,7 @@ def _ways(reached: Sequence[InverseSolution]) -> str:
 
 
 def _between(a: TargetTable) -> str | None:
+    # Rows that are not given were put in between by the search.
     between = len(a.rows) - len(_given(a))
     return f"{between} targets, so that the robot does not jump" if a.followed and between else None
 
@@ -244,6 +246,7 @@ class TargetTableReport(Report[TargetTable]):
 
     def _cells(self, answers: int) -> Iterator[Sequence[object]]:
         for r in self.answer.rows:
+            # Targets in between have fractional numbers, as 3.5.
             target: list[object] = [f"{r.number:g}", *(in_unit(float(x), MM) for x in r.position)]
             target += ["", "", ""] if r.direction is None else [float(x) for x in r.direction]
             s = r.solution
@@ -260,6 +263,7 @@ class TargetTableReport(Report[TargetTable]):
 
     def pictures(self) -> dict[str, Drawing]:
         reached = _reached(self.answer)
+        # One target has no path to be drawn.
         return {"targets": drawing("workspace.plot_targets", reached)} if len(reached) > 1 else {}
 
     def conclude(self) -> None:

@@ -79,6 +79,7 @@ def _drawn(draw: Drawing | None) -> bytes | None:
 def _html(table: RenderableType, picture: bytes | None, name: str) -> str:
     """A piece of a page: a table, and a picture below where there is one."""
     console = Console(record=True, file=io.StringIO(), width=WIDTH, force_jupyter=False)
+    # Cropped at the width of a terminal, long rows would lose their end; the page scrolls.
     console.print(table, crop=False)
     frame = '<pre style="line-height:1.25;overflow-x:auto">{code}</pre>'
     told = console.export_html(inline_styles=True, code_format=frame).strip()
@@ -100,6 +101,7 @@ def _told(answer: Any) -> tuple[Callable[[], RenderableType], Drawing | None]:
         return lambda: two_columns(name, rows(answer, summary.quantities)), summary.picture(answer)
     if isinstance(answer, AnyRobot):
         return told.table, _at_home(answer)
+    # Names with a suffix are files of other kinds, such as a page, that a notebook cannot show.
     return told.table, next((draw for picture, draw in told.pictures().items() if "." not in picture), None)
 
 
@@ -158,6 +160,7 @@ def show_in_3d(
 
 
 def _mesh(library: Any, part: Part, opacity: float) -> Any:
+    # 1 um and four bytes: a scene is stored in the notebook as text.
     x, y, z = np.round(part.surface.vertices * TO_MM, DIGITS).astype(np.float32).T
     i, j, k = part.surface.faces.T
     colour = f"rgb{part.colour}"

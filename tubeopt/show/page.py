@@ -31,6 +31,7 @@ TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9"
 
 def tube_colour(index: int) -> str:
     """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
+    # From the seventh tube on colours repeat.
     return TUBE_COLOURS[index % len(TUBE_COLOURS)]
 
 

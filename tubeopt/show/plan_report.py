@@ -49,6 +49,7 @@ HOW = {
 
 def _clearance(p: Proof) -> str | None:
     measured = f"({p.measured_clearance * TO_MM:.3f} mm measured)"
+    # -inf where no bound is shown, +inf without obstacles.
     if np.isfinite(p.least_clearance):
         return f"at least {at_least(p.least_clearance):.3f} mm at all times {measured}"
     return f"none is shown {measured}" if p.least_clearance < 0 else None
@@ -143,6 +144,7 @@ def _chosen(t: Trajectory) -> str | None:
     if t.entry is None:
         return None
     (x, y, z), axes = t.entry.frame.origin * TO_MM, t.entry.frame.axes
+    # The last column is the new axis; its z component is the cosine to the old one. Round-off may exceed 1.
     leans = np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))
     words = f"moved by {x:.2f}, {y:.2f}, {z:.2f} mm, leaning {leans:.1f} deg"
     return f"{words}; {t.entry.considered} positions considered, {t.entry.tried} tried"
@@ -205,6 +207,7 @@ def largest_by_history(t: Trajectory) -> Array | None:
     """(3,) m, the largest of FELT samples evenly spaced in time; None where the robot tells of no friction."""
     chosen = np.unique(np.linspace(0, len(t.arms) - 1, FELT).round().astype(int)).tolist()
     found = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
+    # Per axis: the largest along x and along y may be at different instants.
     return np.max(found, axis=0) if found else None
 
 
@@ -245,6 +248,7 @@ class TrajectoryReport(Report[Trajectory]):
     def _tip(self) -> Iterator[Sequence[object]]:
         t = self.answer
         for time, tip, margin, clear in zip(t.time, t.tip_position, t.margin, t.clearance, strict=True):
+            # To 1 nm, so that round-off does not show in the file.
             shown = round(float(clear) * TO_MM, 6) if np.isfinite(clear) else ""
             yield [float(time), *(round(float(x) * TO_MM, 6) + 0.0 for x in tip), float(margin), shown]
 
@@ -270,6 +274,7 @@ class TrajectoryReport(Report[Trajectory]):
 
 def _pose(base: Frame) -> str:
     """A frame in RAS as a matrix of four rows, mm, as `base: {pose: base.txt}` of an anatomy reads it."""
+    # Homogeneous 4 x 4 matrix, as navigation software exchanges it.
     rows = [*np.column_stack([base.axes, base.origin * TO_MM]), np.array([0.0, 0.0, 0.0, 1.0])]
     return "# SPACE=RAS\n" + "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
 
@@ -328,6 +333,7 @@ def _bound(pair: PairProof) -> str:
 
 def _clearance_from(plan: ArmsPlan) -> str | None:
     """What the clearance of the arms is from, of obstacles that are no solids; None where all are."""
+    # Each sentence once, in the order of the arms.
     return "; ".join(dict.fromkeys(chain(*(proof.clearance_from for proof in plan.proof.proofs)))) or None
 
 
@@ -389,8 +395,10 @@ def between_arms(plan: ArmsPlan) -> str:
     times, pairs = np.linspace(0.0, plan.duration, INSTANTS), plan.proof.pairs
     words = [f"arms_{pair.arms[0] + 1}_{pair.arms[1] + 1}" for pair in pairs]
     columns = ["time_s", *(f"{each}_mm" for each in words), *(f"{each}_at_least_mm" for each in words)]
+    # The bound of a row covers the interval up to the next row.
     later = np.append(times[1:], times[-1])
     bounds = np.column_stack([pair.at_least(times, later) for pair in pairs])
+    # Rounded down, since a bound that is rounded up is no bound.
     proved = np.where(np.isfinite(bounds), at_least(bounds, 6), np.nan)
     measured = np.round(plan.clearance(times) * TO_MM, 6)
     rows = (

@@ -35,6 +35,7 @@ class Bar:
     def __init__(self, what: str, shown: bool) -> None:
         self._what = what
         self._console = Console(stderr=True)
+        # In a file or a pipe, a bar would be hundreds of lines.
         self._shown = shown and self._console.is_terminal
         self._bar = Progress(
             SpinnerColumn(),
@@ -44,6 +45,7 @@ class Bar:
             TimeRemainingColumn(),
             console=self._console,
             transient=True,
+            # s: solves take from milliseconds to seconds, and a shorter mean would jump.
             speed_estimate_period=30.0,
         )
         self._task: TaskID | None = None
@@ -51,6 +53,7 @@ class Bar:
 
     def __call__(self, done: int, total: int, failed: int = 0) -> None:
         """Show how much is done, of how much, 0 where nobody knows, and how much of it has failed."""
+        # rich shows a pulse for an unknown total, and a full bar for 0.
         self._show(completed=done, total=total or None, failed=failed)
 
     def iteration(self, stage: str, value: float) -> None:

@@ -118,6 +118,7 @@ def described(kind: type[A], *entries: str | Quantity[A] | EllipsisType) -> tupl
         listed += [of_field(kind, name) for name in entry.split()] if isinstance(entry, str) else [entry]
     keys = {one.key for one in listed if isinstance(one, Quantity)}
     every = [of_field(kind, name) for name in _marked(kind)] if ... in listed else []
+    # A field that is named has its own place, and is not repeated where `...` stands.
     others = [one for one in every if one.key not in keys]
     return tuple(each for one in listed for each in (others if isinstance(one, EllipsisType) else [one]))
 
@@ -130,6 +131,7 @@ def of_field(kind: type[A], name: str, **changes: Any) -> Quantity[A]:
             field that has parts with marks (`X`, `X | None`, `tuple[X, ...]`) is described by all of these.
     """
     marks = _marked(kind).get(name) or _of_part(kind, name)
+    # Reversed, so that of two marks of one type the first is kept.
     first: dict[type, Any] = {type(mark): mark for mark in reversed(marks[1:])}
     named, shown = first.get(Key, Key("")), first.get(Form, Form(""))
     key = named.name or (f"{name}_{named.unit}" if named.unit else name)
@@ -145,6 +147,7 @@ def _marked(kind: type) -> Mapping[str, tuple[Any, ...]]:
 
 @functools.lru_cache(maxsize=256)
 def _hints(kind: Any) -> Mapping[str, Any]:
+    # Resolving annotations is slow, and a table with parts asks for the same class many times.
     return typing.get_type_hints(kind, include_extras=True)
 
 
@@ -181,6 +184,7 @@ def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
 
         return find
 
+    # A row of words alone has no value to find.
     get = of_the_whole(q.found) if q.key else None
     words = of_the_whole(q.words) if callable(q.words) else q.words
     return Quantity(q.key, q.about, get, q.form, words, q.of, q.label, q.digits, q.optional)
@@ -212,6 +216,7 @@ _AS_IT_IS = frozenset([bool, str, dict, type(None)])
 def in_units(value: Any, unit: str) -> Any:
     """A value in SI, plain and in a unit: numbers and arrays are converted, all else is left as it is."""
     kind = type(value)
+    # The most frequent kinds first: a sweep converts millions of numbers.
     if kind is float:
         return value * per_si(unit) if unit else value
     if kind in _AS_IT_IS:
@@ -225,6 +230,7 @@ def in_units(value: Any, unit: str) -> Any:
     if isinstance(value, str | Mapping) or not unit:
         return value
     factor = per_si(unit)
+    # Times 1, an integer would become a float in JSON.
     return value if factor == 1 else value * factor
 
 
@@ -272,6 +278,7 @@ def load_in_words(load: Load) -> str:
 
 def _softness(e: Equilibrium) -> str:
     # m/N are mm/mN.
+    # Singular values: displacement per force in the stiffest and the softest direction.
     softness = np.linalg.svd(e.compliance[:3, :3], compute_uv=False)
     return f"by {softness[-1]:.4g} to {softness[0]:.4g} mm/mN"
 

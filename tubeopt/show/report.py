@@ -54,6 +54,7 @@ def drawing(plot: str, what: Any, **options: Any) -> Drawing:
         options: what it takes besides.
     """
     module, _, name = plot.rpartition(".")
+    # Imported by the call, since Matplotlib takes longer to load than a solve.
     return lambda path=None: getattr(import_module(f".plots.{module}", __package__), name)(what, path, **options)
 
 
@@ -79,6 +80,7 @@ class Report(Generic[A]):
     def __init_subclass__(cls) -> None:
         """A class of reports is that on the answers which it names in its brackets."""
         for base in cls.__dict__.get("__orig_bases__", ()):
+            # The class in the brackets, as of Report[Trajectory]: no second table of kinds is needed.
             report.register(get_args(base)[0], cls)
 
     def record(self) -> dict[str, Any]:
@@ -170,6 +172,7 @@ def report(answer: object) -> Report[Any]:
 
 def to_text(data: dict[str, Any]) -> str:
     """`data` as one JSON object; numbers that are not finite become null."""
+    # JSON has no NaN and no infinity; the standard library would write them anyway.
     return to_json(data, indent=2, inf_nan_mode="null").decode() + "\n"
 
 

@@ -111,6 +111,7 @@ def report(answer: object) -> Report[Any]:
     Raises:
         TypeError: nothing is said about such an object.
     """
+    # By name, so that the class of an answer need not be imported to be compared.
     names = {kind.__name__ for kind in type(answer).__mro__}
     for module, known in MODULES.items():
         if names & set(known):
@@ -188,6 +189,7 @@ def _keys(
     signatures = _signatures(shown)
     i = 0
     while i < len(shown):
+        # Two keys are shorter than a reference to them; the whole list cannot refer to itself.
         same = [one for one in known if len(one) > 2 and len(one) < len(shown) and signatures[i : i + len(one)] == one]
         if same:
             longest = max(same, key=len)

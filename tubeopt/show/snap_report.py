@@ -113,6 +113,7 @@ def _remarks(m: stability.Path) -> list[str]:
             within = ", ".join(str(one.tube + 1) for one in inside)
             said.append(f"the tip is the end of tube {tip}, and tube {within} ends inside an outer tube")
         for words in said:
+            # One remark for all waypoints with the same words: a path may have thousands.
             found.setdefault(words, []).append(k)
     return [f"{words}, {_waypoints(where)}" for words, where in found.items()]
 
@@ -236,7 +237,9 @@ class PathReport(Report[stability.Path]):
 def _nearest(a: RobotMap) -> Array | None:
     """The snap that needs the least turning of the tube that turns more; None without snaps."""
     boundary = a.map.boundary
+    # Directions without a snap are NaN.
     boundary = boundary[np.isfinite(boundary).all(1)]
+    # Maximum norm: both drives turn at once, and the larger turn takes the time.
     return boundary[np.argmin(np.abs(boundary).max(1))] if len(boundary) else None
 
 
@@ -248,8 +251,11 @@ def _least_before(a: RobotMap) -> float | None:
 def _snapping_fraction(a: RobotMap) -> float:
     """Part of all directions; each stands for those that are closer to it than to its neighbours."""
     angles = a.map.directions
+    # Half of the distance between both neighbours, times 2; directions need not be even.
     wide = np.roll(angles, -1) - np.roll(angles, 1)
+    # The neighbours of the first and last direction lie a turn away.
     wide[[0, -1]] += 2 * np.pi
+    # The weights add to 4 pi, twice a turn.
     return float(wide @ np.isfinite(a.map.boundary).all(1)) / (4 * np.pi)
 
 
@@ -342,6 +348,7 @@ BEARING = described(
 
 def _size(load: Load, factor: float) -> str:
     """How large a multiple of a load is: its force and moment at the tip if it has nothing else, and the factor."""
+    # Of a combined load no single size is meaningful; the factor alone is reported.
     alone = not load.points and load.distributed is None and load.gravity is None
     sizes = [(factor * float(np.linalg.norm(part)), unit) for part, unit in ((load.force, "N"), (load.moment, "N m"))]
     parts = [f"{x:.4g} {unit}" if x >= 1 else f"{x * TO_MILLI:.4g} m{unit}" for x, unit in sizes if x > 0]
@@ -429,6 +436,7 @@ def _largest(r: ForceRecord) -> str | None:
 
 
 def _errors(r: ForceRecord) -> str | None:
+    # NaN: undetermined, or no estimate.
     told = r.standard_error[~np.isnan(r.standard_error[:, 0])]
     return f"{row(np.median(told, axis=0) * TO_MILLI, '.3g')} mN along x, y, z" if len(told) else None
 
@@ -482,12 +490,15 @@ class ForceReport(Report[ForceRecord]):
         return [self.save_record(directory), path]
 
     def _cells(self) -> Iterator[list[object]]:
+        # Row by row: xx, xy, xz, yy, yz, zz, as the columns are named.
         upper = np.triu_indices(3)
         for k, e in enumerate(self.answer.estimates):
             turns = [in_unit(float(a), DEG) for a in self.answer.measurements.rotations[k]]
             if e is None:
+                # 3 components, 3 standard errors, 6 covariances and the residual.
                 yield [k + 1, *turns, *[""] * 13]
                 continue
             numbers = np.concatenate([e.force, np.sqrt(np.diag(e.covariance))]) * TO_MILLI
+            # N^2 to mN^2.
             square = e.covariance[upper] * TO_MILLI**2
             yield [k + 1, *turns, *(f"{v:.9g}" for v in (*numbers, *square, e.residual * TO_MM))]

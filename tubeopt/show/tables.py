@@ -129,6 +129,7 @@ def columns(answer: Any) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for variable in _description(answer)[1]:
         values = variable.values(answer)
+        # Times a factor, true would become 1.
         shown = values if values.dtype == bool else values * per_si(variable.unit)
         if not variable.inner:
             found[variable.column] = shown
@@ -232,6 +233,7 @@ def matlab_names(columns: Iterable[str]) -> list[str]:
         plain = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
         plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:LONGEST_NAME]
         name, count = plain, 1
+        # Shortened or cleaned names may coincide.
         while name in found:
             count += 1
             name = f"{plain[: LONGEST_NAME - len(str(count)) - 1]}_{count}"
@@ -241,12 +243,14 @@ def matlab_names(columns: Iterable[str]) -> list[str]:
 
 def _matlab(values: Array) -> Array:
     """Numbers and truths as they are, anything else as texts."""
+    # savemat writes an array of objects as a cell array.
     return values if values.dtype.kind in "biuf" else np.array([str(value) for value in values], dtype=object)
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    # NaN differs from itself; in CSV it is an empty cell.
     return "" if value != value else str(value)
 
 

@@ -71,11 +71,13 @@ REGISTRATION = described(
 
 
 def _axis_error(v: Validation) -> float | None:
+    # NaN in rows without a measured direction.
     return None if v.axis_errors is None else float(np.sqrt(np.nanmean(v.axis_errors**2)))
 
 
 def _stations(v: Validation) -> list[dict[str, float]] | None:
     behind = v.measurements.stations
+    # With the tip alone it would repeat the error of the tip.
     if len(behind) == 1:
         return None
     summaries = [_summary(ErrorSummary.of(v.along[:, k]), v.length) for k in range(len(behind))]
@@ -93,6 +95,7 @@ def _both_ways(v: Validation) -> str | None:
 
 
 def _registered(found: Registration) -> str:
+    # Exactly the identity: nothing was fitted.
     if np.array_equal(found.rotation, np.eye(3)) and not found.translation.any():
         return f"{found.method}: the device's frame is the plate's"
     return f"{found.method}: yaw {np.degrees(found.yaw):.2f} deg, tilt {np.degrees(found.tilt):.2f} deg"
@@ -200,6 +203,7 @@ class FitReport(Report[Fit]):
     def rows(self) -> list[tuple[str, str]]:
         """The comparison after the fit, the errors before, after and held out, the noise."""
         compared = quantities.rows(self.answer.after, COMPARISON)
+        # The error after the fit is one of three here, and takes the place of the single one.
         at = [name for name, _ in compared].index("tip error")
         errors = quantities.rows(self.answer, FIT_ERRORS)
         return [*compared[:at], *errors, *compared[at + 1 :], *quantities.rows(self.answer, FIT)]

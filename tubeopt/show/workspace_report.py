@@ -38,11 +38,13 @@ LOSS = described(
 def _extent(a: Findings, side: int) -> Array:
     """Least (side 0) or greatest (1) coordinates of the voxels, m."""
     cubes = a.voxels
+    # A voxel is known by its lower corner, so the upper end is one index further.
     corner: Array = (cubes.index.max(0) + 1) * cubes.size if side else cubes.index.min(0) * cubes.size
     return corner
 
 
 def _least_margin(a: Findings) -> float:
+    # Part by part: a streamed workspace need not fit into memory.
     return float(min(np.nanmin(part[:, -1], initial=np.inf) for _, part in a.workspace.chunks()))
 
 

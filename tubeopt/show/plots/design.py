@@ -185,6 +185,7 @@ def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figu
     for row, one in enumerate(best):
         for k, size in enumerate(one.sizes):
             outer = 0.45 * size.outer_diameter / max(s.outer_diameter for c in best for s in c.sizes)
+            # Annulus takes the width of the ring: r_o - r_i.
             wall = outer * (1 - size.inner_diameter / size.outer_diameter)
             left.add_patch(Annulus((0.0, row), outer, wall, fc=tube_colour(k), ec="none"))
         value = (one.objective or 0.0) * wanted.factor
@@ -219,8 +220,10 @@ def plot_pair_shares(
     """
     figure = new_figure(7.2, 3.4)
     panels = figure.subplots(1, 2, sharey=True)
+    # The clearance is the middle of the colours: what is kept and what is not differ in hue.
     most = 2 * TO_MM * max(shares[1].clearance, 1e-4)
     for panel, one, when in zip(panels, shares, ("as given", "as designed"), strict=True):
+        # NaN lets the grey of the panel show.
         table = np.where(np.eye(len(one.apart), dtype=bool), np.nan, one.apart * TO_MM)
         panel.set_facecolor(FAINT)
         panel.imshow(table, vmin=0, vmax=most, cmap="RdBu")
@@ -254,6 +257,7 @@ def plot_pair_places(
         raise InputError(f"places has shape {np.shape(places)}; it must be ({len(shares[0].apart)}, 3)")
     figure = new_figure(7.0, 7.6)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    # Half of the largest extent and a tenth of it as an edge: all panels have one scale.
     middle, half = (places.max(0) + places.min(0)) / 2 * TO_MM, 0.6 * float(np.ptp(places, axis=0).max()) * TO_MM
     for column, one, when in zip(panels.T, shares, ("as given", "as designed"), strict=True):
         column[0].set_title(f"{when}: {100 * one.share:.0f} % of pairs")
@@ -274,6 +278,7 @@ def _draw_halves(axes: Axes, points: Array, share: PairShare, arm: int) -> Colle
     from matplotlib.markers import MarkerStyle
 
     reached = share.reached[arm].reached
+    # Rows are targets of the first arm; the sum over the other index counts its partners.
     held = share.held.sum(1 - arm) / (len(points) - 1)
     half: Any = MarkerStyle("o", fillstyle=("left", "right")[arm])
     look: dict[str, Any] = {

@@ -98,6 +98,7 @@ def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Norma
 
     lines = [np.column_stack([seen, np.broadcast_to(curve.value, len(seen))]) for curve, seen in curves]
     pieces = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    # (m, 2, 4): two ends with x, y, depth and value. The sum of depths orders as their mean.
     pieces = pieces[np.argsort(pieces[..., 2].sum(axis=1), kind="stable")]
     colours = colormaps[MAP](scale(pieces[..., 3].mean(axis=1)))
     colours[:, 3] = opacity
@@ -162,7 +163,9 @@ def _draw_arms(axes: Axes, arms: Sequence[Equilibrium]) -> None:
 
 def _draw_hexagon(axes: Axes, data: Permutations) -> None:
     """The tips in the plane across the tip of the arm, in micrometres from the reference."""
+    # Components along the first two axes of the section: differences along the arm are not seen.
     seen = (data.tips - data.reference) @ data.frame[:, :2] * MICRO
+    # By angle about the reference: otherwise the hexagon's outline would cross itself.
     order = np.argsort(np.arctan2(seen[:, 1], seen[:, 0]))
     axes.fill(seen[order, 0], seen[order, 1], facecolor="none", edgecolor=FAINT, lw=0.7)
     reach = float(np.abs(seen).max())

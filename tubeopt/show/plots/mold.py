@@ -141,6 +141,7 @@ def time_line(plan: HeatingPlan) -> list[str]:
     """What happens when, s from the switch; and how warm the middle of the curved part is then."""
     middle = plan.temperature[:, plan.temperature.shape[1] // 2]
     begins = int(np.flatnonzero(plan.in_hold)[0])
+    # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
     rising = np.maximum.accumulate(middle[: begins + 1])
     goals = [middle[0] + share * (middle[begins] - middle[0]) for share in QUARTERS]
     off = plan.spec.slot * plan.table_length
@@ -254,6 +255,7 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
 
 def _line(pieces: Sequence[Arc]) -> Array:
     """(N, 2) points in mm, fine on arcs."""
+    # Half a turn in 199 chords stays within R (pi/199)^2 / 8, which is 3e-5 R, of the arc.
     counts = [200 if piece.curvature else 2 for piece in pieces]
     points = [piece.point(np.linspace(0, piece.length, count)) for piece, count in zip(pieces, counts, strict=True)]
     return np.asarray(np.vstack(points) * TO_MM)
@@ -286,6 +288,7 @@ def plot_setup_sheet(mold: Mold, *, title: str = "") -> Figure:
     figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
     low, high = _extent(mold)
     room = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
+    # A round reduction, so that lengths can be measured on the sheet.
     fitting = [scale for scale in SCALES if (high - low <= room * scale).all()]
     scale = fitting[0] if fitting else SCALES[-1]
     wide, tall = (high - low) / scale
@@ -307,6 +310,7 @@ def _rows(groove: Groove, mold: Mold) -> list[tuple[str, str]]:
     tube, back = groove.tube, mold.spec.springback
     lost = 1 - abs(tube.curvature / groove.curvature) if groove.curvature else 0.0
     ends, travel = groove.before_bend + groove.bend_length, max(clamp.travel for clamp in groove.clamps)
+    # Without the slack, a depth of whole steps would take one pass more by round-off.
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return [
         ("tube, outer / inner diameter", f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"),
@@ -377,6 +381,7 @@ def plot_springback(calibration: Calibration) -> Figure:
         c.mold_curvature, c.lost * 100, "o", ms=4, mfc="white", mec=tube_colour(0), mew=1.1, label="trials", zorder=3
     )
     low, high = float(c.mold_curvature.min()), float(c.mold_curvature.max())
+    # All trials in one mold have no range.
     pad = 0.08 * (high - low) or 0.05 * high
     kappa = np.linspace(max(low - pad, 0.0), high + pad, 100)
     fitted = (c.springback.fraction + c.springback.slope * kappa) * 100
@@ -416,6 +421,7 @@ def plot_materials(ratings: Sequence[MaterialRating], *, title: str = "") -> Fig
     columns = (
         ("heat drawn in the hold (kJ per m of tube)", [r.heat_drawn / TO_MILLI for r in ratings]),
         ("limit above the set temperature (K)", [r.limit_margin for r in ratings]),
+        # A logarithmic scale has no 0: an insulator leaks nothing.
         ("share of the current that leaks", [max(r.leak, 1e-18) for r in ratings]),
     )
     for axes, (label, values) in zip(panels, columns, strict=True):
@@ -489,6 +495,7 @@ def draw_space(axes: Axes, mandrel: Mandrel) -> None:
     body, w = mandrel.body, mandrel.winding
     if isinstance(body, Cylinder):
         angle, x = np.meshgrid(np.linspace(0, 2 * math.pi, 61), np.array([0.0, body.length]) * TO_MM)
+        # 1.5 % smaller: Matplotlib sorts whole surfaces by depth, and lines on the surface would vanish in it.
         r = body.radius * TO_MM * 0.985
         axes.plot_surface(  # type: ignore[attr-defined]
             x, r * np.cos(angle), r * np.sin(angle), color=BODY, alpha=0.55, lw=0, shade=True
@@ -516,6 +523,7 @@ def _corners(mandrel: Mandrel) -> Array:
 
 def _draw_box(axes: Axes, size: Array) -> None:
     for ends in itertools.combinations(np.ndindex(2, 2, 2), 2):
+        # Of the 28 pairs of corners, the 12 that differ in one coordinate are edges.
         if np.abs(np.subtract(*ends)).sum() == 1:
             axes.plot(*(np.array(ends) * size).T, color=INK, lw=0.6)
 

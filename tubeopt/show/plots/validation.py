@@ -34,6 +34,7 @@ def plot_residuals(validation: Validation, *, when: str = "") -> Figure:
     above, beside = figure.subplots(1, 2)
     seen = np.isfinite(v.errors)
     spread = float(np.ptp(v.predicted[seen], axis=0).max()) or 1e-3
+    # A round factor, so that a reader can divide by it; never below 1, as long errors are seen anyway.
     factor = max(1.0, round_below(LONG_ENOUGH * spread / max(float(np.nanmax(v.errors)), 1e-12)))
     for axes, (i, j) in ((above, (0, 1)), (beside, (0, 2))):
         _draw_arrows(axes, v.predicted[:, [i, j]] * TO_MM, v.residuals[:, [i, j]] * TO_MM, factor)
@@ -103,10 +104,12 @@ def _named(v: Validation, when: str) -> str:
 
 def _mean_by_place(direction: Array, separation: Array, errors: Array) -> tuple[Array, Array, Array]:
     """Directions (D,), separations (S,) and mean errors (S, D), NaN where nothing was measured."""
+    # Modulo again: 359.99999 is rounded to 360, which is 0.
     turned = np.round(np.degrees(direction) % 360, 4) % 360
     around, where = np.unique(turned, return_inverse=True)
     apart, row = np.unique(np.round(np.degrees(separation), 4), return_inverse=True)
     total, count = np.zeros((len(apart), len(around))), np.zeros((len(apart), len(around)))
+    # Unbuffered: with `+=` of repeated places only the last would count.
     np.add.at(total, (row, where), errors)
     np.add.at(count, (row, where), 1)
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
@@ -161,6 +164,7 @@ def _draw_by_row(axes: Axes, errors: Array) -> None:
 
 def _draw_histogram(axes: Axes, v: Validation) -> None:
     s, errors = v.summary, v.errors * TO_MM
+    # Square-root rule, a little finer; with more than 20 bins bars are thinner than their names.
     bins = int(np.clip(np.sqrt(len(errors)) * 1.5, 5, 20))
     axes.hist(errors, bins=bins, color="#C9D6E3", edgecolor="white", lw=0.6)
     heights = (("mean", s.mean, 0.98), ("RMS", s.rms, 0.90), ("95 %", s.p95, 0.98), ("max", s.max, 0.90))
@@ -198,6 +202,7 @@ def plot_error_table(table: ErrorTable, *, title: str = "") -> Figure:
 def _closed(direction: Array, points: Array) -> Array:
     """(361, 2) points of the smooth closed line through `points` (D, 2) at directions (D,), rad."""
     knots = np.append(direction, direction[0] + 2 * np.pi)
+    # The first point again, a turn later: value, slope and curvature match there.
     line = scipy.interpolate.CubicSpline(knots, np.vstack([points, points[:1]]), bc_type="periodic")
     return np.asarray(line(np.linspace(knots[0], knots[-1], 361)))
 
@@ -272,6 +277,7 @@ def _draw_steps(axes: Axes, c: Comparison) -> None:
     for label in axes.get_yticklabels()[len(rows) :]:
         label.set_color(FAINT)
     if c.fit is not None:
+        # Standard deviation per coordinate; in space the variances of three add.
         noise = c.fit.noise * np.sqrt(3) * TO_MM
         axes.axvline(noise, color=INK, lw=0.8, ls=(0, (4, 3)))
         name_above(axes, noise, f"what the fit leaves, {noise:.2f}")

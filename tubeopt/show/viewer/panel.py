@@ -368,6 +368,7 @@ class Panel:
 
     def _wished(self, event: Any) -> bool:
         """Whether an event is a user's, and not an echo of what was put there."""
+        # viser reports values set by the program too; taken for wishes, they would move the robot in a loop.
         wish = event.client is not None and abs(event.target.value - self._shown.get(id(event.target), np.inf)) > 1e-6
         if wish:
             self._shown[id(event.target)] = event.target.value
@@ -486,6 +487,7 @@ class Panel:
             slider = self._gui.add_slider(knob.label, knob.low, knob.high, knob.step, value, marks=())
             self._shown[id(slider)] = round(value, 4)
 
+            # The default binds the knob of this round; a closure would see the last one.
             def turn(at: float, knob: Knob = knob) -> None:
                 change(lambda session: redesign(session, with_knob(session.robot, knob, at)), key=knob.label)
 

@@ -35,6 +35,7 @@ def readout(session: Session, certificate: float | None) -> str:
     e = session.equilibrium
     known = record(e, SIDEBAR)
     lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
+    # Negative margins, of unstable equilibria, have no bar.
     share = 100 * min(max(e.margin, 0.0), 1.0)
     state = session.verdict
     bar = (
@@ -55,6 +56,7 @@ def readout(session: Session, certificate: float | None) -> str:
 
 def typed(value: float, digits: int) -> str:
     """A number as one would type it."""
+    # Trailing zeros go; +0.0 turns -0 into 0.
     return f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0").rstrip(".")
 
 
