@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from tubeopt.shaping import STEEL
-from tubeopt.shaping.heating.groove_air import Lie, even_gap
 from tubeopt.shaping.heating.rig import MoldBed, Rig
-from tubeopt.shaping.heating.thermal import gap_of
+from tubeopt.shaping.heating.thermal import Lie, even_gap, gap_of
 from tubeopt.typing import Array
 
 from .heating_reference import TUBE

@@ -10,8 +10,7 @@ import pytest
 
 from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
 from tubeopt.shaping import Springback, tube_fabrication
-from tubeopt.shaping.heating.groove_air import Lie, even_gap
-from tubeopt.shaping.heating.thermal import FINE, gap_of, joined, thermal_model
+from tubeopt.shaping.heating.thermal import FINE, Lie, even_gap, gap_of, joined, thermal_model
 from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec

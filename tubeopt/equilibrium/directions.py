@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..block.transcription.green import INWARDS
+from ..block.transcription.mesh import INWARDS
 from ..block.transcription.reduced import ReducedProblem
 from ..block.transcription.responsive import Forcing, Responsive
 from ..errors import InputError

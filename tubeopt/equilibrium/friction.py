@@ -25,8 +25,8 @@ from ..block.transcription.contact import (
     rubbing_profile,
     unknowns_of,
 )
-from ..block.transcription.green import sections_at
 from ..block.transcription.loaded import LoadedProblem, LoadedState, base_wrench, load_problem, loaded_arm
+from ..block.transcription.mesh import sections_at
 from ..block.transcription.reduced import reduce, to_unknowns
 from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau

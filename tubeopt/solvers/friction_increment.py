@@ -112,6 +112,7 @@ def _by_descent(compliance: Array, free: Array, capacity: Array, near: Array) ->
 
 def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
     """Solution of a symmetric system, by Cholesky where it is positive definite; whether it is singular."""
+    # Half the work of an indefinite factorisation, and nearly all matrices here are positive.
     _, x, failed = scipy.linalg.lapack.dposv(matrix, right)
     if failed:
         _, _, x, failed = scipy.linalg.lapack.dsysv(matrix, right)
@@ -159,6 +160,7 @@ def model_of(rows: Array, gradient: Array, hessian: Array) -> Model | None:
     right = np.column_stack([-gradient, rows.T])
     if not len(right):
         return Model(right[:, 0], right[:, 1:], rows @ right[:, 1:], 0)
+    # One factorisation for Newton's step and the responses of all rows.
     _, solved, failed = scipy.linalg.lapack.dposv(hessian, right)
     negative = 0
     if failed:
@@ -203,6 +205,7 @@ class _Turned:
     def added(self, state: Rubbing, slip: Array) -> tuple[Array, Array]:
         """Gradient and Hessian of the energy with what these rows take."""
         size = np.hypot(slip[self.smooth], self.zeta)
+        # d/dv of D sqrt(v^2 + zeta^2); the second derivative takes the torque in place of D v / size.
         self.pull = self.most * slip[self.smooth] / size
         self.stiffness = (self.most - self.torque * slip[self.smooth] / size) / size
         return (

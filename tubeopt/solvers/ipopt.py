@@ -80,6 +80,7 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
         equation("base rotation", tubes, None, theta[:, 0] - rotations - transmission * base, 1.0),
     ):
         problem.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
+    # Twist of no length has no energy: without a cost the program would have a free direction.
     idle = ca.if_else(transmission > 0, transmission, ca.sum1(lengths))
     stored = ca.sum2(energy) + ca.dot(kt[:, 0] * idle, base**2) / 2
     problem.minimize(stored * ca.sum1(lengths) / ca.sum1(kt[:, 0]))

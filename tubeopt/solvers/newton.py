@@ -204,6 +204,7 @@ def flow(
             # The matrix H + 1 / time is positive for a time short enough.
             time *= 0.25 if not_convex else shortened(turn)
             continue
+        # A rise of energy means that the model of second order is valid for a shorter time only.
         there = moved(state, change)
         if there is None:
             time *= 0.25

@@ -109,6 +109,7 @@ class Weights:
             size = np.sqrt(square)
             square = np.where(size > edge, 2 * edge * size - edge**2, square)
         elif self.loss == "soft_l1":
+            # s^2 for small errors and 2 edge |s| for large ones, smooth in between.
             square = 2 * edge**2 * (np.sqrt(1 + square / edge**2) - 1)
         return np.asarray(square)
 
@@ -145,6 +146,7 @@ class Descent(Generic[P]):
 
 def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
     """J'WJ (Q, Q) and J'Wr (Q,) of observations with weights (V,)."""
+    # One weight for all coordinates of an observation: the loss is of its distance.
     flat = jacobian.reshape(residuals.size, jacobian.shape[2])
     weighted = flat * np.repeat(w, jacobian.shape[1])[:, None]
     return weighted.T @ flat, weighted.T @ residuals.ravel()
@@ -180,6 +182,7 @@ def descend(
         solver: when it ends, among others.
     """
     bounds = model.bounds
+    # Steps stay within the bounds only from a start within them.
     off = np.clip(start.x, *bounds) - start.x
     state = start.moved(np.append(off, np.zeros(model.freedoms))) if off.any() else start
     residuals = model.residuals(state)
@@ -192,6 +195,7 @@ def descend(
         before, accepted, enough = cost, False, least * cost + solver.round_off * len(residuals)
         while not accepted and damping < MOST_DAMPING:
             step = _step(square, slope, damping, state.x, bounds)
+            # Within the bounds the model promises between -slope.p and twice as much.
             if -slope @ step <= enough:
                 break
             trial = state.moved(step)
@@ -213,6 +217,7 @@ def descend(
             # After so short a step the slopes are those of the state before it.
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
+            # The model's decrease of |r|^2: slope is half the gradient.
             promised = float(-2 * slope @ step - step @ square @ step)
             serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
             fresh = not (serves and model.costly(state))

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import typed
-from ..block.transcription.green import reach
+from ..block.transcription.mesh import reach
 from ..block.transcription.reduced import ReducedProblem
 from ..equilibrium.answer import sample_rotation, to_equilibrium
 from ..equilibrium.kinematics import forward_kinematics

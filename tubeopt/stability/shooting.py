@@ -15,7 +15,7 @@ import numpy as np
 
 from ..block.transcription.buffered import mapped
 from ..block.transcription.explicit import march_function
-from ..block.transcription.green import reach, sections_at
+from ..block.transcription.mesh import reach, sections_at
 from ..block.transcription.reduced import ReducedProblem
 from ..solvers.time_limit import check_time
 from ..typing import Array, Index, Mask

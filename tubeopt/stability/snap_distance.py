@@ -42,7 +42,7 @@ from time import perf_counter
 import numpy as np
 
 from ..arguments import typed
-from ..block.transcription.green import green_of
+from ..block.transcription.mesh import green_of
 from ..block.transcription.reduced import evaluate, to_unknowns
 from ..display import Displayed
 from ..equilibrium.answer import discretisation_of, sample_rotation

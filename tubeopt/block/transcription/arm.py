@@ -14,11 +14,10 @@ from ...physics.shape import GAUSS_POINTS, carry_function
 from ...robots.assembly import Assembly
 from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index
-from . import green
+from . import mesh as meshes
 from .buffered import chained, section_function
 from .collocated import ENDS, STEPS
-from .green import INWARDS, reach
-from .mesh import Mesh
+from .mesh import INWARDS, Mesh, reach
 from .reduced import Evaluation, ReducedProblem
 from .tableau import Tableau, tableau
 
@@ -166,7 +165,7 @@ def sections_along(problem: ReducedProblem, arm: Profile, x: tuple[float, ...]) 
 @lru_cache(maxsize=64)
 def sections_at(problem: ReducedProblem, x: tuple[float, ...]) -> CrossSections:
     """(P X, n) cross-sections at fractions x of every piece, which do not depend on what turns the tubes."""
-    return green.sections_at(problem.assembly, problem.mesh, np.array(x))
+    return meshes.sections_at(problem.assembly, problem.mesh, np.array(x))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A mesh over the sections of an arm: on each piece theta is one polynomial."""
+"""A mesh over the sections of an arm, on each piece of which theta is one polynomial, and integrals over it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...physics.certificate import coupling_rate_function
 from ...robots.assembly import Assembly
+from ...robots.lengthwise import CrossSections
 from ...typing import Array, Index, Mask
 from .buffered import mapped
 from .tableau import Tableau, tableau
@@ -92,6 +93,7 @@ def needs(assembly: Assembly) -> tuple[Array, ...]:
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
     here = assembly.cross_sections(s, s)
     rate = _rate(here.stiffness, here.moment, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
+    # Where no tube is, kb = 0 and m = 0: the quotient is to be 0.
     own = here.moment / np.maximum(here.stiffness, 1e-300)
     steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
     panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
@@ -135,7 +137,9 @@ def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np
     rate, natural, finest, stiffness, pull = needs(assembly)
     # Elastica: K u^2 / 2 + n.t is constant along the arm, so that u^2 <= 4 n / K.
     fast = np.sqrt(force / stiffness)
+    # The bound of an elastica and that of a lever both apply; a moment at the tip adds its own bend.
     bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
+    # Torsion under a bend u varies at the rate sqrt(|m_i| u / kt_i), as a pendulum under gravity.
     waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
     need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
     pieces = np.ceil(need - 1e-9)
@@ -158,6 +162,7 @@ def make_mesh(
 
 def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: Tableau) -> Mesh:
     """Mesh with `counts` (m,) pieces in the sections; those marked in `collocated` (m,) have collocation points."""
+    # Only coupled sections have unknown rotations, all of which share one dense matrix.
     unknown = int(counts[assembly.coupled].sum()) * rule.degree * assembly.n_tubes
     if max(unknown, int(counts.sum())) > MOST_ROTATIONS:
         raise InputError(
@@ -174,3 +179,86 @@ def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: 
         section=section,
         collocated=collocated[section],
     )
+
+
+# --- What a couple on a tube at one place turns at another: integrals, collocated -------------------------------------
+
+INWARDS = 1e-6
+"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compliant:
+    """The tubes of an assembly on a mesh.
+
+    Attributes:
+        sections: (P K, n) the cross-sections at the points that all pieces would have.
+        rate: (P, K, n) 1 / kt there.
+        transmission: (n,) int ds / kt from where each tube is held to the plate.
+    """
+
+    sections: CrossSections
+    rate: Array
+    transmission: Array
+
+
+def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
+    """The tubes of an assembly on a mesh."""
+    sections = sections_at(assembly, mesh, mesh.tableau.nodes)
+    rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
+    return Compliant(sections, rate, assembly.compliant(assembly.transmission))
+
+
+def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
+    """(P X, n) cross-sections at fractions x (X,) of every piece of a mesh."""
+    if assembly.even:
+        return assembly.of_sections(np.repeat(mesh.section, len(x)))
+    # Cross-sections jump where pieces meet: values at an end belong to the side of this piece.
+    s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
+    return assembly.cross_sections(s.ravel(), inside.ravel())
+
+
+def reach(mesh: Mesh, here: Compliant) -> Array:
+    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
+    gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
+    return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
+
+
+def ahead(mesh: Mesh, here: Compliant) -> Array:
+    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    chosen = mesh.collocated
+    inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
+    out = reach(mesh, here)[:-1][chosen][:, None] + inside
+    return np.asarray(out.reshape(-1, out.shape[-1]))
+
+
+def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None) -> Array:
+    """(..., N, N) of tubes: int `rate` ds from where they are held to the nearer of two points, collocated, exact
+    between elements of lengths (E,); `rate` (..., E, K) at the points, None is 1, and `begin` (..., E) the integral up
+    to the elements: their arc length, where the rate is 1."""
+    rate = np.ones((len(length), t.degree)) if rate is None else rate
+    begin, length = begin[..., None], length[:, None]
+    # int rate ds up to each point: begin of its element and what the matrix A adds inside.
+    near = begin + length * (rate @ t.matrix.T)
+    near = near.reshape(*near.shape[:-2], -1)
+    # Between elements the kernel min(s, r) is smooth, so that its collocated value is exact.
+    green = np.minimum(near[..., :, None], near[..., None, :])
+    # Within one the kernel has a kink: A diag(rate / b) A' is symmetric, which L L' needs.
+    within = begin[..., None] + length[..., None] * ((t.matrix * (rate / t.weights)[..., None, :]) @ t.matrix.T)
+    for e in range(len(length)):
+        block = slice(e * t.degree, (e + 1) * t.degree)
+        green[..., block, block] = within[..., e, :, :]
+    return green
+
+
+def integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
+    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
+    k, count = mesh.tableau.degree, len(elements)
+    length = np.repeat(mesh.length[elements], k)
+    whole = np.tile(mesh.tableau.weights, count) * length
+    element = np.repeat(np.arange(count), k)
+    before, same = element[None, :] < element[:, None], element[None, :] == element[:, None]
+    within = np.tile(mesh.tableau.matrix, (count, count)) * length
+    # Whole elements before a point count with their weights b, its own one with the row of A.
+    up_to = np.where(same, within, before * whole)
+    return up_to, whole - up_to

@@ -30,8 +30,7 @@ from ...robots.assembly import Assembly, without_offsets
 from ...robots.order import last_tube
 from ...typing import Array, Index, Mask
 from .buffered import mapped, section_function
-from .green import Compliant, ahead, compliant, green_of, integrals, reach
-from .mesh import Mesh
+from .mesh import Compliant, Mesh, ahead, compliant, green_of, integrals, reach
 
 # --- Tubes off the centreline that are curved together ----------------------------------------------------------------
 

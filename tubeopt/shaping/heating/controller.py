@@ -93,16 +93,20 @@ def decide(law: HeatingLaw, state: LawState, reading: Array, lead: Array | float
     place = np.minimum(state.place, len(law.planned) - 1)
     running = (state.place < len(law.planned)) & (state.waited <= law.patience)
     error = law.reference[place] - reading
+    # A tube that is behind waits before the hold: within it the time must count.
     waits = (error > law.holdback) & (place <= law.hold[0])
+    # Both the integral and the sum are limited: after a long error it does not overshoot (windup).
     total = np.clip(state.total + law.integral * law.slot * error, -law.share, law.share)
     share = np.clip(law.proportional * error + total, -law.share, law.share)
     planned = law.planned[place]
     led = np.isfinite(lead) & (planned > 0)
     said = np.clip(np.where(led, lead, 0.0) / np.where(led, planned, 1.0) - 1, -law.share, law.share)
+    # The integral that would have given this share: no jump when the lead ends.
     total = np.where(led, np.clip(said - law.proportional * error, -law.share, law.share), total)
     share = np.where(led, said, share)
     wanted = np.where(running, planned * (1 + share), 0.0)
     due = wanted + state.owed
+    # Half a count rounds to one; what a pulse loses while the current rises is added first.
     count = np.where(due > 0.5, np.clip(np.floor(due + law.lost + 0.5), 0, COUNTS), 0.0)
     given = np.maximum(count - law.lost, 0.0)
     return count.astype(np.int64), LawState(

@@ -104,6 +104,7 @@ def instant(resolution: Resolution) -> ca.Function:
     vent = ca.mtimes(numbers.vents, design[2:])
     v = heat.volumes(g, numbers.widths(resolution, design), vent, numbers.shells, resolution)
     at = heat.Temperatures(
+        # Scaled unknowns are of the order of 1, which IPOPT's tolerances and barrier take for granted.
         tube=g["ambient"] + RISE * z[:n],
         mold=g["ambient"] + RISE * ca.reshape(z[n : n + covered * m], m, covered).T,
         clamp=g["ambient"] + RISE * z[-3],
@@ -120,6 +121,7 @@ def instant(resolution: Resolution) -> ca.Function:
         sagging / SAG,
     )
     source = heat.source_voltage(CHARGE * z[-2], g)
+    # Current and resistance stay unknowns: eliminated, every cell would couple to all others.
     voltage = (ampere * heat.loop_resistance(load.half, g) - source + sagged) / VOLT
     resistance = ca.sum1(heat.resistances(at.tube, v, g)) / OHM - circuit[1]
     equations = ca.vertcat(rate - rates, voltage, resistance)
@@ -143,6 +145,7 @@ def instant_derivatives(resolution: Resolution) -> tuple[tuple[ca.Function, Any]
     state, *others = parts
     equations, power = whole(state, ca.SX(*state.shape), *others, numbers)
     multipliers, weight = ca.SX.sym("multipliers", equations.numel()), ca.SX.sym("weight")
+    # One instant's derivatives serve all points by a map: the pattern is built and coloured once.
     J = ca.jacobian(equations, own)
     H = ca.hessian(ca.dot(multipliers, equations) + weight * length * power, own)[0]
     slopes = ca.Function("slopes", [own, numbers], [J.nz[:]], {"cse": True})
@@ -170,7 +173,9 @@ def exact_derivatives(
     ours = ca.reshape(multipliers[: count * size], size, count)
     slopes = jacobian.map("slopes", "serial", count, [1], [])(own, numbers)
     bends = hessian.map("bends", "serial", count, [1], [])(own, numbers, ours, factor * weights)
+    # Chain rule with a constant matrix, as own unknowns and interval lengths are linear in x.
     places = ca.jacobian(ca.vec(own), x)
+    # Only the first constraints, the equations of instants, depend on x through them.
     below = ca.MX(g.numel() - count * size, x.numel())
     J = ca.jacobian(rest["g"], x) + ca.vertcat(ca.mtimes(_blocks(sloped, slopes), places), below)
     lagrangian = factor * rest["f"] + ca.dot(multipliers, rest["g"])
@@ -347,6 +352,7 @@ class Program:
 
 def differentiation(mesh: TimeMesh) -> Array:
     """(1+N, N): values at start and points, times this, are rates at the points times the interval's length."""
+    # Radau IIA is stiffly accurate: the last point is the end, where the next interval begins.
     nodes = np.concatenate([[0.0], tableau("radau", mesh.degree).nodes])
     k, count = mesh.degree, mesh.heating + mesh.hold
     powers = np.arange(k + 1)
@@ -364,6 +370,7 @@ def interpolation(mesh: TimeMesh) -> Array:
     mix = np.zeros((count + 1, count * mesh.degree))
     for i in range(count):
         columns = slice(i * mesh.degree, (i + 1) * mesh.degree)
+        # The drive is continuous and linear in every interval.
         mix[i, columns], mix[i + 1, columns] = 1 - nodes, nodes
     return mix
 
@@ -410,6 +417,7 @@ def _held(s: Structure, x: _Unknowns, numbers: Numbers, designs: Any) -> Any:
     """(1+c, H) temperatures (K) where the curved part begins, and at its cells, at the points of the hold."""
     first = s.resolution.cells - s.resolution.curved
     rows = x.z[first - 1 : s.resolution.cells, s.points - s.holding_points :] * RISE
+    # The joint of lead and curve lies between two cells whose widths the design may change.
     columns = ca.horzsplit(designs[:, s.points - s.holding_points :])
     widths = [numbers.widths(s.resolution, design)[first - 1 : first + 1] for design in columns]
     before, after = ca.vertsplit(ca.horzcat(*widths))
@@ -436,15 +444,19 @@ def program(s: Structure) -> Program:
     limit = (w["limit"] - numbers.scalar["ambient"] + x.misses) / RISE
     blocks = {
         "equations": equations,
+        # Copies are equal by constraints of two entries each, which keep the factors sparse.
         "same": ca.horzcat(ca.diff(x.durations, 1, 1), ca.diff(x.misses, 1, 1)),
         "low": (held + misses - w["low"]) / WINDOW,
         "high": (held - misses - w["high"]) / WINDOW,
         "limit": (x.z[: s.resolution.cells, :] - ca.repmat(limit, s.resolution.cells, 1))[:, : s.clear * s.points],
         "ramp": rate[s.resolution.grip : s.resolution.cells, :] * RISE / w["ramp"],
         "current": drive * DRIVE / (x.circuit[0, :] * AMPERE) / w["current"],
+        # duty = drive / I^2 at most 1, times I^2: polynomial, and finite where the current is small.
         "duty": drive * DRIVE / AMPERE**2 - x.circuit[0, :] ** 2,
+        # Copies of the design are equal from interval to interval, as those of the duration.
         "chosen": ca.diff(ca.horzcat(x.design[s.copied], x.copies), 1, 1) if s.copied else ca.MX(0, 1),
     }
+    # Energy is the quadrature of power, with the weights of the collocation.
     weights = np.tile(tableau("radau", mesh.degree).weights, mesh.heating + mesh.hold)
     energy = w["w_energy"] / ENERGY * ca.DM(weights).T
     smooth = _squares(x, mesh, w, held)

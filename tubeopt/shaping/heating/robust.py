@@ -50,6 +50,7 @@ def at_charge(plan: HeatingPlan, state_of_charge: float) -> HeatingPlan:
     slot = plan.spec.slot
     nominal = simulate(thermal_model(plan.tube, plan.rig, FINE), slot, levels)
     lost = rig.circuit.lost_share
+    # d I^2 is the heat of the tube but for its resistance, which follows its temperature.
     drive = np.maximum(levels - lost, 0.0) * nominal.current[:-1, 0] ** 2
     model = thermal_model(plan.tube, rig, FINE)
 
@@ -167,6 +168,7 @@ def most_likely(plan: HeatingPlan, uncertainty: Uncertainty | None = None, *, sa
     model = uncertainty.ensemble(plan.tube, plan.rig, samples).model
     levels = plan.ideal_duty[:-1] / COUNTS
     low, high = (_band(plan, model, sum_up_rounding(np.minimum(scale * levels, 1.0))) for scale in PROBES)
+    # Linear in the scale from two probes, 401 scales without another simulation.
     part = ((SCALES - PROBES[0]) / (PROBES[1] - PROBES[0]))[:, None]
 
     def between(name: str) -> Array:
@@ -323,6 +325,7 @@ def _best_shift(plan: HeatingPlan, low: Array, high: Array, top: Array) -> tuple
     """Of the set-points: share of rigs in the window, where temperatures move with it, plus a little of the least
     distance from its ends; and the set-point, K."""
     begin, end = plan.spec.window_degC
+    # A set-point that moves by a shift moves all temperatures of the hold by it, to first order.
     below = low[:, None] + SHIFTS - begin
     above = np.minimum(end - high, plan.spec.limit - top)[:, None] - SHIFTS
     room = np.clip(np.minimum(below, above), -50.0, 50.0)
@@ -352,6 +355,7 @@ def _contributions(names: Sequence[str], draws: Array, lowest: Array, highest: A
     if good.sum() <= draws.shape[1] + 2:
         return ()
     middle, spread = 0.5 * (lowest[good] + highest[good]), draws[good].std(0)
+    # The draws are independent, so a slope times its draw's deviation is that draw's own part.
     columns = np.column_stack([np.ones(int(good.sum())), draws[good]])
     slope = np.linalg.lstsq(columns, middle, rcond=None)[0][1:]
     found = [Contribution(name, float(abs(s) * w)) for name, s, w in zip(names, slope, spread, strict=True)]
@@ -395,10 +399,12 @@ def regulator(found: Response, slot: float, share_per_kelvin: float) -> tuple[fl
     The least sum over slots of e^2 + (sum of e / RESET)^2 + (share / share_per_kelvin)^2, the reading being the state:
     the algebraic Riccati equation of error and integrated error.
     """
+    # First order over one slot: e' = a e - gain (1 - a) share, and the integral gains slot times e.
     kept = float(np.exp(-slot / found.time_constant))
     A = np.array([[kept, 0.0], [slot, 1.0]])
     B = np.array([[-found.gain * (1 - kept)], [0.0]])
     Q, R = np.diag([1.0, 1 / RESET**2]), np.array([[1 / share_per_kelvin**2]])
     P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+    # share = -K (e, integral) with K = (R + B' P B)^-1 B' P A, negative as power lessens e.
     gains = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)[0]
     return float(-gains[0]), float(-gains[1])

@@ -95,6 +95,7 @@ def tube_at(model: ThermalModel, state: State, places: ArrayLike) -> Array:
     """(B, S) temperatures, degC, of the tube at distances (S,) from the middle of the curved part, m."""
     tube, wanted = state.cells[:, :, 0], model.half_length - np.abs(places)
     grid = np.append(model.position, model.half_length)
+    # The middle mirrors the last cell: temperature is even about it, so it is flat up to there.
     index = np.clip(np.searchsorted(grid, wanted), 1, len(grid) - 1)
     part = (wanted - grid[index - 1]) / (grid[index] - grid[index - 1])
     whole = np.concatenate([tube, tube[:, -1:]], axis=1)

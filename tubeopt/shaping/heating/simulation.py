@@ -116,6 +116,7 @@ def marcher_of(model: ThermalModel) -> Marcher | None:
     kernel = heating_kernel()
     if kernel is None:
         return None
+    # By thread, since a marcher writes into buffers of its own; weak, so that it ends with its model.
     known: WeakKeyDictionary[ThermalModel, Marcher] = _bound.__dict__.setdefault("marchers", WeakKeyDictionary())
     if (found := known.get(model)) is None:
         found = known[model] = Marcher(kernel, model.resolution, model.properties, model.volumes)
@@ -154,6 +155,7 @@ def stored(model: ThermalModel, state: State) -> Array:
 def imbalance(model: ThermalModel, state: State) -> Array:
     """(B,) energy that is not accounted for, as a fraction of what was drawn from the battery."""
     lumped = state.lumped
+    # Energy from the battery is in the circuit, given off, or stored; what is left is error of the steps.
     missing = lumped[:, DRAWN] - lumped[:, CIRCUIT] - lumped[:, LOST] - stored(model, state)
     return np.asarray(np.abs(missing) / np.maximum(lumped[:, DRAWN], 1e-12))
 
@@ -278,6 +280,7 @@ def _trace(model: ThermalModel, slot: float, levels: Array, start: State, steps:
 def resimulate(model: ThermalModel, slot: float, duty: ArrayLike) -> History:
     """One member under a schedule, in steps of at most `LOOK`; the history knows the extremes within the slots."""
     levels = np.asarray(duty, dtype=float)
+    # 1e-9 is round-off: a slot of exactly one look stays one.
     looks = math.ceil(slot / LOOK - 1e-9)
     course = _trace(model, slot / looks, np.repeat(levels, looks), at_rest(model))
     whole = history_of(model, slot / looks, course)
@@ -299,6 +302,7 @@ def _extremes(model: ThermalModel, course: State, ampere: Array, duty: Array, lo
         rate = max(rate, float(found[:, free, 0].max()))
     tube, slots = course.cells[:, 0, :, 0], (len(duty), looks, -1)
     starts, ends = (part.reshape(slots) for part in (tube[:-1], tube[1:]))
+    # Within a look temperatures are nearly monotonic, so that its ends are its extremes.
     coldest, hottest = np.minimum(starts, ends).min(1), np.maximum(starts, ends).max(1)
     return Extremes(coldest, hottest, rate, float(ampere.max()), float((level * ampere).max()))
 

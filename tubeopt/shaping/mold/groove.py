@@ -83,6 +83,7 @@ class Arc:
 
     def offset(self, distance: float) -> Arc:
         """The parallel piece at `distance` (m) to the left; the radius of an arc must stay positive."""
+        # Length and radius both scale by 1 - kappa d, and the turn stays.
         shrink = 1 - self.curvature * distance
         (x, y), h = self.start, self.heading
         start = x - distance * math.sin(h), y + distance * math.cos(h)
@@ -92,9 +93,11 @@ class Arc:
         """(N,) distances (m) of `points` (N, 2) from the piece."""
         if not self.curvature:
             away, way = points - np.asarray(self.start), self.tangent(np.zeros(1))[0]
+            # Nearest point of the line, or the nearer one of its ends.
             along = np.clip(away @ way, 0.0, self.length)
             return np.asarray(np.linalg.norm(away - along[:, None] * way, axis=1))
         away, left = points - np.asarray(self.centre), math.copysign(1.0, self.curvature)
+        # Angle about the centre from the start, counted in the sense of the arc.
         turned = left * (np.arctan2(away[:, 1], away[:, 0]) - self.heading) + math.pi / 2
         inside = np.mod(turned, 2 * math.pi) <= abs(self.sweep)
         to_circle = np.abs(np.linalg.norm(away, axis=1) - self.radius)
@@ -213,6 +216,7 @@ def bounds(pieces: Sequence[Arc]) -> tuple[Point, Point]:
     points = [end for piece in pieces for end in (piece.start, piece.end)]
     for piece in pieces:
         if piece.curvature:
+            # An arc is widest at its ends or where its tangent is along an axis: at a compass point.
             compass = np.asarray(piece.centre) + piece.radius * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
             points += [_point(p) for p in compass[piece.distance(compass) < 1e-12]]
     array = np.array(points)
@@ -265,6 +269,7 @@ def _polyline(curve: Centreline, sagitta: float) -> Array:
     for k, piece in enumerate(curve.bend):
         count = 1
         if piece.curvature:
+            # A chord over the angle a leaves its arc by r (1 - cos(a / 2)).
             step = 2 * math.acos(max(1 - sagitta / piece.radius, -1.0))
             count = max(2 if len(curve.bend) == 1 else 1, math.ceil(abs(piece.sweep) / step))
         places = np.linspace(0.0, piece.length, count + 1)
@@ -287,6 +292,7 @@ def clipped_area(corners: Array, size: Point) -> float:
                     kept.append(corners[here])
             corners = np.array(kept)
     x, y = corners[:, 0] - corners[0, 0], corners[:, 1] - corners[0, 1]
+    # Shoelace formula, from the first corner, so that distant polygons lose no digits.
     return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
 
 
@@ -378,6 +384,7 @@ class Stretch:
     def points(self, s: Array) -> Array:
         """(N, 2) points at rising arc lengths (N,)."""
         most = np.abs(self.coefficients).sum()
+        # At most half a radian a stretch: 16 Gauss points then integrate cos and sin to round-off.
         fine = np.linspace(0.0, self.length, math.ceil(2 * most * self.length) + 1)
         knots = np.unique(np.concatenate([fine, s]))
         half, middle = np.diff(knots) / 2, (knots[1:] + knots[:-1]) / 2
@@ -402,12 +409,14 @@ class Stretch:
                 if np.min([piece.distance(points) for piece in pair], axis=0).max() <= ARC_TOLERANCE:
                     pieces += pair
                     continue
+            # The left half is last, so it comes off the stack first: arcs are in order.
             stack += [((low + high) / 2, high), (low, (low + high) / 2)]
         return pieces
 
 
 def _one_arc(start: Array, heading: float, curvature: float, length: float) -> Arc:
     sweep = curvature * length
+    # Rise of an arc over its chord: r (1 - cos(sweep / 2)), about sweep * length / 8.
     flat = abs(sweep) * length / 8 <= FLAT
     at = float(start[0]), float(start[1])
     return Arc(at, heading + sweep / 2, length) if flat else Arc(at, heading, length, curvature)
@@ -421,6 +430,7 @@ def _biarc(start: Array, first: float, end: Array, last: float) -> tuple[Arc, Ar
     # Twice sin^2 of half the turn is 1 - cos, without cancellation.
     bent = 4 * math.sin((last - first) / 2) ** 2
     square = float(chord @ chord)
+    # Positive root of bent a^2 / 2 + along a = |chord|^2 / 2 with equal arms, free of cancellation.
     arm = square / (along + math.sqrt(along**2 + bent * square))
     joint = (start + end + arm * (t0 - t1)) / 2
     return _arc_to(start, first, joint), _arc_to(joint, first + _sweep(start, first, joint), end)

@@ -30,7 +30,7 @@ from ..materials import ROOM, MoldMaterial
 AMBIENT = 20.0 + ZERO_CELSIUS
 
 USUAL_GAP = 75e-6
-"""Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.groove_air`)."""
+"""Even gap of air, m, that stands for a groove of 2 mm in board around a tube of 1.92 mm (`heating.thermal`)."""
 
 Transform = Callable[[Array], Array]
 

@@ -78,6 +78,7 @@ class Springback:
             InputError: no mold yields it: the more one bends, the more springs back.
         """
         size, kept = abs(curvature), 1 - self.fraction
+        # size = k (kept - slope k) is a quadratic in the mold's curvature k.
         inside = kept**2 - 4 * self.slope * size
         if inside < 0:
             most = kept**2 / (4 * self.slope)
@@ -85,6 +86,7 @@ class Springback:
                 f"curvature is {curvature:g} per m; with this spring-back no mold yields more than {most:.4g} per m "
                 f"(radius {1e3 / most:.4g} mm)"
             )
+        # The lesser root, in the form that does not cancel and is right for a slope of 0.
         return math.copysign(2 * size / (kept + math.sqrt(inside)), curvature)
 
 
@@ -149,6 +151,7 @@ def calibrate_springback(
     values, intervals, noise = _least_squares(kappa, lost, 2 if model == "linear" else 1)
     if model == "auto" and distinct >= 2 and len(molds) >= 4:
         line, ends, about = _least_squares(kappa, lost, 2)
+        # Both ends of the interval have one sign: 0 is left out. A range of round-off shows no slope.
         if ends and ends[1][0] * ends[1][1] > 0 and abs(line[1]) * np.ptp(kappa) > ROUND_OFF:
             values, intervals, noise = line, ends, about
     slope = float(values[1]) if len(values) == 2 else 0.0
@@ -185,6 +188,7 @@ def _least_squares(kappa: Array, lost: Array, order: int) -> PolynomialFit:
         return PolynomialFit(values, [], math.nan)
     noise = float(np.sqrt(np.sum((lost - matrix @ values) ** 2) / free))
     spread = noise * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    # Student's t with the freedoms that are left, since the noise is estimated from the same trials.
     reach = scipy.special.stdtrit(free, (1 + 0.95) / 2) * spread
     intervals = [(float(v - r), float(v + r)) for v, r in zip(values, reach, strict=True)]
     return PolynomialFit(values, intervals, noise)
@@ -296,6 +300,7 @@ def _fitted(function: Callable[[Array], Array], breaks: list[float]) -> Series:
     while stack:
         a, b, depth = stack.pop()
         c = _INTERPOLATE @ function((a + b) / 2 + _NODES * (b - a) / 2)
+        # The last coefficients of a smooth function fall to round-off; a pole near a panel halves it again.
         if depth < 8 and (np.abs(c[-3:]) > 1e-12 * scale).any():
             stack += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
             continue

@@ -6,8 +6,7 @@ import numpy as np
 
 from ...block.transcription.arm import EXTRA_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
 from ...block.transcription.collocated import ENDS, STEPS
-from ...block.transcription.green import INWARDS
-from ...block.transcription.mesh import DETAIL_PER_PIECE, KNOWN, SAMPLES, TWIST_PER_PIECE
+from ...block.transcription.mesh import DETAIL_PER_PIECE, INWARDS, KNOWN, SAMPLES, TWIST_PER_PIECE
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
 from ...typing import Array

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ...block.transcription.arm import ArmShape, ArmSolution, CollocationPoints
 from ...block.transcription.collocated import ENDS, STEPS
-from ...block.transcription.green import sections_at
 from ...block.transcription.loaded import LoadedProblem
+from ...block.transcription.mesh import sections_at
 from ...block.transcription.tableau import tableau
 from ...physics.shape import rotation_matrix_function, tangent_forms, world_turns
 from ...physics.torsion import section_functions
