@@ -118,9 +118,8 @@ def test_where_there_is_no_kernel_it_is_said_once(
     building._tell_once.cache_clear()
     assert building.library.__wrapped__(3, False) is None
     assert building.library.__wrapped__(2, False) is None
-    assert [record.getMessage().split(":")[0] for record in caplog.records] == [
-        "there is no compiled kernel and no C compiler to make one"
-    ]
+    (record,) = caplog.records
+    assert "no C compiler" in record.getMessage()
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

@@ -79,11 +79,13 @@ class ArmChange(Directions):
         frame = here.end_frame[both]
         fall, curvature, _, stretch = self._values_there
         rates = np.zeros((2 * count, here.size))
+        # phi' = g t / kt, the frame turns by R (u_x, u_y, 0), and t' = M.
         rates[:, :n] = points.rate * self._torque_there * stretch
         rates[:, n : n + 3] = (frame[..., :2] @ curvature[..., None])[..., 0]
         rates[:, n + 3 : 2 * n + 3] = fall
         if here.load is None:
             return rates
+        # m' = -e_3 x n less the moment per length.
         falling = -cross(frame[:count, :, 2], self._force_there)
         if here.load.distributed is not None:
             along = here.load.per_length(self.cuts[index] + self.side * ROUND_OFF)[:, MOMENT]
@@ -102,6 +104,7 @@ class ArmChange(Directions):
 
     def _gained(self, there: Array) -> Array:
         """(T, ...) gained per width of a strip, of what is there (2 T, ...)."""
+        # A breakpoint that moves uncovers what is new and covers what was: the jump of the rates counts.
         new, old = (there.T * self.strips.there).T.reshape(2, -1, *there.shape[1:])
         return np.asarray(self.side * (new - old))
 
@@ -115,6 +118,7 @@ class ArmChange(Directions):
         """(T,) what the elastic energy per length gains per width of a strip."""
         if not len(self.strips.index):
             return np.zeros(0)
+        # Bending energy and torsion: t phi' / 2 per length, phi' = g t / kt.
         stored = self._values_there[2] + (self._rates_there[:, : self.n] * self._torque_there).sum(1) / 2
         return self._gained(stored)
 
@@ -178,6 +182,7 @@ class ArmChange(Directions):
     def tip_position(self) -> Array:
         """(3, Q) of the tip, m."""
         here = self.here
+        # The tip moves by int psi x e ds = -int e x psi ds, and by what it is pushed out.
         moved = here.weights.ravel() @ (here.about_axis @ self.response.psi).reshape(-1, 3 * self.size)
         return np.asarray(self.pushed - moved.reshape(3, self.size))
 
@@ -216,6 +221,7 @@ class ArmChange(Directions):
         inside = here.t.basis(PLACES, 1)[1:] @ rates.reshape(here.pieces, here.degree, 3 * self.size)
         inside = (here.h * inside).reshape(here.pieces, len(PLACES) - 1, 3, self.size)
         turned = (self.response.state[:-1, None, n : n + 3] + inside).reshape(-1, 3, self.size)
+        # A place that moves along the arm also turns with the arm's bend there.
         bend = (self.arm.frame[1:, :, :2] @ self.arm.curvature[1:, :, None]) * self.moved[1:, None]
         return np.concatenate([np.zeros((1, 3, self.size)), turned + bend])
 
@@ -241,6 +247,7 @@ class ArmChange(Directions):
         inside, whole, slope = (here.t.basis((x,), times)[0] for times in (0, 1, -1))
         at, by = inside @ table[k], slope @ table[k] / h
         at[:n] += here.phi_ends[k] + h * (whole @ rate[k])
+        # Along the arm theta changes by phi' beside the polynomials of phase and precurvature.
         by[:n] += inside @ rate[k]
         change = by[:, None] * moves
         change[: 3 * n] += _at(inside, forcing.data[k])
@@ -269,6 +276,7 @@ class ArmChange(Directions):
     def bend(self) -> Array:
         """(Q,) of int |u|^2 ds, 1/m."""
         here, u = self.here, self.here.at.curvature
+        # d(int |u|^2 ds) = int 2 u . du ds, and the jump of |u|^2 where breakpoints move.
         pull = (2 * here.weights.ravel()[:, None] * u).ravel()
         squared = self._gained((self._values_there[1] ** 2).sum(1))
         return np.asarray(pull @ self.response.curvature.reshape(-1, self.size) + squared @ self.widths)

@@ -53,6 +53,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
         refuse_friction(each)
     arms = _Arms.of(equilibria)
     n, state = arms.robot.n_tubes, arms.base()
+    # By integration from the shape's own values at the plate, the joint rotations must come out.
     base = [
         own[:n] - arms.transmitted(assembly, own[n : 2 * n]) - each.rotations
         for each, assembly, own in zip(equilibria, arms.assemblies, state, strict=True)
@@ -70,6 +71,7 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
             worst[b] = max(worst[b], np.abs(state[b, :n] - solved).max())
             if k == assembly.n_sections - 1:
                 bent[b] = np.abs(beyond[j, -5:-3]).max() / kb[j].sum()
+            # A free end has no torque: what is left there is an error of the solution.
             ends = np.abs(assembly.end - stop) < SAME_PLACE
             loose[b] = max(loose[b], np.abs(beyond[j, n : 2 * n] / kt[j])[ends].max(initial=0.0))
     out = []
@@ -116,6 +118,7 @@ def _past_points(equilibrium: Equilibrium, assembly: Assembly, s: float, state: 
             axes = equilibrium.tip_rotation if load.frame == "tip" else axes
             place = max(s, float(assembly.end[last_tube(assembly.end)]))
         if abs(place - s) < SAME_PLACE:
+            # Beyond a point load what lies ahead lacks it: moments and force drop by its own.
             moment = _frame(state, n).T @ axes @ part.moment
             out[n + twisted_tube(assembly.end, s)] -= moment[2]
             out[-5:-3] -= moment[:2]
@@ -201,6 +204,7 @@ class _Arms:
             slope = np.array([self.equilibria[b].torsion[:, 0] for b in section.rows])
             # As on the arm, less what the points at the plate take away.
             beyond = self.past_points(section.rows, 0 * section.start, state[section.rows])
+            # theta' = g (u*_z + t / kt), solved for t.
             torque = kt * (slope / section.bent(tubes, beyond)[2] - z) - beyond[:, n : 2 * n]
             state[section.rows, n : 2 * n] = torque
         return state
@@ -266,6 +270,7 @@ class _Section:
         kb, _, own, _ = tubes
         pull = kb * own * np.exp(1j * state[:, : kb.shape[1]])
         total, g, assembly = state[:, -5] + 1j * state[:, -4] + pull.sum(1), np.ones(kb.shape), self.assembly
+        # Start without stretch; each pass shrinks the error by d |u|, so 60 are far more than enough.
         u = total / kb.sum(1)
         sin, cos = np.sin(assembly.offset_angle), np.cos(assembly.offset_angle)
         for _ in range(60 if assembly.eccentric else 0):
@@ -284,6 +289,7 @@ class _Section:
         u, pull, g = self.bent(tubes, state)
         a, b, ahead = u.real, u.imag, frame[:, :, 2]
         out[:, :n] = g * (z + torque / kt) * self.there
+        # conj(u) kb u* e^(j theta) has the imaginary part m (u_x sin theta - u_y cos theta) = M.
         out[:, n : 2 * n] = (np.conj(u)[:, None] * pull).imag
         turned = out[:, 2 * n : 2 * n + 9].reshape(count, 3, 3)  # R times the matrix of u x
         turned[:, :, 0], turned[:, :, 1] = -b[:, None] * ahead, a[:, None] * ahead
@@ -310,6 +316,7 @@ class _Section:
 
     def integrated(self, state: Array) -> Array:
         """The states at the end, from those at the beginning."""
+        # Sections of different arms as fractions: one right-hand side for all.
         long = (self.stop - self.start)[:, None]
         # The error is a mean over all arms, so that each alone may have the root of their number times as much.
         tight = dict.fromkeys(("rtol", "atol"), TOLERANCE / np.sqrt(len(state)))

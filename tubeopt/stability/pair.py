@@ -102,10 +102,12 @@ class PairFold:
 
 def pair_of(problem: ReducedProblem) -> Pair | None:
     """The two tubes of a problem that are coupled; None where there are more, or fewer."""
+    # Only the difference D of two coupled tubes acts: one unknown, and one number at the tip.
     coupled = np.unique(problem.tube)
     if len(coupled) != 2:
         return None
     i, j = (int(tube) for tube in coupled)
+    # A moment turns one tube forwards and the other backwards: the compliances of D add up.
     compliance = sum(problem.factor[part, part] @ problem.factor[part, part].T for part in problem.by_tube)
     lever = problem.softness[0][:, [i, j]].sum(1)
     rate = mapped(bend_rate_function(problem.assembly.n_tubes), len(problem.weight))(problem.stiffness, problem.moment)
@@ -163,12 +165,14 @@ def farthest_fold(pair: Pair) -> float:
     """A turn of the first tube against the second (rad) on which a snap is met from any stable equilibrium, if there is
     any: the joints turn by a whole turn while the tips do, and are ahead of them by an amount that repeats."""
     x = np.linspace(0.0, 2 * np.pi, 8 * FIRST)
+    # Joint less tip: the torques turn both tubes between the points and the plate.
     leads = np.sin(_differences(pair, x)) @ (pair.coupling * pair.lever)
     return float(2 * np.pi + 1.1 * np.ptp(leads))
 
 
 def greatest_bend(pair: Pair) -> float:
     """M: no second derivative of a Rayleigh quotient by the tip angle is larger."""
+    # dD/dx = 1 + K cos(D) dD/dx and |cos| <= 1: (1 - |K|)^-1 1 bounds it.
     turn = np.abs(pair.reach * pair.coupling)
     growth = scipy.linalg.lu_factor(np.eye(len(turn)) - turn)
     first = scipy.linalg.lu_solve(growth, np.ones(len(turn)))
@@ -179,6 +183,7 @@ def greatest_bend(pair: Pair) -> float:
 
 def least_margin_of_pair(pair: Pair) -> Least:
     """The least margin of two coupled tubes over all rotations, with its bound."""
+    # A function with |f''| <= M stays above the lesser end of an interval of width w by M w^2 / 8.
     bend = greatest_bend(pair)
     x = np.linspace(0.0, 2 * np.pi, FIRST + 1)
     d = _differences(pair, x)
@@ -215,6 +220,7 @@ class _Turned:
         """From D + psi (N,) close by, of tubes of one curvature each."""
         d = _settled(pair, x - pair.lag[:1], near[None])[0]
         turn, pull = pair.reach * pair.coupling, pair.coupling * pair.lever
+        # D = x + K sin D: its derivative by x.
         d_slope = np.linalg.solve(np.eye(len(d)) - turn * np.cos(d), np.ones(len(d)))
         lead, ahead = float(pull @ np.sin(d)), float(pull @ (np.cos(d) * d_slope))
         return _Turned(x, d, d_slope, x + lead, 1 + ahead)
@@ -232,6 +238,7 @@ def pair_fold(pair: Pair) -> PairFold | None:
         if here.x == np.pi:
             return None
         before = here
+        # Steps shorten where joint or tubes turn much faster than the tips, so that the sign change is seen.
         here = here.to(pair, min(np.pi, here.x + STRIDE / max(1.0, here.turn_slope, float(here.d_slope.max()))))
     at = scipy.optimize.brentq(lambda x: before.to(pair, x).turn_slope, before.x, here.x, xtol=1e-13)
     fold, beyond = before.to(pair, float(at)), None

@@ -111,6 +111,7 @@ def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = Fal
     """Joint rotations of tip angles (B, k) of the first k tubes, those of the others being 0, with their derivatives if
     `slopes`; the lengths are those of all tubes."""
     k = tips.shape[1]
+    # Turning all tubes alike turns the arm: the others at 0 fix that freedom.
     padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
     shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(padded)]
     rotations, torque, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
@@ -156,6 +157,7 @@ def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
     for piece in reversed(range(len(bundle.length))):
         state, _ = _over(bundle, piece, steps, state)
     held = bundle.transmission
+    # Behind the plate the torque is constant: theta falls by it times int ds / kt.
     shot = (state[0] - held * state[1], state[1], state[2])
     return (*shot, state[3] - held[:, None] * state[4]) if slopes else shot
 
@@ -213,5 +215,6 @@ def _hermite(grid: Grid, nodes: Array, h: float) -> Array:
     k = np.minimum(back.astype(int), value.shape[1] - 2)
     x = (back - k)[None, :, None]
     left, right = value[:, k], value[:, k + 1]
+    # The four cubic Hermite polynomials, counted from the tip side.
     blend = left * (1 + 2 * x) * (1 - x) ** 2 + right * x**2 * (3 - 2 * x)
     return np.asarray(blend + slope[:, k] * x * (1 - x) ** 2 - slope[:, k + 1] * x**2 * (1 - x))

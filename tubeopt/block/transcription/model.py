@@ -71,6 +71,7 @@ def layout(
     where = where_of(assembly)
     lengths = np.maximum(order.lengths(where), 0.0)
     start = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    # The order may be one of other numbers than these: sections that would be negative have no length.
     cut = replace(assembly, start=start, length=lengths, present=order.present, curved=order.curved)
     counts = piece_counts(cut, refinement)
     if pieces is not None:
@@ -109,6 +110,7 @@ def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.in
         if counts.sum() < pieces:
             counts[int(np.argmax(lengths / counts))] += 1
         else:
+            # The piece that grows least when a section loses one; a section keeps at least one.
             shorter = np.where(counts > 1, lengths / np.maximum(counts - 1, 1), np.inf)
             counts[int(np.argmin(shorter))] -= 1
     return counts
@@ -123,6 +125,7 @@ def gap_rows(order: Order, n: int, width: int) -> Array:
         if k:
             rows[k, order.front[k - 1].place(n)] -= 1.0
     for k, point in enumerate(order.behind, start=len(order.front)):
+        # Behind the plate a place is negative: the gap is minus that.
         rows[k, point.place(n)] = -1.0
     return rows
 
@@ -161,6 +164,7 @@ def swapped(order: Order, row: int) -> Order:
     elif row == 0:
         behind.append(front.pop(0))
     else:
+        # Neighbours that meet change places without a jump: the section between them has no length.
         front[row - 1], front[row] = front[row], front[row - 1]
     return arrange(front, behind, order.present.shape[1])
 
@@ -237,6 +241,7 @@ class TorsionModel:
         data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in self.data]
         places = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
         # Where g is 1, nothing depends on the torsion.
+        # dg/dtheta is multiplied by w; on the centreline that term is 0.
         twist = self.mapped("twist")(*self.arguments) if self.place else ca.DM.zeros(*self.inner.shape)
         function = mapped("softness", self.grid, count * degree)
         out = function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, places, *data])
@@ -260,6 +265,7 @@ class TorsionModel:
         defect, theta, twist = self.ends
         tubes = [f"tube {i + 1}" for i in range(self.theta.shape[0])]
         after, points = places_in_words(self.n_pieces, self.grid.degree, sections)
+        # theta(0) = alpha + |beta| w(0), the straight part below the plate under constant torque.
         wound = self.transmission * self.twist[:, 0]
         return [
             equation("torsion equation", tubes, points, defect, 1.0),
@@ -382,6 +388,7 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], in
         where = ca.vertcat(transition, end)
         lengths = length @ where
         kb = ca.repmat(inputs["bending_stiffness"], 1, pieces)
+        # Masks are numbers, so the expression is the same for every order of breakpoints.
         natural = ca.repmat(inputs["curvature"], 1, pieces) * curved
         stiffness, moment = kb * present, kb * natural
     else:

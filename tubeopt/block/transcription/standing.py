@@ -175,10 +175,12 @@ class Standing:
         self._moments()
         theta = solved.reshape(-1, self.degree, self.n)
         if len(theta) < self.pieces:
+            # Pieces without points have no solved rotations; theirs follow from the torques below.
             theta = np.zeros((*points, self.n))
             theta[self.mesh.collocated] = solved.reshape(-1, self.degree, self.n)
         self.theta = theta + self.phase
         # Of tubes that are straight here theta is not solved for, but follows.
+        # Torques first: they give the rotations of all tubes, and the sections are then at these.
         if straight or not self.mesh.collocated.all():
             gained, _, _, stretch = values_of(self.tables, self.offsets)
             self._torques(gained, stretch)
@@ -204,6 +206,7 @@ class Standing:
         tip = self.shape.frame[-1]
         self.tip_force, self.tip_moment = (tip @ part if self.following else part for part in inputs)
         if self.following:
+            # A force at the tip that turns with it acts on all of the arm; the burden has the others.
             self.force = self.force + self.tip_force
         couples = burden.couples
         if couples is not None and len(couples.point):
@@ -213,6 +216,7 @@ class Standing:
             self.kicks = np.zeros((self.pieces + 1, self.own))
             for k, tube, moment in self.joints:
                 self.kicks[k, self.n :] += moment
+                # The part of a moment along the arm twists one tube, the rest bends all of them.
                 self.kicks[k, tube] += moment @ self.end_frame[k, :, 2]
 
     def _moments(self) -> None:
@@ -222,6 +226,7 @@ class Standing:
             self.moment, self.moment_tip_side, self.moment_plate_side = np.zeros(self.axis.shape), none, none
             self.bent = np.zeros((*self.axis.shape[:2], 2))
             return
+        # m' = -e x n: from the plate towards the tip the moment falls by e x n.
         fall = (self.about_axis @ self.force[..., None])[..., 0]
         if self.along is not None:
             fall += self.along.sum(2)
@@ -236,6 +241,7 @@ class Standing:
         beyond = _beyond(self.pieces)
         plate_side = tip_side = beyond @ (self.weights[:, None] @ fall)[:, 0] + tip
         if self.kicks is not None and kicked is not None:
+            # A moment between pieces is felt by all that lies nearer to the plate.
             plate_side = plate_side + np.cumsum(self.kicks[::-1, kicked], axis=0)[::-1]
             tip_side = plate_side - self.kicks[:, kicked]
         return tip_side[:-1, None] - self.back @ fall, tip_side, plate_side
@@ -276,6 +282,7 @@ class Standing:
         self.stretched = self.torque * stretch
         """(P, K, n) g t."""
         turning = self.rate * self.stretched
+        # Between where a tube is clamped and the plate it turns by t int ds / kt.
         first = self.base + self.transmission * self.torque_plate_side[0]
         self.phi_ends = first + _beyond(self.pieces)[::-1, ::-1] @ (self.weights[:, None] @ turning)[:, 0]
         self.phi = self.phi_ends[:-1, None] + self.ahead @ turning
@@ -293,6 +300,7 @@ class Standing:
         out = self.at.by_energy.reshape(self.pieces, self.degree, self.n + 2)
         if self.coupled is None:
             return out
+        # Torsion has the energy t phi' / 2, and phi' depends on phi through g.
         stretched = (self.torque[..., None, :] @ self.coupled)[..., 0, :] / 2
         return np.concatenate([out[..., : self.n] + stretched, out[..., self.n :]], axis=2)
 
