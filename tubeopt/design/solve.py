@@ -65,6 +65,7 @@ def solve(program: Program, start: Array, report: Report | None = None) -> Attem
     """The best design from a start (X,), SI: feasible by least squares, then optimal by IPOPT."""
     x = to_feasibility(program, np.clip(start, program.lower, program.upper), report)
     found = attempt(program, x)
+    # Dimensions stay where least squares left them; joint values alone are drawn again.
     for kick in range(POSE_RESTARTS if program.layout.free_poses else 0):
         if found.violation <= NEARLY_FEASIBLE:
             break
@@ -88,6 +89,7 @@ def _in_the_cubes(program: Program, x: Array, report: Report | None) -> Attempt:
     found = improve(program, x, report)
     if found.feasible and found.optimum is not None and found.optimum.success:
         return found
+    # The start too, since IPOPT may end worse than it began where it does not converge.
     candidates = [found, attempt(program, x)]
     if np.isfinite(found.violation) and not found.feasible:
         # IPOPT ended just outside.
@@ -156,6 +158,7 @@ def with_joints(program: Program, design: Array, random: np.random.Generator) ->
         return x
     tips = np.array([pose.arm.position[-1] for pose in poses])
     penalty = _outside(program, poses)
+    # Before the first target is no pose that tubes would turn from.
     turned = np.zeros(len(poses))
     for index, target in program.targets.items():
         pose = layout.poses[index]
@@ -230,6 +233,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
     begin = _settle_auxiliary(program, start) / scale
     move = np.flatnonzero(~fixed)
     rows_count = 0
+    # scipy asks for values and Jacobian apart, while one evaluation has both.
     slope: dict[bytes, Array] = {}
 
     def full(part: Array) -> Array:
@@ -242,6 +246,7 @@ def to_feasibility(program: Program, start: Array, report: Report | None = None)
         nonlocal rows_count
         found = evaluate(program, full(part))
         if found is None:
+            # scipy's trust region shrinks after a step to values that are not finite.
             return np.full(rows_count, np.nan)
         gap, jacobian = _shortfall(found, INTERIOR)
         rows_count = len(gap)
@@ -280,6 +285,7 @@ def _shortfall(found: Evaluated, inside: float) -> tuple[Array, Array]:
             vector, change = group.vector
             size = np.maximum(np.linalg.norm(vector, axis=1), 1e-12)[:, None]
             along = vector / size
+            # A direction changes by what the vector changes by across it, over its length.
             across = change - along[:, :, None] * np.einsum("kc,kcx->kx", along, change)[:, None]
             slope = (along[:, :, None] * slope[:, None] + (short[:, None] / size)[:, :, None] * across).reshape(
                 -1, slope.shape[1]
@@ -306,6 +312,7 @@ def _settle_auxiliary(program: Program, x: Array) -> Array:
         column = program.layout.column(name)
         mine = slopes[:, column] != 0
         room = values[mine] / np.abs(slopes[mine, column])
+        # A thousandth of the scale inside, since IPOPT needs a start in the interior.
         step = float(room.min()) - 1e-3 * program.scale[column]
         x[column] -= KINDS[name].sign * step
     return np.clip(x, program.lower, program.upper)
@@ -349,6 +356,7 @@ def improve(
         if g.min(initial=0.0) >= -FEASIBLE and (not seen or f < seen[0][0]):
             seen[:] = [(f, x * scale)]
             found.note()
+        # In units of the objective at the start, so that IPOPT's tolerance is relative.
         return Values(f / size, slope * scale / size, g, jacobian * scale)
 
     optimum = minimise(
@@ -515,6 +523,7 @@ def _in_cell(program: Program, start: Array, cell: Cell, report: Report | None) 
 def _across(program: Program, x: Array, value: float, slope: Array) -> Array:
     """x moved as little as possible to where a section is open on the other side."""
     scaled = slope * program.scale
+    # Along the gradient of the section's length in scaled unknowns: the shortest step that opens it.
     step = -(value + OPENED_SECTION / 1e-2) / float(scaled @ scaled)
     return np.clip(x + step * scaled * program.scale, program.lower, program.upper)
 
@@ -554,6 +563,7 @@ class Ranking:
 def solve_from(program: Program, start: Array, report: Report | None = None, *, keep: bool = False) -> Attempt:
     """`solve` on a copy of the program that remembers no poses of other starts, unless it is to `keep` them; the best
     on its way where a time limit ends it."""
+    # With poses of other starts as guesses a design would depend on the order of starts.
     own = program if keep else replace(program, guesses={})
     try:
         return solve(own, start, report)

@@ -117,6 +117,7 @@ def apart(goal: Goal, at: Posture) -> Posture:
     """The posture with breakpoints that coincide moved apart a little, where the limits allow."""
     space = goal.space
     n = space.robot.n_tubes
+    # A step of its own for each carriage: with equal ones breakpoints that coincide would stay together.
     step = MOVED_PAST * space.length * np.arange(1, len(space.carriages) + 1)[::-1]
     place = np.sort(np.append([s for g in space.carriages for s in _breakpoints(at.problem.assembly, g)], 0.0))
     if (np.diff(place) > CLOSED_SECTION).all():
@@ -144,6 +145,7 @@ def beyond(goal: Goal, at: Posture, crossed: Sequence[tuple[Array, float]]) -> I
     for row, bound in crossed:
         q = at.q.copy()
         past = max(float(row @ at.q[n:] - bound), 0.0) + 2 * MOVED_PAST * space.length
+        # The shortest motion of the carriages that takes the row past its bound.
         q[n:] -= past * row / float(row @ row)
         q = space.clip(q)
         if not space.admissible(q):
@@ -279,6 +281,7 @@ class Descent:
         while not self._over and not self.question.ended(here, values):
             step = self._step(here, values[-1], size, side=side, last=before)
             if step is None and side > 0 and here.two_sided:
+                # Where a section is closed, derivatives differ to either side: the other side may still descend.
                 side, size, before = -1, 0.5 * FIRST_STEP, None
                 continue
             before = step if side > 0 else None
@@ -324,6 +327,7 @@ class Descent:
             back = self.question.beyond(past)
             if back is None:
                 continue
+            # Short, since the next change of order may be as close as this one was.
             step = self._step(back, self.question.value(back), 0.1 * FIRST_STEP)
             if step is not None and step.value < value - least:
                 return step
@@ -424,6 +428,8 @@ class _Target:
 def damping(goal: Goal, residual: Array) -> tuple[Array, Array]:
     """(m, m) and (m,) the guide of a step that makes a residual 0: of the order of its square, which keeps quadratic
     convergence (Yamashita and Fukushima 2001)."""
+    # Far from the target the box limits the step, so that the damping is capped. 1e-14 keeps the matrix regular on
+    # target.
     size = np.sqrt(min(1e-2 * float(residual @ residual), 1e-3) + 1e-14)
     return np.diag(size / goal.space.scale), np.zeros(len(goal.space.scale))
 
@@ -516,6 +522,7 @@ def correct(
         if there is None:
             return Correction(None, solves, slope)
         new = goal.residual(there)
+        # Close to the target each step gains far more: less means that the motion before was too long.
         if np.linalg.norm(new) > 0.5 * np.linalg.norm(residual) and not goal.reached(there, 1e-9, 1e-9):
             return Correction(None, solves, slope)
         slope = broyden(slope, there.q - at.q, new - residual, goal.space.scale)
@@ -526,6 +533,7 @@ def correct(
 def broyden(slope: Array, moved: Array, change: Array, scale: Array | float = 1.0) -> Array:
     """Broyden's update (r, m): the slope closest to `slope`, in units of `scale`, that explains a change (r,) of the
     residual by a motion (m,)."""
+    # The least rank-one change in the metric of the joints' scales (Broyden 1965).
     weighted = moved / scale**2
     size = float(moved @ weighted)
     return slope if size <= 1e-20 else slope + np.outer(change - slope @ moved, weighted) / size
@@ -544,6 +552,7 @@ def held_most(goal: Goal, at: Posture) -> tuple[str, str]:
     pull = goal.slope(at).T @ goal.residual(at) * goal.space.scale
     if not len(held) or not pull.any():
         return "", ""
+    # Karush, Kuhn and Tucker: multipliers are not negative. Least squares, since a search ends near a minimum only.
     force, _ = scipy.optimize.nnls((normals[held] / size[held, None]).T, pull)
     if force.max() < LEAST_SHARE * np.linalg.norm(pull):
         return "", ""

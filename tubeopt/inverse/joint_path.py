@@ -66,6 +66,7 @@ def snap_free_path(
     straight = _followed(space, np.stack([end.q for end in ends]), ends)
     if straight is not None:
         return straight
+    # With an end's own margin as the bound nothing around that end would be allowed.
     floor = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
     task = Task(TipCoordinates(space), (), 0.0, 0.0, margin_room=floor)
     budget = Clock(PATH_WORK, clock, lambda: task.work.seconds)
@@ -109,6 +110,7 @@ def _thinned(table: Array, start: Posture) -> Array | None:
     kept, here = [table[0]], 0
     while here < len(table) - 1:
         step = len(table) - 1 - here
+        # Bisection: the longest step found whose straight motion ends on the same branch.
         while step > 1 and not same_place(branch[here].to(table[here + step]), branch[here + step]):
             step = (step + 1) // 2
         here += step
@@ -121,6 +123,7 @@ def _followed(space: JointSpace, table: Array, ends: tuple[Posture, Posture]) ->
     other without a snap; else None."""
     rotations, translations = np.split(space.joint(table), 2, axis=1)
     try:
+        # The search integrated from tip angles. Here equilibria are solved at joint values, and snaps are searched.
         path = follow(space.robot, rotations, translations, start=ends[0].equilibrium)
     except (SolveError, InputError):
         return None

@@ -170,6 +170,7 @@ def by_sampling(
     except ImportError:
         raise InputError("planning needs OMPL: pip install 'tubeopt[planning]'") from None
     util.setLogLevel(util.LogLevel.LOG_NONE)
+    # OMPL allows no seed of 0.
     util.RNG.setSeed(seed + 1)
     scale, count = task.scale, [tried]
 
@@ -269,6 +270,7 @@ def _way(problem: Any, scale: Array, ends: tuple[Array, Sequence[Array]], motion
         return Way(None, "search", motions, points)
     # The ends exactly: they went through the units of the search.
     points[0] = start
+    # OMPL does not say which goal it reached.
     points[-1] = min(goals, key=lambda goal: float(np.linalg.norm((goal - points[-1]) / scale)))
     return Way(points, "search", motions)
 
@@ -396,6 +398,7 @@ def _walls(task: Task, start: Array, goal: Array, clock: Clock, random: np.rando
         if clock.over:
             return
         k = len(section.free)
+        # A few random states settle most sections; a grid takes up to GRID_STATES integrations.
         if k and _any(task, section.points(random.random((SCREENED, k))), clock):
             continue
         grid = section.grid(GRID_STATES)
@@ -435,6 +438,7 @@ def _sections(task: Task, start: Array, goal: Array) -> Iterator[_Section]:
     low = np.append(np.minimum(space.lower[:n], np.minimum(start, goal)[:n]) - np.pi, space.lower[n:])
     high = np.append(np.maximum(space.upper[:n], np.maximum(start, goal)[:n]) + np.pi, space.upper[n:])
     shares = np.arange(1, LEVELS + 1) / (LEVELS + 1)
+    # Start and goal are allowed, and so are most sections near them: the middle ones are most likely to separate.
     for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
         base = start + share * (goal - start)
         for row, name in rows:
@@ -474,6 +478,7 @@ def pocket(task: Task, point: Array, clock: Clock, *, seed: int = 0) -> int | No
             return None
         at = states[random.integers(len(states))]
         way = random.normal(size=len(point))
+        # Lengths over 2.5 decades: a narrow opening needs short motions, a wide one long.
         there = at + 10 ** random.uniform(-2.5, 0.0) * way / np.linalg.norm(way) * task.scale
         apart = np.linalg.norm((np.array(states) - there) / task.scale, axis=1).min()
         if task.motion(at, there):

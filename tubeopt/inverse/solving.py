@@ -245,6 +245,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
     """An answer without load whose loaded equilibrium is on target: by Broyden's method in where the unloaded tip is
     and, where it is wanted, in its direction, from as if the load moved all tips alike."""
     at, missed, poor = goal, np.inf, 0
+    # At first as if the load moved all tips alike: then the miss changes as the aim does.
     slope: Array = np.eye(3 if goal.direction is None else 6)
     before: Array | None = None
     step = slope[0]
@@ -261,6 +262,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
         last_miss, missed = missed, max(float(np.linalg.norm(gap)) / float(e.arc_length[-1]), turn)
         if max(float(np.linalg.norm(gap)), turn) <= AIM_TOLERANCE:
             return last, e
+        # Counted and not refused at once: Broyden's slope may still be that of the start.
         poor += missed > AIM_GAIN * last_miss
         if poor and missed <= STALLED:
             return last, e
@@ -268,6 +270,7 @@ def _aim(goal: Goal, last: Configuration | None, load: Load, *, held: bool) -> t
             break
         length, off = float(e.arc_length[-1]), gap
         if goal.direction is not None:
+            # In m: a direction that is off by 1 rad counts as one length of the arm.
             off = np.concatenate([gap, length * (goal.direction - e.tip_rotation[:, 2])])
         if before is not None:
             slope = broyden(slope, step, before - off)

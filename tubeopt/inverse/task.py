@@ -390,6 +390,7 @@ class Task:
     def _halved(self, line: Array, spare: Array) -> int | None:
         """`fineness` of a motion whose points (k, m) have something to spare."""
         for halvings in range(HALVINGS + 1):
+            # The error falls with the square of the step: half of it needs a quarter of the reserve.
             tight = np.flatnonzero(np.minimum(spare[:-1], spare[1:]) < 0.25**halvings)
             if not len(tight) or halvings == HALVINGS:
                 return halvings
@@ -407,6 +408,7 @@ class Task:
         turned = self.chart.rotations(np.stack([start, end])) if rotations is None else rotations
         joint = np.abs(turned[1] - turned[0]).max()
         shift = change[n:].max(initial=0.0) / (STEP_SHIFT * self.chart.space.length)
+        # Tips and joints both count: near a fold joints turn far while tips hardly do, or the reverse.
         count = int(np.ceil(max(change[:n].max() / STEP_TURN, joint / STEP_JOINT, shift, 1.0)))
         x = np.arange(1, count)[:, None] / count
         return np.concatenate([start[None], start + x * (end - start), end[None]])

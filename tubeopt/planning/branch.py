@@ -71,12 +71,14 @@ def branch(intervals: Intervals, stiffness: Array) -> Branch:
 def least_root(first: Array, left: Array, bow: Array) -> tuple[Array, Mask]:
     """(B,) the least r with left r = first + bow r^2 / 2, and whether there is one (Newton and Kantorovich)."""
     root = left**2 - 2 * bow * first
+    # The smaller root of bow r^2 / 2 - left r + first = 0. In this form nothing cancels where bow is small.
     radius = 2 * first / (left + np.sqrt(np.maximum(root, 0.0)))
     return np.asarray(radius), np.asarray((left > 0) & (root > 0))
 
 
 def whirled(w: Array, spin: Array, jerk: Array | None = None) -> DerivativeBounds:
     """Of what turns at phi, and so of the tangent, where |phi|, |phi'| and maybe |phi''| have these bounds."""
+    # With t' = w x t: t'' = w' x t + w x (w x t), and t''' has w'', three products of w and w', and w three times.
     return DerivativeBounds(np.ones_like(w), w, spin + w**2, None if jerk is None else jerk + 3 * w * spin + w**3)
 
 
@@ -113,6 +115,8 @@ class _Bounds:
         self.ease, self.long = self.drift.ease, linear(*intervals.length)
         """1 / kt (B, K, n); h (B, K)."""
         self.transmission = intervals.transmission
+        # Cauchy and Schwarz: y_i(s) = int y_i' <= sqrt(int 1 / kt_i) sqrt(int kt_i y_i'^2). Energies of two tubes add,
+        # so that their bounds add as squares.
         reach = [np.cumsum(length[..., None] * self.ease.v, axis=1) for length in intervals.length]
         own = np.sqrt(np.maximum(*reach) + self.transmission.v[:, None])
         self.weight: Turn = own, np.hypot(own[..., :, None], own[..., None, :])
@@ -131,6 +135,8 @@ class _Bounds:
     def torque_change(self, turn: Turn) -> Array:
         """(B, K, n) of the moment M where theta changes."""
         b = self.bending
+        # M_i = sum_j m_i m_j sin(theta_i - theta_j) / k(u): a sine changes by no more than its angle, and k changes
+        # with u.
         k = b.slope * b.change(turn[0])
         return np.asarray((b.pairs * turn[1]).sum(3) + self.torque * (k / b.stiffness)[..., None])
 
@@ -139,6 +145,7 @@ class _Bounds:
         b = self.bending
         u = b.change(one[0]), b.change(other[0])
         k = [b.slope * each / b.stiffness for each in u]
+        # Product and quotient rule for S / k, with sine and cosine at most 1; kk is k'' / k.
         kk = (b.slope * b.second(one[0], other[0]) + b.bow * u[0] * u[1]) / b.stiffness
         mixed = (b.pairs * one[1]).sum(3) * k[1][..., None] + (b.pairs * other[1]).sum(3) * k[0][..., None]
         return np.asarray(
@@ -159,6 +166,7 @@ class _Bounds:
     def torques(self, moment: DerivativeBounds) -> tuple[DerivativeBounds, DerivativeBounds]:
         """(B, K, n) what tubes bear at both ends of every section, N m, of moments with these bounds."""
         gain = self.steps() * moment
+        # A tube bears no torque at its tip. Elsewhere it bears the sum of the moments ahead.
         begin = gain.map(lambda bound: np.cumsum(bound[:, ::-1], axis=1)[:, ::-1])
         less = None if begin.ddd is None or gain.ddd is None else begin.ddd - gain.ddd
         return begin, DerivativeBounds(begin.v - gain.v, begin.d - gain.d, begin.dd - gain.dd, less)
@@ -179,15 +187,18 @@ class _Bounds:
         """(B,) norm, in torsional energy, of (DF - 1) of what turns theta by at most this."""
         begin, end = self.torques(DerivativeBounds(self.torque_change(turn), self.zero, self.zero))
         whole = self.torques(DerivativeBounds(self.torque, self.zero, self.zero))[0].v
+        # Off the centreline a tube is longer than the arm, by g = 1 + d u.a.
         grown = 1 + self._stretch(self.bending.most)
         more = self._stretch(self.bending.change(turn[0])) * whole
         a, b = grown * begin.v + more, grown * end.v + more
+        # The torque is linear from a to b along a section: int (a + (b - a) x)^2 dx = (a^2 + a b + b^2) / 3.
         along = (self.long.v[..., None] * self.ease.v * (a**2 + a * b + b**2) / 3).sum((1, 2))
         held = (self.transmission.v * begin.v[:, 0] ** 2).sum(1)
         return np.asarray(np.sqrt(along + held))
 
     def response(self, turn: Turn) -> Turn:
         """A f of an f that turns theta by at most this: f, and what it calls forth."""
+        # A = 1 + A (1 - DF): the second part has a bound in energy, in which A has the norm 1 / mu.
         size = (self.energy(turn) / self.stiffness)[:, None, None]
         return turn[0] + size * self.weight[0], turn[1] + size[..., None] * self.weight[1]
 
@@ -233,6 +244,7 @@ class _Bounds:
         """That in which e is, and (B,) whether it is mapped into itself."""
         b, du = self.bending, np.zeros_like(self.bending.most)
         moment, bent = self.cross_sections(self.chord(turn))
+        # F(theta~, t) is 0 at both ends, so that in between it is at most max |F_tt| / 8.
         residual = self.rotation(moment, bent.map(self._stretch)).dd / 8
         first = self.norm(self.response(_both(residual)))
         # What DF(theta~, t) - DF(theta_0) makes of |y| <= weight by half of the time, and what e adds to it per unit.
@@ -245,8 +257,10 @@ class _Bounds:
             gained = DerivativeBounds(dy, ddy, du).map(self._stretch)
             made = self._varied(varied, gained, by, moving)
             added.append(self.norm(self.response(_both(made))))
+        # Half, since each end reaches to the middle of the time only.
         q, bow = added[0] / 2, added[1]
         radius, kept = least_root(first, 1 - q, bow)
+        # `first` has an eighth of F_tt.
         return _Ball(radius, 8 * first, added[0], 1 - q - bow * radius), kept
 
     def course(self, turn: Turn, ball: _Ball) -> Course:
@@ -256,6 +270,7 @@ class _Bounds:
         derivatives make of -F_tt and -F_ttt.
         """
         own = self.weight[0]
+        # A function that is 0 at both ends has a slope of at most half of its largest second derivative.
         first = ((ball.bow / 2 + ball.drift * ball.radius) / ball.stretch)[:, None, None]
         orders = [turn[0] + first * own, part(self.drift.bow, 2), part(self.drift.bow, 3)]
         pairs = [turn[1] + first[..., None] * self.weight[1], *(_both(each)[1] for each in orders[1:])]
@@ -309,6 +324,7 @@ class _Bounds:
         w0 = w - bent.d
         phi = np.cumsum((w + w0) / 2 * bent.d + bent.dd, axis=1)
         phi0 = np.concatenate([np.zeros_like(phi[:, :1]), phi[:, :-1]], axis=1)
+        # Means over a section, along which the bounds grow linearly: of 2 W, w + w0; of W^2, (w^2 + w w0 + w0^2) / 3.
         second = h.d * (w + w0) + h.v * ((phi + phi0) / 2 + (w**2 + w * w0 + w0**2) / 3)
         wrong = b.change(error)
         slope = np.cumsum(h.v * wrong, axis=1)

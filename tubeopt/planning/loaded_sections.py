@@ -68,6 +68,7 @@ class Pull:
         that jumps, as it is at arc lengths `inside` (...)."""
         out = (self.at > inside[..., None]) @ self.points
         out[..., FORCE] += np.maximum(ends - s[..., None], 0.0) @ self.weight
+        # A load per length ends with the longest tube, also where its stretch reaches farther.
         far = np.minimum(self.stretches[:, 1], ends.max(-1)[..., None]) - np.maximum(self.stretches[:, 0], s[..., None])
         return np.asarray(out + np.maximum(far, 0.0) @ self.along)
 
@@ -177,9 +178,11 @@ class LoadedArms(Arms):
             x, y = ((moment + pulls.sum(1)) / straight).T
             force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
             along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
+            # Balance of torques of a tube: torque' = u_x a_y - u_y a_x. What acts per length turns the outermost tube.
             twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
             twisting -= _on_outermost(along[:, 2], self._sides[k] < self.constants.ended)
             torsion = torque.sum(1)
+            # Balance of moments across the arm: the force n adds (n_y, -n_x), the torque T adds T (-u_y, u_x).
             bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1) - along[:, :2]
             sides.append((twisting, bending))
         (one, other), (three, four) = sides
@@ -258,6 +261,7 @@ class LoadedArms(Arms):
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
         begin, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
         per_length, couple = (np.linalg.norm(p.along[:, k], axis=1) for k in (FORCE, MOMENT))
+        # However an arm is bent, a force at s has a lever of at most s; a weight over all of it has L^2 / 2.
         out = np.minimum(p.at, length[:, None]) @ force + moment.sum()
         out += length**2 / 2 * np.linalg.norm(p.weight, axis=1).sum()
         return np.asarray(out + (end**2 - begin**2) @ per_length / 2 + (end - begin) @ couple)

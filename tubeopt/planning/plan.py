@@ -503,11 +503,13 @@ class EntryRegion(Displayed):
             points = self.places[np.arange(count) % len(self.places)]
             unit[: len(self.places), 3] = 0.0
         elif self.radius:
+            # The root spreads points evenly over the area of a disc.
             far, turn = self.radius * np.sqrt(unit[:, 0]), 2 * np.pi * unit[:, 1]
             points = np.column_stack([far * np.cos(turn), far * np.sin(turn), 0 * far])
             points[0] = 0.0
         else:
             points = (2 * unit[:, :3] - 1) * np.array(self.box)
+        # Evenly over the cap of the cone: its area grows with 1 - cos (Archimedes).
         tilt = np.arccos(1 - unit[:, 3] * (1 - np.cos(self.cone)))
         turn = 2 * np.pi * unit[:, 4]
         about = tilt[:, None] * np.column_stack([-np.sin(turn), np.cos(turn), 0 * turn])
@@ -613,6 +615,7 @@ def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Fram
     of_tip = of_the_tip(goal)
     at_start = Lines.of([first], POINTS)
     arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], POINTS)
+    # The ranking must leave time for the plans.
     half, found = task.clock.part(0.5), list[float]()
     for frame in frames:
         if found and half.over:
@@ -648,6 +651,7 @@ def _missed(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
     tip = arms.points[:, -1]
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
+        # Turned about z as a whole an arm stays an equilibrium: only radius and height of its tip count.
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
         near = np.argsort(miss)[:NEAREST_ARMS]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])

@@ -66,12 +66,14 @@ def linear(begin: Array, end: Array) -> DerivativeBounds:
 
 def turned(angle: DerivativeBounds) -> DerivativeBounds:
     """Of a unit vector that turns by an angle in a plane, or its sine; of the angle only derivatives count."""
+    # e(phi)''' = phi''' e' + 3 phi' phi'' e'' + phi'^3 e''', and all derivatives of e by phi have length 1.
     third = None if angle.ddd is None else angle.d**3 + 3 * angle.d * angle.dd + angle.ddd
     return DerivativeBounds(np.ones_like(angle.d), angle.d, angle.d**2 + angle.dd, third)
 
 
 def inverse(size: DerivativeBounds) -> DerivativeBounds:
     """Of 1 / f, where f is at least `size.v`."""
+    # (1/f)'' = 2 f'^2 / f^3 - f'' / f^2, and (1/f)''' = -6 f'^3 / f^4 + 6 f' f'' / f^3 - f''' / f^2.
     one, two = size.d / size.v, size.dd / size.v
     third = None if size.ddd is None else (size.ddd / size.v + 6 * one * two + 6 * one**3) / size.v
     return DerivativeBounds(1 / size.v, one / size.v, (two + 2 * one**2) / size.v, third)
@@ -167,15 +169,19 @@ class CurvatureBounds:
         straight = np.where(kb.any(-1), kb.sum(-1), 1.0)
         tilt = np.linalg.norm(kb @ c.direction, axis=-1)
         pull = moment.sum(-1)
+        # |u| (k(0) - |grad k(0)| |u|) <= |S|: iterated from below, |u| grows towards the least root.
         most = pull / straight
         for _ in range(50 if tilt.any() else 0):
             most = pull / np.maximum(straight - tilt * most, 1e-300)
         stiffness = straight - tilt * most
+        # k_i = kb_i / g_i: the second and third derivatives by u are 2 kb d^2 / g^3 and 6 kb d^3 / g^4 in size.
         squeeze = np.maximum(1 - c.offset * most[..., None], 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             bow = np.where(kb * c.offset > 0, 2 * kb * c.offset**2 / squeeze**3, 0.0).sum(-1)
             hook = np.where(kb * c.offset > 0, 6 * kb * c.offset**3 / squeeze**4, 0.0).sum(-1)
+        # The gradient of k at 0, and how much it grows over |u|.
         slope = tilt + most * bow
+        # d(u k) = k du + u (grad k . du).
         yielding = stiffness - most * slope
         pairs = moment[..., :, None] * moment[..., None, :] / stiffness[..., None, None]
         n = moment.shape[-1]
@@ -201,6 +207,7 @@ class CurvatureBounds:
 
     def second(self, one: Array, other: Array) -> Array:
         """(...) bound of the second derivative of u in directions that turn theta_i by at most these (..., n)."""
+        # (u k)'' = k u'' + 2 k' u' + u k'', solved for u''.
         curving = (2 * self.slope + self.most * self.bow) * self.change(one) * self.change(other)
         return np.asarray(((self.moment * one * other).sum(-1) + curving) / self.yielding)
 

@@ -72,6 +72,7 @@ OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
+    # The answer is followed and proved: four digits of the cost are enough, equations need more.
     "ipopt.tol": 1e-4,
     "ipopt.constr_viol_tol": 1e-7,
     "ipopt.acceptable_tol": 1e-2,
@@ -79,6 +80,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_constr_viol_tol": 1e-7,
     "ipopt.acceptable_obj_change_tol": 1e-3,
     "ipopt.max_iter": 80,
+    # The start is a motion that was checked; a larger barrier would move it away from its path.
     "ipopt.mu_init": 1e-2,
 }
 
@@ -178,6 +180,7 @@ def _program(question: PathQuestion) -> PathProgram:
         parts["clearance"] = ca.vec(least) / question.length
     h = ca.repmat(p["step"].T, m, 1)
     w, along = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
+    # q'' is linear between `early` and `late`: int q''^2 = h (early^2 + early late + late^2) / 3.
     moved, effort = _squares(joints, rates, h), ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
     objective = w[0] * (moved + along) + w[1] * square + w[2] * effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
@@ -213,6 +216,7 @@ def _knot(question: PathQuestion) -> ca.Function:
 def _constraints(g: Any, arms: Any, knot: ca.Function, at: tuple[Any, ...], x: Any, p: Any) -> tuple[Any, Any]:
     """The constraints, of which an expression has symbols for the `arms` that the function `knot` makes of `at`; and as
     a function (x, p) they and their Jacobian, in which every knot is differentiated by what it depends on."""
+    # Chain rule: each knot's own small Jacobian, on the diagonal, times that of its arguments by the unknowns.
     count, chain = arms.shape[1], ca.jacobian(ca.vec(ca.vertcat(*at[:3])), x)
     one = [ca.MX.sym(knot.name_in(k), knot.sparsity_in(k)) for k in range(knot.n_in())]
     by = ca.vertcat(*one[:3])
@@ -248,6 +252,8 @@ def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> 
 def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
     """q'' at both ends of every interval, and the middle Bezier coefficient of q' in between (m, intervals)."""
     delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
+    # Hermite's cubic with slopes a, b and mean slope delta. The mean of Bezier coefficients of q' is delta: the middle
+    # one is 3 delta - a - b.
     return (6 * delta - 4 * a - 2 * b) / h, 3 * delta - a - b, (2 * a + 4 * b - 6 * delta) / h
 
 
@@ -262,6 +268,7 @@ def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Fu
     x, p = problem["x"], problem["p"]
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
     first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
+    # The only curved constraint of the joints has -sqrt(S), with the second derivative S^(-3/2) / 4.
     pressing = ca.sum1(multipliers[first : first + rows["speed"]])
     square = x[x.numel() - 2]
     table = factor * (ca.hessian(problem["f"], x)[0] + extra)
@@ -433,6 +440,7 @@ def smooth(
         if clock.over:
             return None
         z, share = _split(found.points, share, bad)
+        # What was missing and half, since the knots that are added shift where the least lies.
         room += 1.5 * short
     return None
 
@@ -482,6 +490,7 @@ def _solve(
         twist=np.maximum(TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
+    # A margin of 1 is the largest there is: bounds need an interior below it.
     floor = min(task.min_margin + float(room[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
@@ -511,6 +520,7 @@ def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
     v, step = begin_rates(q, time), np.diff(time)[:, None]
     speed = (np.abs(np.diff(q, axis=0)) / step / rate).max()
     hard = (np.abs(np.diff(v, axis=0)) / step / acceleration).max()
+    # More than the differences of knots ask for: between knots cubics are faster.
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
@@ -566,6 +576,7 @@ def _bounds(
     lower["equilibrium"], upper["equilibrium"] = -free, free
     return {
         "lbx": np.concatenate([low.ravel(), -rate.ravel(), lowest.ravel(), [1e-6, floor]]),
+        # S is at most 4: a motion may take twice as long as the start.
         "ubx": np.concatenate([high.ravel(), rate.ravel(), tip.ravel(), [4.0, most]]),
         "lbg": np.concatenate([lower[name] for name in rows]),
         "ubg": np.concatenate([upper[name] for name in rows]),

@@ -120,6 +120,7 @@ def rounded(table: Array) -> PPoly:
     """
     count = max(8, len(table))
     knots = np.concatenate([np.zeros(3), np.linspace(0, 1, count - 2), np.ones(3)])
+    # Greville's abscissae: with control points there a B-spline reproduces straight lines.
     places = np.array([knots[k + 1 : k + 4].mean() for k in range(count)])
     x = np.linspace(0, 1, len(table))
     control = np.column_stack([np.interp(places, x, column) for column in table.T])
@@ -161,13 +162,16 @@ def _largest(curves: Sequence[PPoly], grids: Sequence[Array], limits: Limits) ->
 def _time(s: Array, b: Array) -> Array:
     """(N + 1,) seconds at which the points of a grid are passed."""
     pace = np.sqrt(b)
+    # At constant acceleration the mean speed is the mean of both ends.
     return np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / np.maximum(pace[1:] + pace[:-1], TINY))])
 
 
 def _motion(curve: PPoly, s: Array, b: Array) -> Motion:
     """Along a curve with b (N + 1,) on a grid: in every cell s grows by p t + w t^2."""
     c1, c2, c3 = _terms(curve, s)
+    # ds/dt begins as p = sqrt(b). d^2 s / dt^2 = b' / 2 is constant, so that w is a quarter of the slope of b.
     p, w = np.sqrt(b[:-1])[:, None], (np.diff(b) / np.diff(s) / 4)[:, None]
+    # c1 x + c2 x^2 + c3 x^3 with x = p t + w t^2, by powers of t from the sixth down.
     powers = [c3 * w**3, 3 * c3 * p * w**2, c2 * w**2 + 3 * c3 * p**2 * w, 2 * c2 * p * w + c3 * p**3]
     return Motion(PPoly(np.array([*powers, c1 * w + c2 * p**2, c1 * p, curve(s[:-1])]), _time(s, b)))
 
@@ -195,9 +199,11 @@ class _Program:
         c1, c2, c3 = _terms(curve, s)
         long, force = h[:, None], RATE_SAFETY_FACTOR * limits.acceleration
         # Where s has grown by x, b has by 2 x u.
+        # Bezier coefficients of q_s u + q_ss b = (c1 + 6 c2 x + 15 c3 x^2) u + (2 c2 + 6 c3 x) b, with b at the begin.
         row_u = [c1, c1 + 3 * c2 * long, c1 + 6 * c2 * long + 15 * c3 * long**2]
         row_b = [2 * c2, 2 * c2 + 3 * c3 * long, 2 * c2 + 6 * c3 * long]
         rows_u, rows_b = (np.concatenate(rows, axis=1) / np.tile(force, 3) for rows in (row_u, row_b))
+        # Bezier coefficients of q_s, a hull of the rates.
         along = np.abs([c1, c1 + c2 * long, c1 + 2 * c2 * long + 3 * c3 * long**2]).max(0)
         pace = (along / (RATE_SAFETY_FACTOR * limits.rate)).max(1)
         if limits.tip is not None and tip is not None:
@@ -222,9 +228,11 @@ def _paced(program: _Program) -> Array:
     steep = np.abs(program.row_u) > TINY
     some = np.where(steep, program.row_u, 1.0)
     v, w = np.where(steep, program.row_b / some, 0.0), np.where(steep, 1 / np.abs(some), np.inf)
+    # A row without u bounds b itself.
     level = np.where(steep, np.inf, 1 / np.maximum(np.abs(program.row_b), TINY)).min(1)
     most = np.append(np.minimum(program.most[:-1], np.minimum(level, _between(v, w, grown))), program.most[-1])
     # What the next b is at most, of a line; and back from that, where it grows with b.
+    # The next b is b + grown u with u <= w - v b.
     slope, bound = 1 - grown * v, grown * w
     grows = slope > TINY
     back, more = 1 / np.where(grows, slope, 1.0), np.where(grows, bound / np.where(grows, slope, 1.0), np.inf)
@@ -272,6 +280,8 @@ def _between(v: Array, w: Array, grown: Array) -> Array:
     """(N,) the largest b for which some u with |u + v b| <= w (N, r) leaves the next b no less than 0."""
     least = np.full(len(v), np.inf)
     for k in range(v.shape[1]):
+        # The intervals of u of two rows meet where |v_j - v_k| b <= w_j + w_k. The next b is not negative for u >= -b /
+        # grown.
         one = v[:, k, None]
         falls = np.concatenate([np.abs(one - v[:, k + 1 :]), one - 1 / grown], axis=1)
         room = np.concatenate([w[:, k, None] + w[:, k + 1 :], w[:, k, None]], axis=1)
@@ -315,6 +325,7 @@ def track(task: PlanTask, start: Equilibrium, q: Array, clock: Clock | None = No
     for row in q:
         rotations, shift = space.split(row)
         try:
+            # Each from the last, which keeps the branch: a cold start may find another equilibrium.
             here = forward_kinematics(space.robot, rotations, shift, load=task.chart.load, start=here)
         except SolveError:
             break

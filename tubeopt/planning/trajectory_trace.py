@@ -121,6 +121,7 @@ class Sizes(Table):
 
     def bound(self, distance: Array) -> Array:
         """(N,) lower bounds of the clearance without `off`, m, where (N,) is the least distance at corners."""
+        # A point at the fraction x between two corners has the variance x (1 - x) |side|^2, at most a quarter.
         spread = (self.along + self.time) / 4
         far = distance**2 > spread
         # A corner lies no farther than the root of the variance from any point of the patch.
@@ -129,11 +130,13 @@ class Sizes(Table):
 
     def needed(self, line: float) -> float:
         """Distance of corners beyond which all cells are cleared."""
+        # `bound` solved for the distance D: sqrt(D^2 - V) - sagitta - off - radius >= line.
         least = np.maximum(line + self.sagitta + self.off + self.radius, 0.0)
         return float(np.sqrt(least**2 + (self.along + self.time) / 4).max(initial=0.0))
 
     def longer(self, distance: Array) -> Mask:
         """(N,) whether cells give away more by their length than by their way in time."""
+        # To first order sqrt(D^2 - V) lacks V / (2 D), and V is a quarter of the squares.
         far = 8 * np.maximum(distance, np.sqrt(np.maximum(self.along, self.time)) + 1e-12)
         return np.asarray(self.along / far + self.sagitta >= self.time / far)
 

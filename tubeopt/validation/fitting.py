@@ -99,6 +99,7 @@ def predicted_held_out(model: ArmModel, weights: Weights, near: Descent[State], 
     for k in np.unique(own):
         mine = own == k
         a, b = weighted_sums(jacobian[mine], near.residuals[mine], w[mine])
+        # The normal equations without the rows of the fold: one Newton step, cut at the bounds.
         out[mine] = near.residuals[mine] + jacobian[mine] @ np.clip(-solved(square - a, slope - b), *bounds)
     return out
 
@@ -113,9 +114,12 @@ def bootstrap_errors(model: ArmModel, weights: Weights, fit: Descent[State], blo
     parts = [weighted_sums(fit.jacobian[own == k], fit.residuals[own == k], w[own == k]) for k in labels]
     squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
     whole = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
+    # What is of no row: priors count once in every draw.
     prior = whole[0] - squares.sum(0), whole[1] - slopes.sum(0)
+    # Drawing blocks with replacement only changes how often each counts.
     draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), DRAWS)
     steps = [solved(np.tensordot(n, squares, 1) + prior[0], np.tensordot(n, slopes, 1) + prior[1]) for n in draw]
+    # A bootstrap of n blocks has a variance that is (n - 1) / n of the true one.
     spread = np.std(steps, axis=0, ddof=1) * np.sqrt(len(labels) / (len(labels) - 1))
     return np.asarray(spread[: len(fit.state.x)])
 
@@ -380,6 +384,7 @@ class FitProblem:
         a = self.model.directed
         unknowns = len(self.free) + self.model.freedoms
         total = 3 * (~a).sum() + 2 * a.sum()
+        # Each unknown takes one number to fit, which leaves so much less in the residuals.
         spare = max(total - unknowns, 1) / total
         out = []
         for sizes, coordinates, given in ((size[~a], 3, self.options.noise[0]), (size[a], 2, self.options.noise[1])):
@@ -388,6 +393,8 @@ class FitProblem:
             elif self.options.loss == "linear":
                 out.append(float(np.sqrt((sizes**2).sum() / (coordinates * len(sizes) * spare))))
             else:
+                # The median of a chi distribution with k coordinates is sqrt(2 P^-1(k / 2, 1 / 2)), P the incomplete
+                # gamma function.
                 out.append(float(np.median(sizes) / np.sqrt(2 * scipy.special.gammaincinv(coordinates / 2, 0.5))))
         return max(out[0], 1e-12), max(out[1], 1e-12)
 
@@ -402,6 +409,7 @@ class FitProblem:
     def covariance(self) -> Array:
         """(P', P') of the parameters that are not held."""
         square, _ = normal_equations(self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian)
+        # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
         scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
         inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
         return np.asarray(inverse[: len(self.free), : len(self.free)])
@@ -422,6 +430,7 @@ class FitProblem:
         if fold is not None:
             along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))
         told(3, 4)
+        # A direction is three numbers with two degrees of freedom.
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
         wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked

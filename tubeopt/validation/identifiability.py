@@ -46,10 +46,12 @@ def undetermined(parameters: Sequence[Parameter], jacobian: Array, length: float
             length, m.   length: of the arm, m.
     """
     scaled = beside_registration(jacobian, len(parameters)) * [p.scale for p in parameters]
+    # RMS motion of the tips, in lengths of the arm, per plausible change of each parameter.
     scaled /= length * math.sqrt(len(jacobian))
     kept: list[int] = []
     held, words = [], []
     for k, parameter in enumerate(parameters):
+        # Added one by one in the user's order: of two that cannot be told apart the first is estimated.
         _, singular, directions = np.linalg.svd(scaled[:, [*kept, k]], full_matrices=False)
         if singular[-1] > NO_EFFECT:
             kept.append(k)
@@ -79,6 +81,7 @@ def left_out(parameter: Parameter) -> str:
 def beside_registration(jacobian: Array, count: int) -> Array:
     """(3V, P) columns of the parameters of a Jacobian (V, 3, P + F), less what the registration would undo."""
     flat = jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
+    # What is orthogonal to the columns of the registration is all that it cannot undo.
     q, _ = np.linalg.qr(flat[:, count:])
     return np.asarray(flat[:, :count] - q @ (q.T @ flat[:, :count]))
 
@@ -375,6 +378,7 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[
 
     def best(without: Sequence[int]) -> int:
         information = start + np.einsum("caq,car->qr", slopes[list(without)], slopes[list(without)])
+        # D_s: log det of all unknowns less that of the registration, which is estimated but of no interest.
         gain = _gain(information, slopes) - _gain(information[parameters:, parameters:], slopes[..., parameters:])
         gain[~usable] = -np.inf
         gain[list(without)] = -np.inf
@@ -393,6 +397,7 @@ def _exchange(slopes: Array, parameters: int, count: int, usable: Mask) -> list[
 
 def _gain(information: Array, slopes: Array) -> Array:
     """(C,) by which each candidate raises log det of the information."""
+    # det(M + J^T J) = det M det(1 + J M^-1 J^T), a determinant of three rows in place of Q.
     gained = slopes @ np.linalg.inv(information) @ slopes.transpose(0, 2, 1)
     return np.asarray(np.linalg.slogdet(np.eye(3) + gained)[1])
 

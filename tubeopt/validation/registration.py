@@ -77,6 +77,7 @@ class Registration:
             return self
         turns = [np.array(self.rates(k)[0]) * x for k, x in enumerate(step[:3])]
         turn = scipy.spatial.transform.Rotation.from_rotvec(np.sum(turns, axis=0)).as_matrix()
+        # The plate's centre c as the device sees it: R c + t = 0.
         centre = -self.rotation.T @ self.translation + (step[3:] if len(step) > 3 else 0.0)
         rotation = self.rotation @ turn.T
         return Registration(self.method, rotation, -rotation @ centre)
@@ -101,6 +102,7 @@ class Registration:
     @property
     def yaw(self) -> float:
         """Turn about the plate's axis (rad, in (-pi, pi]), the twist that is left when the tilt is undone."""
+        # Swing and twist: the parts z and w of the quaternion alone are the turn about z.
         x = scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_quat()
         return math.remainder(2 * math.atan2(x[2], x[3]), 2 * math.pi)
 
@@ -167,6 +169,7 @@ def register(
 def _noise_ratio(found: Registration, m: Array, p: Array, d: Directions) -> float:
     """Noise of a coordinate of positions over that of directions, m: given, or what a registration leaves."""
     left = found.apply(m) - p, d.measured @ found.rotation.T - d.predicted
+    # A position has three degrees of freedom, a direction two.
     each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]
     position, direction = (given or max(own, 1e-12) for given, own in zip(d.noise, each, strict=True))
     return position / direction
@@ -180,6 +183,7 @@ def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) 
     there, here = p - p_mean, m - m_mean
     if d is not None:
         there, here = np.vstack([there, ratio * d.predicted]), np.vstack([here, ratio * d.measured])
+    # The second singular value is 0 where all tips lie on a line.
     if np.linalg.svd(there, compute_uv=False)[1] <= IN_LINE * math.sqrt(len(p)):
         raise InputError(
             "registration is 'rigid', but the predicted tips lie on a line and do not "
@@ -197,6 +201,7 @@ def _about_axis(measured: Array, predicted: Array, base: BasePose, d: Directions
     if d is not None:
         there, here = [predicted, ratio * d.predicted], [from_base, ratio * d.measured]
     pairs = np.vstack([[0.0, 0.0, 1.0], *there]), np.vstack([base.axis, *here])
+    # scipy meets a pair of infinite weight exactly: that of the axes.
     weights = np.append(np.inf, np.ones(len(pairs[0]) - 1))
     rotation = scipy.spatial.transform.Rotation.align_vectors(*pairs, weights=weights)[0].as_matrix()
     # Of all that is matched: |sum of conj(x + iy) (x' + iy')|, since the rotation about the axis is the best one.

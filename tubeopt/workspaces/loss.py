@@ -142,9 +142,11 @@ def _sorted(
     """Voxels of the stable and of the unstable equilibria."""
     stores: tuple[Store, Store] | None = None
     done = 0
+    # Even in tip rotations, in which every equilibrium, stable or not, is one point.
     for tips, shift in drawn.blocks():
         check_time()
         found = from_tips(robot, tips, shift)
+        # In the column of the margin, of which only the sign is needed.
         sign = np.where(found.stable, 1.0, -1.0)
         table = np.column_stack([found.tip_position, found.tip_direction, sign])
         table = table[_within_limits(robot, found.rotations)]
@@ -198,6 +200,7 @@ def _free_to_turn(robot: Robot) -> Robot:
 def _within_limits(robot: Robot, rotations: Array) -> Mask:
     """(B,) whether joint rotations, give or take whole turns, are within the limits."""
     low, high = np.array(robot.limits.rotations).T
+    # The least value above the lower limit, up to round-off, that is the same but for whole turns.
     turned = rotations + (2 * np.pi) * np.ceil((low - 1e-9 - rotations) / (2 * np.pi))
     return np.asarray((turned <= high + 1e-9).all(1))
 
@@ -235,6 +238,7 @@ def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
     known = explicit_parameters(robot)
     for first in range(0, count, CHUNK):
         size = min(CHUNK, count - first)
+        # The function is mapped over CHUNK arms: the last call repeats the last row.
         rows = np.minimum(np.arange(first, first + CHUNK), count - 1)
         rotations, fields, points, tangents, _ = march(tips[rows], translations[rows], 0.0, known)
         places, ahead = (part.reshape(CHUNK, -1, 3)[:size, -1].copy() for part in (points, tangents))

@@ -190,6 +190,7 @@ class JointSamples:
             q = q[(np.abs(q - y @ box.back.T) <= 1e-9 * space.scale).all(1)]
             q = q[space.ordered(q)]
             barren = 0 if len(q) else barren + 1
+            # A million points: an admissible share below 1e-6 counts as none.
             if barren > 256:
                 raise InputError("no random joint values within the limits satisfy the tube order")
             joint = (q @ space.spread.T + space.offset)[:left]
@@ -235,11 +236,13 @@ def _box(space: JointSpace) -> Box:
     n, m = space.robot.n_tubes, len(space.lower)
     gaps = np.eye(m)
     for k in range(n, m - 1):
+        # The order of carriages bounds their distances, which are independent; their positions are not.
         gaps[k, k + 1] = -1.0
     boxes = []
     for forward in (np.eye(m), gaps):
         low, high = _bounds(space, forward)
         boxes.append(Box(low, high, np.asarray(np.linalg.inv(forward), dtype=float), np.zeros(m, dtype=bool)))
+    # Of points outside the limits each is drawn in vain, and what is left of Sobol's points is less even.
     best = min(boxes, key=lambda box: (len(box.free), float(np.prod((box.high - box.low)[box.free]))))
     low, high = best.low.copy(), best.high.copy()
     whole = np.arange(m) < n
@@ -457,10 +460,12 @@ class _Disk:
             start = self._file.tell()
         except ValueError:
             self._file.truncate(0)
+            # The header states the final number of rows, so that the complete file is an ordinary .npy file.
             shape = {"descr": "<f8", "fortran_order": False, "shape": (self._count, self._width)}
             np.lib.format.write_array_header_1_0(self._file, shape)
             self._file.flush()
             return 0
+        # Eight bytes per number; a run that was killed may leave part of a row.
         rows = min((size - start) // (8 * self._width), self._count)
         self._file.truncate(start + rows * 8 * self._width)
         return rows

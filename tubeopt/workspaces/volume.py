@@ -114,6 +114,7 @@ def _revolved(index: Keys, size: float) -> tuple[float, float]:
     if index[:, 0].min() == 0:  # beyond the axis lies the other side
         filled[0] = filled[1]
     inside = filled[1:-1, 1:-1] & filled[:-2, 1:-1] & filled[2:, 1:-1] & filled[1:-1, :-2] & filled[1:-1, 2:]
+    # Pappus: the area of a cell times the way of its centre around the axis.
     ring = 2 * np.pi * (np.arange(index[:, 0].min(), index[:, 0].max() + 1) + 0.5) * size**3
     whole, core = (float(ring @ part.sum(1)) for part in (filled[1:-1, 1:-1], inside))
     return (whole + core) / 2, (whole - core) / 2
@@ -153,8 +154,10 @@ def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, floa
         raise InputError("the tips lie in a plane; an alpha shape needs points in space") from None
     edges = corners[:, 1:] - corners[:, :1]
     size = np.abs(np.linalg.det(edges)) / 6
+    # A sliver has no circumsphere within round-off. Its matrix is replaced, so that one call solves all.
     flat = size <= 1e-12 * np.abs(edges).max((1, 2)) ** 3
     edges[flat] = np.eye(3)
+    # |c|^2 = |c - e_k|^2 for the three edges e_k from one corner: 2 e_k . c = |e_k|^2.
     centre = np.linalg.solve(2 * edges, (edges**2).sum(2)[..., None])[..., 0]
     circumradius = np.where(flat, np.inf, np.linalg.norm(centre, axis=1))
     if radius is None:
@@ -170,6 +173,7 @@ def _mean_distance(size: Array, circumradius: Array, count: int) -> float:
         smaller = reach * (float(size[circumradius <= radius].sum()) / count) ** (1 / 3)
         if smaller >= 0.99 * radius:
             break
+        # At most halved: a much smaller radius may drop so many tetrahedra that the fixed point is passed.
         radius = max(float(smaller), 0.5 * radius)
     return float(radius)
 

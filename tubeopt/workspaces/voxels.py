@@ -105,6 +105,7 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
 def of_first_half(workspace: Workspace, first: int, count: int) -> Mask:
     """(count,) whether rows from `first` on are of the first half of the samples; of a grid, of a random half."""
     if workspace.method == "grid":  # whose first half lies on one side
+        # Seeded by the row, so that every pass over the table draws the same half.
         return np.asarray(np.random.default_rng(first).random(count) < 0.5)
     return np.arange(first, first + count) < (len(workspace) + 1) // 2
 
@@ -126,6 +127,7 @@ def size_for(extent: Array, count: int) -> float:
         return 1e-3
     # A workspace that is flat is as thick as a thousandth of its length, so that its voxels are counted on its face.
     volume = float(np.prod(np.maximum(extent, longest / 1000)))
+    # At most 500 voxels along the longest side, however many samples there are, to bound the memory.
     edge = max((volume * PER_VOXEL / count) ** (1 / 3), longest / 500)
     # Ten round numbers per decade: with 1, 2, 5 the samples per voxel would differ by up to 4 times from `PER_VOXEL`.
     steps = np.array([m * 10.0**e for e in range(-7, 1) for m in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)])
@@ -144,8 +146,10 @@ class Store:
 
     def add(self, tips: Array, directions: Array, margin: Array, early: Mask) -> None:
         """Sort in tips (B, 3), their directions (B, 3) and margins (B,)."""
+        # Old voxels first: sorting is stable, so that they and the new tips are reduced together.
         keys = np.concatenate([self.keys, keys_of(cells(tips, self.size))])
         ones = np.ones(len(tips), np.int64)
+        # One bit per patch: directions are joined by `or`, and counted by their bits.
         word = np.left_shift(np.uint64(1), patch_of(directions).astype(np.uint64))
         order = np.argsort(keys, kind="stable")
         self.keys, starts = np.unique(keys[order], return_index=True)
@@ -175,6 +179,7 @@ def cells(points: Array, size: float) -> Keys:
 
 def keys_of(index: Keys) -> Keys:
     """(V,) one number per cube."""
+    # Shifted to be positive, or the bits of one axis would reach into those of the next.
     x, y, z = (index + _HALF).T
     return np.asarray((x << (2 * _BITS)) | (y << _BITS) | z)
 
