@@ -175,6 +175,14 @@ SHEATH_COLOUR: Colour = (158, 173, 194)
 SHEATH_OPACITY = 0.22
 
 
+class CrossSection(NamedTuple):
+    """Unit vectors (k, 3) of cross-sections of the arm."""
+
+    x: Array
+    y: Array
+    tangent: Array
+
+
 class Centreline:
     """The centreline of an equilibrium at any arc length: cubic between the points, exact in position and tangent."""
 
@@ -195,15 +203,15 @@ class Centreline:
         points: Array = self._position(np.clip(s, 0, self.length))
         return points
 
-    def axes(self, s: Array) -> tuple[Array, Array, Array]:
-        """Unit vectors of the cross-section at `s` (k,), x and y, and the tangent: (k, 3) each."""
+    def axes(self, s: Array) -> CrossSection:
+        """The cross-sections at arc lengths `s` (k,), m."""
         s = np.clip(s, 0, self.length)
         # Between points |r'| of the cubic is 1 only to O(h^3).
         tangent = _unit(self._position.derivative()(s))
         across = self._across(s)
         # One step of Gram and Schmidt keeps the section square to the tangent.
         across = _unit(across - (across * tangent).sum(1, keepdims=True) * tangent)
-        return across, np.cross(tangent, across), tangent
+        return CrossSection(across, np.cross(tangent, across), tangent)
 
     def ring(self, s: Array, sides: int) -> tuple[Array, Array]:
         """Across the line at `s` (k,): (k, sides, 3) unit vectors all around, and (k, 2, 3) those of the section."""

@@ -91,6 +91,7 @@ def _draw_tube(axes: Axes, line: Array, radii: Array, colour: str) -> None:
 
     for (a, b), (wide, slim) in zip(pairwise(line), pairwise(radii.tolist()), strict=True):
         way = b - a
+        # Seen end-on, a segment has no length, and the discs at its ends are all that shows.
         size = float(np.linalg.norm(way))
         if size > 1e-9:
             across = np.array([-way[1], way[0]]) / size

@@ -126,6 +126,7 @@ def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
 
 def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
     x = plan.position * TO_MM
+    # First and last instant of the hold.
     start, end = (int(np.flatnonzero(plan.in_hold)[k]) for k in (0, -1))
     _window(axes, plan, label=False)
     axes.plot(x, plan.temperature[start], color=COLD, lw=1.1, label="hold begins")
@@ -142,6 +143,7 @@ def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
     rig, tube = plan.rig, plan.tube
     lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, tube.curved_length]
     edges = np.cumsum(lengths) * TO_MM
+    # Clamp, clearance and lead lie on both sides of the curved part.
     total = float(2 * sum(lengths[:3]) + lengths[3]) * TO_MM
     for at in (*edges[:3], *(total - edges[:3])):
         axes.axvline(at, color=FAINT, lw=0.5, ls=":")

@@ -245,6 +245,7 @@ def _draw_way(axes: Axes, way: Way, quantity: Value) -> None:
 
 def _name_snaps(axes: Axes, way: Way, quantity: Value) -> None:
     """Angle, jump of the tip and energy of each snap, beside it: ahead of the way on which it happens."""
+    # Names of both ways stand on opposite sides of the jump, and do not overlap.
     side = 1 if way.angles[-1] > way.angles[0] else -1
     for snap in way.path.snaps:
         x = place_of(snap, way.angles)

@@ -260,6 +260,7 @@ def _draw_jump(scene: Axes, snap: Snap, view: View) -> None:
     style = {"arrowstyle": "-|>", "color": INK, "lw": 1.0, "ls": "-", "shrinkA": 3, "shrinkB": 3, "mutation_scale": 10}
     scene.annotate("", (float(new[0]), float(new[1])), (float(old[0]), float(old[1])), arrowprops=style, zorder=6)
     # The label stands above the arrow, to the side that the arrow leaves free.
+    # Its sign tells an arrow that falls to the right from one that rises to the right.
     slope = (old[1] - new[1]) * (new[0] - old[0])
     scene.annotate(
         f"{snap.tip_jump * TO_MM:.1f} mm",

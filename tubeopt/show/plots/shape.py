@@ -326,7 +326,7 @@ def _name_tubes(axes: Axes, equilibrium: Equilibrium, view: View) -> None:
 
 def _beside(line: Centreline, s: float, view: View) -> Array:
     """(2,) unit vector in the picture, square to the arm at arc length `s`, to its right if it points upwards."""
-    tangent = view.project(line.axes(np.array([s]))[2][0])[:2]
+    tangent = view.project(line.axes(np.array([s])).tangent[0])[:2]
     beside = np.array([tangent[1], -tangent[0]])
     length = float(np.linalg.norm(beside))
     return beside / length if length > 1e-9 else np.array([1.0, 0.0])
@@ -499,6 +499,7 @@ def _first_slope(s: Array, rotation: Array, torsion: Array) -> float:
     points = np.r_[0, np.repeat(np.arange(1, min(len(s), 4)), 2)]
     values = rotation[points]
     values[2::2] = torsion[points[2::2]]
+    # Arc length is counted from the point, where high powers lose the fewest digits.
     slope = scipy.interpolate.KroghInterpolator(s[points] - s[0], values).derivative(0.0)
     return float(slope)
 
@@ -529,7 +530,9 @@ def breakpoints(equilibrium: Equilibrium) -> dict[float, str]:
     for i, tube in enumerate(equilibrium.robot.tubes):
         end = float(equilibrium.tube_end[i])
         for s, what in ((end - tube.curved_length, "curves"), (end, "ends")):
+            # Behind the plate nothing is drawn, and a straight tube has no place where it begins to curve.
             if s > 1e-9 and (what == "ends" or tube.curved_length > 0):
+                # Rounded to 1 nm, so that events at one place have one line and one name.
                 events.setdefault(round(s * TO_MM, 6), []).append(f"{i + 1} {what}")
     return {s: "tube " + ", ".join(events[s]) for s in sorted(events)}
 
@@ -541,6 +544,7 @@ def _mark_sections(above: Axes, below: Axes, equilibrium: Equilibrium, *, room: 
     """
     width = float(equilibrium.tube_end.max()) * TO_MM
     reached: list[float] = []
+    # A name goes into the lowest row in which the last name ends far enough to the left.
     for s, what in breakpoints(equilibrium).items():
         for axes in (above, below):
             axes.axvline(s, color=FAINT, lw=0.6, ls=(0, (4, 3)), zorder=0)

@@ -204,6 +204,7 @@ def save_film(
 
 def some_of(arms: Sequence[Equilibrium]) -> list[Equilibrium]:
     """At most `SHOWN` of the equilibria along a motion, evenly, with the first and the last."""
+    # Unique, as a short motion has fewer arms than SHOWN.
     return [arms[k] for k in np.unique(np.linspace(0, len(arms) - 1, SHOWN).astype(int))]
 
 
@@ -228,6 +229,7 @@ def stage_for(
     """How motions are seen, by default across their widest side, and the box around them, bodies, and the plate."""
     # One box for all pictures of a film: a box that changes would move the scene.
     passed = [each.base.placed(arm.position) for each in sweeps for arm in each.arms]
+    # Tips at all instants count too: between the arms that are drawn the tip may go farther.
     points = np.concatenate([*passed, *(each.tips for each in sweeps)])
     seen = View(*view) if view is not None else widest_view(points)
     corners = [mesh.corners.reshape(-1, 3) for mesh in body_meshes(obstacles)]
@@ -432,6 +434,7 @@ def _draw_arm(axes: Axes, arm: Equilibrium, plane: Plane) -> None:
     for half, colour in ((radius, BESIDE), (np.sqrt(np.maximum(radius**2 - height**2, 0.0)), ARM)):
         wide = 2 * TO_MM * half[half > 0]
         where: dict[str, Any] = {"units": "xy", "offsets": at[half > 0], "offset_transform": axes.transData}
+        # Hundreds of discs as one collection: single patches would take seconds and megabytes of PDF.
         axes.add_collection(EllipseCollection(wide, wide, 0 * wide, color=colour, lw=0, zorder=3, **where))
 
 

@@ -269,12 +269,14 @@ def _draw_section(axes: Axes, found: _Section, values: Array, span: tuple[float,
     # Cells without samples take no part in the mean of a point; the edge is where half of the cells about it have some.
     padded = np.pad(values, 2, constant_values=np.nan)
     inside = np.isfinite(padded)
+    # Normalised convolution (Knutsson and Westin, 1993): smoothed values over smoothed weights.
     weight = gaussian_filter(inside.astype(float), 0.7)
     mean = gaussian_filter(np.where(inside, padded, 0.0), 0.7) / np.maximum(weight, 1e-9)
     if found.first[0] == 0:  # beyond the axis lies the other side
         weight[:2], mean[:2] = weight[3:1:-1], mean[3:1:-1]
     # Rounded up.
     finer = -(-ACROSS // max(padded.shape))
+    # grid_mode: values belong to the middles of cells, and not to their corners.
     fine, part = (zoom(each, finer, order=1, grid_mode=True, mode="nearest") for each in (mean, weight))
     edges = [
         TO_MM * found.size * (found.first[k] - 2 + np.arange(finer * padded.shape[k] + 1) / finer) for k in range(2)

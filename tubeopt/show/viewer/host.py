@@ -64,6 +64,7 @@ def quiet_server(host: str, port: int, title: str = "tubeopt", added: Added | No
         raise InputError("the viewer needs viser: python -m pip install 'tubeopt[view]'") from None
     _bind(host, port)
     console = rich.get_console()
+    # viser prints its address and clients on the console of rich, which is shared by the process.
     loud, console.quiet = console.quiet, True
     try:
         with _own_page_alone(host, title, added):
@@ -81,7 +82,9 @@ def quiet_server(host: str, port: int, title: str = "tubeopt", added: Added | No
 def address_of(host: str, port: int) -> str:
     """Where a browser on this machine finds the page."""
     if host in ("0.0.0.0", "::"):
+        # "Any address" is for listening; a browser cannot open it.
         host = LOCAL if host == "0.0.0.0" else "::1"
+    # Brackets part the colons of an IPv6 address from that of the port.
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
@@ -102,15 +105,13 @@ def _bind(host: str, port: int) -> None:
 
 @contextmanager
 def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None]:
-    """Have the server that is made meanwhile refuse requests that other pages in the same browser make.
-
-    viser checks neither the host that a browser believes to talk to nor the page that opens a websocket: any site that
-    is open in another tab could move the robot. There is no setting for it, nor for the page's title, so the server's
-    maker is wrapped.
-    """
+    """Have the server that is made meanwhile refuse requests that other pages in the same browser make."""
     import websockets.asyncio.server as library
     from websockets.exceptions import ConnectionClosed
 
+    # viser checks neither the host that a browser believes to talk to nor the page that opens a websocket.
+    # Any site that is open in another tab could move the robot (DNS rebinding, cross-site WebSocket hijacking).
+    # There is no setting for it, nor for the page's title, so the server's maker is wrapped.
     make = library.serve
 
     def guarded(handler: Any, address: str, port: int, *, process_request: Any, **options: Any) -> Any:
@@ -118,6 +119,7 @@ def _own_page_alone(host: str, title: str, added: Added | None) -> Iterator[None
             if not is_own(request.headers.get("Host", ""), request.headers.get("Origin"), host):
                 return connection.respond(HTTPStatus.FORBIDDEN, "tubeopt view answers to its own page alone\n")
             if request.path.split("?")[0] in ("/", "/index.html"):
+                # Compressed, the page could not be given its title and script.
                 with suppress(KeyError):  # not every client sends it
                     del request.headers["Accept-Encoding"]
                 return titled(process_request(connection, request), title, "" if added is None else added.head)
@@ -146,6 +148,7 @@ def titled(response: Any, title: str, head: str = "") -> Any:
         page = titled_page(response.body.decode(), title)
         response.body = page.replace("</head>", f"{head}</head>", 1).encode()
         del response.headers["Content-Length"]
+        # Headers of this library are a multimap: set without being deleted, there would be two lengths.
         response.headers["Content-Length"] = str(len(response.body))
     return response
 
@@ -252,6 +255,7 @@ def arms_page(plan: ArmsPlan) -> str:
             scenes[-1].show(motion.start)
         film = server.get_scene_serializer()
         film.insert_sleep(REST)
+        # The first instant is there already, in the scenes as they were built.
         for t in np.linspace(0.0, plan.duration, FRAMES)[1:]:
             for scene, motion, row in zip(scenes, plan.trajectories, plan.rows_at(float(t)), strict=True):
                 scene.show(motion.arms[row])

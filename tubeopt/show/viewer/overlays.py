@@ -76,6 +76,7 @@ def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array
     if not side.min() <= 0 <= side.max():
         return _squares(np.zeros((0, 4, 3)))
     along = frame.seen(corners)[:, :2]
+    # A body that only touches the plane has no extent in it.
     size = max(float(np.ptp(along, axis=0).max()) / CELLS, 1e-6)
     u, v = (np.arange(a + size / 2, b, size) for a, b in zip(along.min(0), along.max(0), strict=True))
     middle = frame.placed(np.stack(np.broadcast_arrays(u[:, None], v[None], 0.0), axis=-1))
@@ -187,6 +188,7 @@ def session_beside(robot: Robot, first: Session) -> Session:
         InputError: another number of tubes.
         SolveError: it has no stable equilibrium at home.
     """
+    # Both are moved by the same joint values, tube by tube.
     if robot.n_tubes != first.robot.n_tubes:
         raise InputError(
             f"{robot.name or 'the robot'} has {robot.n_tubes} tubes; it must have {first.robot.n_tubes}: both are "

@@ -321,6 +321,7 @@ class Panel:
                 self._put(slider, round(float(value), 1))
         if self._mirror:
             self._sync_mirror(np.degrees(session.equilibrium.rotations), dragged=dragged == MIRROR)
+        # All tubes, also those that share a joint: exact values may break what sliders keep.
         values = [*np.degrees(session.equilibrium.rotations), *(session.equilibrium.translations * TO_MM)]
         for box, value in zip(self._boxes, values, strict=True):
             if not refused:
@@ -335,6 +336,7 @@ class Panel:
         """Direction and separation where the tubes keep the mirror law; elsewhere there are none to be shown."""
         direction, ahead, behind = rotations
         separation = (ahead - behind) / 2
+        # Mirror law (thesis, eq. 3.51): the other tubes turn by +d and -d from the middle one.
         if abs(ahead + behind - 2 * direction) < STEP and -STEP / 2 < separation < self._mirror[1].max + STEP / 2:
             for slider, value in zip(self._mirror, (direction, max(separation, 0.0)), strict=True):
                 if not dragged or not self._held(slider):
@@ -533,6 +535,7 @@ class Panel:
             oblique.visible = across.value == OBLIQUE
             normal = np.array(ACROSS.get(across.value, oblique.value if oblique.visible else (0, 0, 0)), dtype=float)
             length = float(np.linalg.norm(normal))
+            # The point of the plane nearest to the origin: the distance along the unit normal.
             self._tab.cut(Plane(float(at.value) / TO_MM * normal / length, normal) if length else None)
 
         across.on_update(changed)
@@ -555,6 +558,7 @@ def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     `LONGEST_TURN`, all in whole steps."""
     space = space_of(robot)
     turns = np.arange(len(space.lower)) < robot.n_tubes
+    # Rotations may be unlimited, and a slider needs ends.
     factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
     low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
     return factor, low, high

@@ -78,6 +78,7 @@ class Scene:
         self.layer("plate", [plate])
         # Whole units, so that bold lines meet the edges of the floor.
         reach = 4 * float(np.ceil(max(tube.length for tube in equilibrium.robot.tubes) * SCALE))
+        # Cells are in units of the scene: 0.1 is 1 cm, and a section 10 cm.
         self._api.add_grid(
             "/floor",
             width=reach,
@@ -312,6 +313,7 @@ def between(before: Equilibrium, after: Equilibrium, count: int) -> list[Equilib
         position[:, k + 1] = position[:, k] + h[k] * (frame[:, k, :, 2] + frame[:, k + 1, :, 2]) / 2
     # The few points integrate to within a per cent: what is missing at both ends is shared out between them.
     ends = Centreline(before).position(s), after.position
+    # So both ends of the film are the equilibria themselves, without a jump of the picture.
     position += (1 - weights) * (ends[0] - position[0]) + weights * (ends[1] - position[-1])
     arms = (replace(after.arm, position=p, frame=f) for p, f in zip(position[1:-1], frame[1:-1], strict=True))
     return [replace(after, arm=arm) for arm in arms]

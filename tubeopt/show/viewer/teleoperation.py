@@ -184,4 +184,5 @@ def _parts(goal: Goal, tip: Array) -> list[Array]:
 def _held(goal: Goal, here: Posture) -> list[str]:
     """What holds the tip; joints beside their ends do not, so the margin and obstacles come first."""
     words = held_by(goal, here)
+    # False sorts before True: margin and arm come first.
     return sorted(words, key=lambda word: not word.startswith(("margin", "arm"))) or ["no joint leads nearer to it"]
