@@ -63,6 +63,7 @@ def typed(made: T) -> T:
         if not ready:
             prepare()
         count = len(args)
+        # A solve takes about 35 us: positions are compared without binding a signature.
         for k, name, check in placed:
             if k >= count:
                 break
@@ -76,6 +77,8 @@ def typed(made: T) -> T:
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+            # Long lists are checked only after a failure: checking every member at each call would take longer than a
+            # solve.
             for name, value in (*zip(names, args, strict=False), *given.items()):
                 if name in lists and not lists[name].holds(value):
                     raise _refused(name, value, lists[name].words) from None
@@ -119,12 +122,14 @@ def _checks(made: Any) -> dict[str, Check]:
         owners = made.__mro__[::-1] if is_dataclass(made) else (inspect.unwrap(made.__init__),)  # type: ignore[misc]
     found: dict[str, Check] = {}
     for one in owners:
+        # Annotations are strings, and mean what they mean in the module of their class.
         names = sys.modules[one.__module__].__dict__
         for name, hint in inspect.get_annotations(one).items():
             try:
                 check = _check_of(eval(hint, names) if isinstance(hint, str) else hint)
             except (NameError, AttributeError):  # a name for type checkers alone
                 check = None
+            # A derived class may change the type of a field of its base.
             found.pop(name, None)
             if check is not None:
                 found[name] = check
@@ -164,9 +169,11 @@ def _check_of(hint: Any) -> Check | None:
 
 def _either(parts: tuple[Any, ...]) -> Check | None:
     found: list[Check] = []
+    # `ArrayLike` is a union itself: its members become one check with one word.
     if set(typing.get_args(ArrayLike)) <= set(parts):
         parts = tuple(part for part in parts if part not in typing.get_args(ArrayLike))
         found.append(NUMBERS)
+    # None goes last: "a number or None".
     for part in sorted(parts, key=lambda part: part is type(None)):
         check = _check_of(part)
         if check is None:
@@ -216,6 +223,7 @@ def _numeric(value: Any) -> bool:
     """Whether a value is a number, or a table of such whose rows are equally long."""
     if isinstance(value, list | tuple):
         return all(map(_numeric, value)) and len({np.shape(row) for row in value}) <= 1
+    # Arrays of truth values, texts and objects are no numbers, though NumPy converts some of them.
     return _number(value) or (hasattr(value, "__array__") and np.asarray(value).dtype.kind in "fiu")
 
 
@@ -223,6 +231,7 @@ def _instance(wanted: type) -> Check:
     words = vars(wanted).get("_asked_for") or f"{'an' if wanted.__name__[0] in 'AEIOU' else 'a'} {wanted.__name__}"
     if getattr(wanted, "_is_protocol", False):
         members = [name for base in wanted.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)]
+        # `isinstance` with a protocol takes longer, and needs it to be checkable at run time.
         needed = [name for name in members if not name.startswith("_")]
         return Check(lambda value: all(hasattr(value, name) for name in needed), words)
     return Check(_of(wanted), words)

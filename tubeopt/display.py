@@ -56,6 +56,7 @@ def short_repr(answer: Displayed) -> str:
     told: list[str] = []
     for name, value in _fields(answer):
         one = f"{name}={brief(value)}"
+        # At least one field is shown, however long.
         if told and sum(map(len, told)) + len(one) > LENGTH:
             told.append("...")
             break
@@ -82,6 +83,7 @@ def brief(value: Any) -> str:
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, np.ndarray):
+        # Joint values and positions are shown, tables by their shape.
         few = value.ndim == 1 and value.size <= SMALL
         return brief(value.tolist()) if few else f"<{' x '.join(map(str, value.shape))} array>"
     if isinstance(value, float):

@@ -90,6 +90,7 @@ def implausible(words: str) -> None:
 def positive(name: str, value: float, *, zero: bool = False) -> float:
     """Return `value` as float if it is finite and > 0 (>= 0 with `zero`), else raise InputError naming it."""
     number = finite(name, value)
+    # NaN is not finite, and was refused above.
     if number < 0 or (number == 0 and not zero):
         raise InputError(f"{name} is {number:g}; it must be {'at least' if zero else 'greater than'} 0")
     return number
@@ -115,9 +116,11 @@ PLAIN = {float, int, np.float64}
 def _only_numbers(value: Any) -> Any:
     """`value`, or TypeError where a truth value, a text or a complex number stands in it, which NumPy would convert."""
     if isinstance(value, np.ndarray):
+        # Truth values, bytes, texts and complex numbers.
         if value.dtype.kind in "bSUc":
             raise TypeError("no number")
     elif isinstance(value, list | tuple):
+        # The set of types decides for most lists, without a call for each member.
         if not PLAIN.issuperset(map(type, value)):
             for each in value:
                 _only_numbers(each)
@@ -128,6 +131,7 @@ def _only_numbers(value: Any) -> Any:
 
 def whole(name: str, value: Any, least: int | None = None) -> int:
     """The value as a whole number, of at least `least` if given; raises InputError where it is none."""
+    # True is an int for Python, and never meant as a number here.
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise InputError(f"{name} is {value!r}; it must be a whole number")
     if least is not None and value < least:
@@ -170,6 +174,7 @@ def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> 
 
 def numbers(name: str, value: Any) -> tuple[float, ...]:
     """Return `value`, one number or several, as finite floats, else raise InputError naming it."""
+    # A text and a dict can be iterated, into letters and keys.
     if isinstance(value, str | Mapping):
         raise InputError(f"{name} is {value!r}; it must be numbers")
     try:
@@ -205,6 +210,7 @@ def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.flo
     if array.ndim != dimensions:
         raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")
     if not np.isfinite(array).all():
+        # The first bad place is enough to find the cause.
         place = np.argwhere(~np.isfinite(array))[0].tolist()
         raise InputError(f"{name}{place} is {array[tuple(place)]}; every number must be finite")
     return array
@@ -212,6 +218,7 @@ def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.flo
 
 def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
     """`values` as a tuple whose every member is of `kinds`, or InputError naming it; `what` says what they must be."""
+    # An array without dimension is iterable by its type, and fails when it is read.
     scalar = isinstance(values, np.ndarray) and values.ndim == 0
     if scalar or isinstance(values, str | Mapping) or not isinstance(values, Iterable):
         raise InputError(f"{name} is {values!r}; it must be a list of {what}")
@@ -238,6 +245,7 @@ def choice(name: str, value: str, allowed: Iterable[str]) -> str:
 
 def nearest(word: object, known: Iterable[str]) -> str:
     """Return "; did you mean 'x'?" for the known word closest to `word`, or an empty string."""
+    # At a cutoff of 0.5 half of the letters agree: "curvatur" and "curve" find "curvature".
     match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5) if isinstance(word, str) else []
     return f"; did you mean {match[0]!r}?" if match else ""
 

@@ -237,6 +237,7 @@ class Designed(Entry):
 
     def task_for(self, *aims: Objective) -> DesignTask:
         """The task in SI; raises InputError where its parts do not fit together."""
+        # Design variables are dimensions of nested tubes; eccentric robots have other constraints.
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError("robot must be a concentric robot")
         free = tuple(entry.build() for entry in self.free)
@@ -298,29 +299,29 @@ def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
 
 # --- a region of a patient as the objective ---------------------------------------------------------------------------
 
+# Seconds for all places of one robot, so that a large roadmap cannot take the time of the whole search.
 OF_ONE = 120.0
-"""Seconds on the clock for all places of one robot."""
 
+# Reached places to which plans are made and proved: a sample of them.
 PLANNED = 6
-"""Places of those that are reached to which plans are made and proved."""
 
+# Seconds for each of these plans.
 OF_A_PLAN = 20.0
-"""Seconds on the clock for each of these plans."""
 
+# Added to the seed of roadmaps that evaluate a design, so that they differ from those of the search.
 OTHER = 100
-"""By how much seed, and by what part roadmaps differ with which other places are judged."""
 
 
 Searched = TypeVar("Searched", RegionReach, PairReach)
 
+# Share of a region below which the roadmap may be the cause, and not the robot.
 HARDLY = 0.05
-"""Share of a region below which the roadmap may be what is missing, and not the robot."""
 
+# Possible causes of such a share.
 FEW = "it lies out of reach, or the roadmap is too small to decide"
-"""What may be the reason."""
 
+# Largest number of places.
 MOST = 1000
-"""Places of a region that can be asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,6 +384,7 @@ class SearchPart(Entry):
             raise ValueError(
                 f"has a target of {len(target)} voxels; it must have at least {wanted} (places plus judged)"
             )
+        # Without replacement: places of the search and of the evaluation are disjoint.
         return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
 
     def options(self, seed: int) -> dict[str, Any]:
@@ -395,6 +397,7 @@ class SearchPart(Entry):
     def judge(self, searched: Searched, chosen: Array) -> Searched:
         """What tells the share of the other places: over roadmaps twice as large, with other random numbers."""
         options = replace(searched.options, seed=searched.options.seed + OTHER)
+        # The search fits its designs to its own roadmap and places. Others show what remains elsewhere.
         return replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
 
 
@@ -437,6 +440,7 @@ class RegionEntry(SearchPart):
         found = search_design(task, wanted, time_limit=self.si("seconds"), progress=progress, **tries)
         robot = task.robot
         assert isinstance(robot, ConcentricRobot)
+        # 0 is the base plate as given.
         before = other.evaluate(robot, np.zeros(len(other.ranges)))
         after = other.evaluate(found.value, found.own)
         proved, planned = hurried(other).plans_proved(found.value, found.own, after, PLANNED)

@@ -126,6 +126,7 @@ class DesignStudy(Designed, Tried, Timed):
     def _makes_a_task(self) -> Self:
         task = self.task()
         if self.pareto_margins is not None:
+            # Tasks are built now, so that a wrong margin is reported before the design is searched.
             front_tasks(task, [float(m) for m in self.pareto_margins])
         if self.stock is not None:
             stock_choices(task, self.stock.file, self.stock.si("clearance_mm"))
@@ -155,6 +156,7 @@ class DesignStudy(Designed, Tried, Timed):
             given = self.stock.in_si("clearance_mm", "keep")
             choice = choose_from_stock(task, self.stock.file, workers=self.workers, progress=progress, **given)
             assert choice.best is not None
+            # Sizes from stock are fixed; lengths and curvatures are optimised with them.
             task = with_sizes(task, choice.best.sizes)
         region = None
         if isinstance(self.objective, RegionEntry):
@@ -235,7 +237,9 @@ class BallPart(Entry):
     def places(self, count: int, seed: int) -> Array:
         """(count, 3) random places in it, as thick everywhere, m."""
         random = np.random.default_rng(seed)
+        # Normal components have no preferred direction: scaled to length 1 they are uniform on the sphere.
         way = random.normal(size=(count, 3))
+        # The share of the volume within r is (r / R)^3; its inverse makes the density uniform.
         far = self.si("radius_mm") * random.random((count, 1)) ** (1 / 3)
         return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
 
@@ -276,9 +280,12 @@ class PairStudy(Timed, SearchPart, Tried):
                 raise ValueError(f"arms[{k}]: {error}") from None
         searched, judge = self.wanted()
         places = np.concatenate([searched.targets, judge.targets])
+        # Some points may lie in an obstacle: they cannot be reached by any design.
         if searched.obstacles and not (nearest_distance(searched.obstacles, places) > 0).any():
             raise ValueError("has a region inside an obstacle: none of its sampled points is free")
+        # Plates that may shift are moved apart by the search.
         apart = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))
+        # At the plates the arms are at least as thick as their outermost tubes.
         thick = sum(max(tube.outer_diameter for tube in arm.robot.tubes) / 2 for arm in self.arms)
         if not self.shift_mm and apart < thick + searched.options.clearance:
             raise ValueError(

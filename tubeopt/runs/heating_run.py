@@ -127,6 +127,7 @@ class HeatingRunStudy(Study):
         """The line to the board, or to the simulated rig, and what plans the rest anew where that is asked for; raises
         InputError where the port cannot be opened."""
         rig, planned = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
+        # The board has its own law: this computer needs one only to simulate or to replan.
         law = feedback_of(rig) if rig is not None and planned else None
         leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), self.si("replan_s"))
         if self.port is not None:
@@ -134,6 +135,7 @@ class HeatingRunStudy(Study):
         assert law is not None
         plan, known, sensor = law
         simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
+        # The board switches off at the same temperature.
         limit = plan.spec.limit + OVERSHOOT
         return SimulatedLine(simulated, known, limit, self.si("speed"), plan.spec.window_degC), leader
 
@@ -188,15 +190,18 @@ def run_heating(
         log.write_text(",".join(LOG_COLUMNS) + "\n", encoding="utf-8")
     try:
         line.send("hello")
+        # The board answers before it heats: a wrong port or sketch is found cold.
         hello = _next(line, "hello")
         line.send("start", **({"dry": True} if dry else {}))
         while True:
             found = _next(line, "status", "error")
             if found["event"] == "error":
                 raise InputError(f"the rig does not start: {found.get('text', '')}")
+            # Reports from before the start command are still on the line.
             if found["state"] == "idle":
                 continue
             if log is not None:
+                # Logged before anything else: a crash below loses no measurement.
                 _append(log, found, rows[-1]["count"] if rows else 0)
             rows.append(found)
             if leader is not None and (lead := leader.advise(found)) is not None:
@@ -220,6 +225,7 @@ def _next(line: Line, *events: str) -> dict[str, Any]:
     silent = 0
     while silent < SILENCE:
         found = line.receive()
+        # Only silence is a fault: any report shows that the board runs.
         silent = silent + 1 if found is None else 0
         if found and found.get("event") in events and (found["event"] != "status" or found.keys() >= REPORTED):
             return found

@@ -105,6 +105,7 @@ def heating_of(
     tell(1, steps)
     band, scale = None, 1.0
     if samples and scaled:
+        # Scaled duties move the temperatures of uncertain rigs within the window.
         better = most_likely(planned, uncertainty, samples=samples)
         planned, band, scale = better.plan, better.band, better.scale
     elif samples:
@@ -322,6 +323,7 @@ class LedHeatingStudy(HeatedTube):
         tell(0, 2)
         rig, wiring = self.set_up(), self._wiring()
         frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
+        # Before planning: switching losses depend on the frequency.
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
         plan = plan_heating(self.heated(), rig, self.spec())
         tell(1, 2)
@@ -379,6 +381,7 @@ class HeatingCalibrationStudy(TubeOnRig):
 
     def run(self, progress: Progress | None = None) -> RigFit:
         """The calibrated rig; raises InputError for a factor that is not known."""
+        # Without a stated noise the fit estimates it.
         stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
         noise = {name: float(value) for name, value in stated.items() if value is not None}
         return calibrate(self.heated(), self.rig, self._read, self.fit, noise=noise)
@@ -411,6 +414,7 @@ class Fabrication(Displayed):
         """That of the least likely tube; None where it is not known of one."""
         found = [part.heating.success for part in self.parts]
         known = [one for one in found if one is not None]
+        # All tubes must succeed: the robot is at most as likely as its least likely tube.
         return min(known, key=lambda one: one.probability) if len(known) == len(found) else None
 
 
@@ -449,6 +453,7 @@ class FabricationStudy(Timed):
         """
         asked = self.mold or MoldSpec()
         spec = replace(heating_for(asked.heat), objective=self.objective)
+        # A flag goes before the mold file.
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
         charges = self.si("charges_percent")
         chosen, left_out = chosen_tubes(self.robot)

@@ -61,6 +61,7 @@ def load_targets(path: str | PathLike[str]) -> Targets:
     position = table.numbers(POSITION, MM)
     direction = table.numbers(DIRECTION, RAD) if given else None
     if direction is not None:
+        # Any length is allowed, since only the direction counts, but 0 has none.
         for k in np.flatnonzero(~direction.any(1)):
             table.complain(int(k), DIRECTION[0], "is 0, as are the other two; a direction must have a length")
     table.check()
@@ -239,6 +240,7 @@ class InverseStudy(Surrounded, Loaded, Study):
             raise AssertionError("a study without a target is rejected at construction")
         position, direction, asked = self.si("target_mm"), self.si("direction"), self._asked()
         if self.all:
+            # Started before the search: whether it is over shows if the list may be incomplete.
             clock = Clock(self.si("time_limit_s"))
             every = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **asked)
             return Postures(self.robot, tuple(every), clock.over)
@@ -248,6 +250,7 @@ class InverseStudy(Surrounded, Loaded, Study):
     def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
         check_target(self.robot.tubes, f"{targets.path}: {', '.join(POSITION)}", targets.position)
         rows: list[Row] = []
+        # The session keeps its equilibrium: the next target is solved on the same branch.
         session = IkSession(self.robot, **self._common()) if self.follow else None
         for k, position in enumerate(targets.position):
             direction = None if targets.direction is None else targets.direction[k]
@@ -260,6 +263,7 @@ class InverseStudy(Surrounded, Loaded, Study):
                     )
                     rows.append(Row(k + 1, position, direction, solution, ""))
             except SolveError as error:
+                # One unreachable target does not end the table.
                 rows.append(Row(k + 1, position, direction, None, str(error)))
             if progress is not None:
                 progress(k + 1, len(targets.position))
@@ -276,6 +280,7 @@ def _led(session: IkSession, number: int, position: Array, direction: Array | No
         if before is not None:
             first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
             share = float(np.linalg.norm(answer.target_position - first)) / max(whole, 1e-300)
+            # Inserted rows get numbers strictly between two targets, also where the tip stands still.
             share = min(max(share, 1e-4), 1 - 1e-4)
         rows.append(Row(round(number - 1 + share, 6), answer.target_position, answer.target_direction, answer, ""))
     rows.append(Row(number, position, direction, answers[-1], ""))
@@ -287,6 +292,7 @@ def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
     solved = [(k, row.solution) for k, row in enumerate(rows) if row.solution is not None]
     if len(solved) < 2:
         return rows
+    # Each step was solved for itself. Following all of them in one run shows snaps between rows.
     answers = [solution for _, solution in solved]
     path = follow(
         robot, [a.rotations for a in answers], [a.translations for a in answers], start=answers[0].equilibrium

@@ -139,6 +139,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
 def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, recorded: Recorded) -> int:
     """The number of the reference tool; raises InputError for one that is not there, is one of two, or has no pose."""
     sensors, tools = tips.sensors(), recorded.tools
+    # A number may be the number of one tool and the name of another: then the user must decide.
     named_so = [k for k, name in enumerate(tools, start=1) if name == str(wanted)]
     number = wanted if wanted in sensors else named_so[0] if len(named_so) == 1 else None
     if isinstance(wanted, int) and named_so not in ([], [wanted]):
@@ -201,9 +202,11 @@ def measured(
     rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)]) if turned is None else turned
     translations = joints.translations(robot.home_readings)
     positions = tips.positions()
+    # The orientation is that of the sensor nearest to the tip.
     frames = tips.orientation(tips.sensors()[0 if behind is None else int(np.argmin(behind))])
     for columns in (tips, joints):
         columns.table.check()
+    # A row with one visible sensor is still a measurement.
     kept, lost = np.asarray(np.isfinite(positions[..., 0]).any(1)), tips.unseen_reference()
     if not kept.any():
         raise InputError(
@@ -211,6 +214,7 @@ def measured(
         )
     _count(words, lost, "have no pose of the reference tool and were left out")
     _count(words, ~kept & ~lost, "have no measured position and were left out")
+    # Turns are counted on the clock of the joints: between tips they would be missed.
     turning = time if stamps is None else stamps
     wrapped: tuple[bool, ...] = ()
     if turning is not None:
@@ -218,6 +222,7 @@ def measured(
     log = None
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
+        # Readings are interpolated, never extrapolated.
         covered = (time >= stamps[0]) & (time <= stamps[-1])
         _count(words, kept & ~covered, "lie before or after all joint readings and were left out")
         kept &= covered
@@ -227,6 +232,7 @@ def measured(
                 f"{time[-1]:g} s, joints from {stamps[0]:g} to {stamps[-1]:g} s; both must "
                 "use the same clock"
             )
+        # Placeholders: the timeline below needs the measurements to find the readings at their times.
         rotations = translations = np.zeros((len(time), robot.n_tubes))
     rows = {"time": time, "orientation": frames, **(labels or {})}
     picked: dict[str, Any] = {name: None if value is None else value[kept] for name, value in rows.items()}
@@ -262,9 +268,11 @@ def _unwrapped(time: Array, rotations: Array, words: list[str]) -> tuple[Array, 
     out, runs = rotations.copy(), runs_of(time)
     for rows in runs:
         out[rows] = np.unwrap(rotations[rows], discont=A_TURN, axis=0)
+    # Corrections are multiples of 2 pi, so that 1 rad separates them from round-off.
     jumps = np.diff(rotations - out, axis=0)
     wrapped = np.any([np.abs(jumps[rows[:-1]]).max(0, initial=0.0) > 1.0 for rows in runs], axis=0)
     for before, rows in pairwise(runs):
+        # A gap in time hides how far the drive turned: the nearest turn is assumed, for wrapped tubes only.
         turns = np.round((out[before[-1]] - out[rows[0]]) / (2 * math.pi))
         out[rows] += np.where(wrapped, 2 * math.pi * turns, 0.0)
     steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
@@ -281,14 +289,17 @@ def _doubts_of(found: Measurements, robot: Robot) -> list[str]:
     """Remarks on units that the numbers speak against."""
     words = []
     turned = np.abs(found.rotations).max()
+    # A whole turn in rad that is read in deg is 57 times too small.
     if 0 < turned <= 2 * math.pi / 57:
         words.append(
             f"no rotation is beyond {math.degrees(turned):.2g} deg: are they in rad, in a column that says deg?"
         )
+    # Ten turns: one turn in deg that is read in rad is 57 turns.
     if turned > 20 * math.pi:
         words.append(f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?")
     length = max(tube.length for tube in robot.tubes)
     tips = found.tip_position[np.isfinite(found.tip_position[:, 0])]
+    # Diagonal of the box around all tips.
     spread = float(np.linalg.norm(np.ptp(tips, axis=0))) if len(tips) else 0.0
     moving = np.ptp(found.rotations, axis=0).max() > MOVES or np.ptp(found.translations, axis=0).max() > 0.1 * length
     if len(tips) > 1 and moving and spread < SMALL * length:
@@ -324,6 +335,7 @@ def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
                 "is used as the tip. If one is a reference tool, name it by reference in a file of kind measurements"
             )
             continue
+        # Quantiles, since single outliers of a tracker are no evidence.
         low, middle, high = np.quantile(apart, (0.05, 0.5, 0.95)).tolist()
         faults = [f"are {1e3 * middle:.3g} mm apart, and the arm is {1e3 * thick:.3g} mm thick"] * (middle > thick)
         if high - low > STEADY and high > thick + STEADY:
@@ -356,6 +368,7 @@ def _doubts_of_clock(found: Measurements) -> list[str]:
 def _doubts_of_time(found: Measurements) -> list[str]:
     if found.time is None or len(found) < ROWS:
         return []
+    # The median ignores pauses between runs.
     step = float(np.median(np.abs(np.diff(found.time))))
     joints = np.hstack([found.rotations, found.translations])
     extent = np.ptp(joints, axis=0)
@@ -433,6 +446,7 @@ def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[
     meanings |= {name: f"{name[0]}_{name[1:-3] or 1}, mm" for name in positions}
     meanings |= {"time_s": "time, s", **{name: name for name in QUATERNION}}
     if "x_mm" not in table.columns and turned:
+        # Without a plain x_mm the quaternion is that of the first numbered sensor.
         first = _sensors(table.columns)[0][0][1:-3]
         meanings |= {name: f"{name}_{first}" for name in QUATERNION}
     return columns_of(table, {c: m for c, m in meanings.items() if c in table.columns}, str(path), n), mirrored
@@ -483,6 +497,7 @@ def save_measurements(measurements: Measurements, path: str | PathLike[str], com
         blocks.insert(0, (["time_s"], m.time[:, None]))
     if m.orientation is not None:
         turns = scipy.spatial.transform.Rotation.from_matrix(
+            # SciPy refuses NaN: unseen rows are the identity, and NaN again below.
             np.where(np.isnan(m.orientation), np.eye(3), m.orientation)
         )
         quaternion = np.where(np.isnan(m.orientation[:, :1, 0]), np.nan, turns.as_quat(scalar_first=True))

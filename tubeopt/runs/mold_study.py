@@ -91,6 +91,7 @@ class MoldStudy(Study):
     def _spec(self) -> MoldSpec:
         """What is asked of the mold, with what is given in its place."""
         material = None if self.material is None else mold_material(self.material)
+        # None is no value: the mold file keeps its own.
         given = {"material": material, **self.in_si("springback", "cold_length_mm")}
         return replace(self.mold or MoldSpec(), **{name: value for name, value in given.items() if value is not None})
 
@@ -141,6 +142,7 @@ class MaterialsStudy(Timed):
         if self.robot is not None:
             return self.robot.tubes[self.tube - 1]
         sizes = self.in_si("outer_diameter_mm", "inner_diameter_mm", "curved_length_mm")
+        # Heating depends on the cross-section and the heated length, not on the bend.
         return Tube(**sizes, straight_length=0.0, curvature=0.0)
 
     def _heat(self) -> HeatSpec:

@@ -94,6 +94,7 @@ class CutPart(Entry):
     @model_validator(mode="after")
     def _one_plane(self) -> Self:
         given = self.at_mm is not None, self.normal is not None
+        # Exactly one of two forms, and the first one complete.
         if any(given) != all(given) or any(given) == (self.through is not None):
             raise ValueError("must give at_mm and normal, or through")
         return self
@@ -103,6 +104,7 @@ class CutPart(Entry):
         if self.at_mm is not None and self.normal is not None:
             return Plane(np.array(self.si("at_mm")), np.array(self.si("normal")))
         a, b, *more = (around.landmark(name) for name in self.through or ())
+        # Two landmarks and the plate at the origin make a plane.
         return Plane.through(a, b, *(more or [np.zeros(3)]))
 
 
@@ -205,6 +207,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         if self.cut is None:
             return plan
         plane = self.cut.plane(self.around)
+        # The plane was given in the old base frame; the plan chose another one.
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
     def _found(self, progress: Progress | None) -> Trajectory:
@@ -215,6 +218,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
             "options": PlanOptions(**values(PlanOptions, self)),
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
+        # A goal modulo turns is moved into the limits by the planner.
         if isinstance(goal, tuple) and not values(PlanOptions, self).get("modulo_turns"):
             check_within(robot, "goal", *goal)
         if self.tip_path_mm is not None:
@@ -251,6 +255,7 @@ class PlacedPart(Started):
 def shared(anatomy: Anatomy | None) -> Anatomy:
     """What is around all arms; raises ValueError where it says where a plate stands, as that of one robot does."""
     found = Anatomy() if anatomy is None else anatomy
+    # Each arm has its own base: one of the anatomy would be a second one.
     if not (np.array_equal(found.base.axes, np.eye(3)) and np.array_equal(found.base.origin, np.zeros(3))):
         raise ValueError("anatomy has a base or a registration; give the base of every arm instead")
     return found
@@ -382,6 +387,7 @@ class VerifyStudy(Surrounded, Loaded, Timed):
         """What is asked: of the plan study where there is one, but for the keys that are given beside it."""
         if self.study is None:
             return self
+        # What is typed goes before the plan; kind and robot are those of the trajectory.
         shared = (VerifyStudy.model_fields.keys() & PlanStudy.model_fields) - {"kind", "robot"}
         given = {key: getattr(self, key) for key in self.model_fields_set & shared}
         return self.study.model_copy(update={key: value for key, value in given.items() if value is not None})

@@ -75,6 +75,7 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     lines = decoded(read_bytes(path)).splitlines()
     separator = separator_of(lines[0]) if lines else ","
     first = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=separator), [])]
+    # Only the header tells NDI from a plain table: neither format has a signature.
     names = [_ndi_column(title)[0] for title in first]
     ndi = "tx" in names and ("q0" in names or {*EULER} <= {*names})
     if not ndi and names[:1] != ["format version"]:
@@ -99,12 +100,14 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
     length = _ndi_unit(path, columns, ("tx", "ty", "tz"), tuple(LENGTH))
     degrees = _ndi_unit(path, columns, EULER, ("deg", "rad")) == "deg"
     angles = "q0" not in header
+    # Every tool repeats its columns. The parts of its rotation, in any order, mark where it is.
     width = 3 if angles else 4
     tools = [
         k for k in range(len(header) - width + 1) if {*header[k : k + width]} == {*(EULER if angles else QUATERNIONS)}
     ]
     rows, lines = [], []
     for number, row in enumerate(cells[1:], start=2):
+        # Recorders leave out empty cells at the end of a row.
         padded = [cell.strip() for cell in row] + [""] * (len(header) - len(row))
         if not any(padded):
             continue
@@ -116,6 +119,7 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
             if angles:
                 pose = [*_quaternion_of(dict(zip(header[k : k + 3], pose, strict=False)), degrees), *pose[3:]]
             seen = (state is None or padded[state].lower() in SEEN) and _is_pose(pose)
+            # A tool that is not seen has no pose, whatever its cells hold.
             rows[-1] += pose if seen else [""] * 7
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
     if not rows or not rows[0][0]:  # nothing to tell the time by
@@ -142,6 +146,7 @@ def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequ
     frame = _before(header, k, ("frame",))
     if not frame:
         return ""
+    # The column before Frame holds the name of the tool, in its cells or as its title.
     cell = next((row[frame - 1].strip() for row in rows if len(row) >= frame), "")
     return cell or titles[frame - 1].strip()
 
@@ -149,8 +154,10 @@ def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequ
 def _quaternion_of(angles: dict[str, str], degrees: bool) -> list[str]:
     """The quaternion of Euler angles; words in place of a number are left to the table."""
     try:
+        # Capital letters are turns about moving axes: R = Rz Ry Rx.
         turn = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=degrees)
     except ValueError:
+        # The word goes on as it is: the table complains of it, with row and column.
         return next(([cell] * 4 for cell in angles.values() if not _is_number(cell)), [""] * 4)
     x, y, z, w = turn.as_quat().tolist()
     return [repr(each) for each in (w, x, y, z)]
@@ -169,17 +176,20 @@ def _is_pose(cells: Sequence[str]) -> bool:
         values = [float(cell) for cell in cells]
     except ValueError:
         return not any(cell.lower() == "missing" for cell in cells)
+    # No rotation has a quaternion of zeros.
     return any(values[:4]) and max(map(abs, values)) < BAD_FLOAT
 
 
 def _before(header: Sequence[str], k: int, names: Sequence[str]) -> int | None:
     """The nearest column with one of these names before column k, of the same tool."""
+    # A tool has at most nine columns, so that the search does not reach the tool before.
     return next((j for j in range(k - 1, max(k - 9, -1), -1) if header[j] in names), None)
 
 
 def _ndi_time(where: str, row: Sequence[str], header: Sequence[str], k: int, frame_rate: float | None) -> str:
     whole, part = (_before(header, k, (name,)) for name in ("timespec_s", "timespec_ns"))
     if whole is not None and part is not None and row[whole]:
+        # As text: a float has 16 digits, and seconds since 1970 with ns need 19.
         return f"{row[whole]}.{_whole(where, 'timespec_ns', row[part] or '0'):09d}"
     frame = _before(header, k, ("frame",))
     if frame is None or frame_rate is None or not row[frame]:
@@ -200,6 +210,7 @@ def _whole(where: str, name: str, cell: str) -> int:
 
 def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
     head = [cell.strip() for cell in cells[0]]
+    # The first line alternates names and values.
     facts = {key.lower(): value for key, value in zip(head[::2], head[1::2], strict=False)}
     unit = LENGTHS.get(facts.get("length units", "meters").lower())
     if unit is None:
@@ -208,6 +219,7 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
     if start is None or start < 3:
         raise InputError(f"{path}: this export of OptiTrack has no line that names the columns Frame and Time")
     quantity, names = cells[start - 1], cells[start]
+    # Lines of type and name are found by their words, not by their place.
     kind = next((row for row in cells[1:start] if any("rigid body" in cell.lower() for cell in row)), [])
     body = next((row for row in cells[1:start] if row and len(row) > 1 and row[1].strip().lower() == "name"), kind)
     wanted, tools = [(1, "time")], list[str]()
@@ -223,6 +235,7 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
             wanted.append((k, f"q{axis}_{number}"))
     if not tools:
         raise InputError(f"{path}: this export of OptiTrack has no rigid body; export the positions of rigid bodies")
+    # Numbers are lines of the file, for messages.
     kept = [(number, row) for number, row in enumerate(cells[start + 1 :], start=start + 2) if any(map(str.strip, row))]
     rows = [[row[k].strip() if k < len(row) else "" for k, _ in wanted] for _, row in kept]
     lines = [number for number, _ in kept]
@@ -314,6 +327,7 @@ class Columns:
             return found
         turn, place = self._orientation(self.reference), self._positions([self.reference])
         assert turn is not None
+        # p = R^T (x - o) in the frame of the reference, row by row.
         return np.asarray(np.einsum("rji,rsj->rsi", turn, found - place))
 
     def unseen_reference(self) -> Mask:
@@ -331,6 +345,7 @@ class Columns:
             return turn
         base = self._orientation(self.reference)
         assert base is not None
+        # R_reference^T R_sensor.
         return np.asarray(np.swapaxes(base, 1, 2) @ turn)
 
     def turns(self, sensor: int) -> bool:
@@ -355,6 +370,7 @@ class Columns:
         m = [f"r{i}{j}_{sensor}" for i in "123" for j in "123"]
         z, x = ([f"{axis}axis_{k}_{sensor}" for k in "xyz"] for axis in "zx")
         turn = scipy.spatial.transform.Rotation
+        # One description suffices; quaternions go first, since trackers write them.
         for names, read in ((q, turn.from_quat), (v, turn.from_rotvec), (m, _from_rows)):
             if self.has(*names):
                 return _matrices(self.numbers(names, missing=True), read)
@@ -373,6 +389,7 @@ def columns_of(table: CsvTable, meanings: Mapping[str, str], where: str, tubes: 
     problems, known = [], dict[str, tuple[str, Decimal]]()
     for column, text in meanings.items():
         meaning, _, unit = (part.strip() for part in text.partition(","))
+        # Some devices count turns in the opposite direction.
         sign = -1 if meaning.startswith("-") else 1
         meaning = _numbered(meaning.lstrip("-").strip())
         units = MEANINGS.get(re.sub(r"_\d+$", "_I", meaning))
@@ -403,6 +420,7 @@ def _numbered(meaning: str) -> str:
 
 def _matrices(table: Array, read: Callable[[Array], Any]) -> Array:
     """(rows, 3, 3) of rotations; NaN where one is missing, or a quaternion 0."""
+    # Four columns are a quaternion; a rotation vector of zeros is a valid rotation.
     seen = np.isfinite(table).all(1) & (np.nan_to_num(table).any(1) | (table.shape[1] != 4))
     return _where(seen, lambda: read(table[seen]).as_matrix())
 
@@ -419,7 +437,9 @@ def _of_axes(z: Array, x: Array | None) -> Array:
 
     def _frames() -> Array:
         along = z[seen] / np.linalg.norm(z[seen], axis=1, keepdims=True)
+        # Without x any direction does. The unit vector most perpendicular to z divides by the largest number.
         across = x[seen] if x is not None else np.eye(3)[np.argmin(np.abs(along), axis=1)]
+        # Gram-Schmidt: measured axes are perpendicular only up to noise.
         across = across - (across * along).sum(1, keepdims=True) * along
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         return np.stack([across, np.cross(along, across), along], axis=2)

@@ -80,6 +80,7 @@ def check_within(robot: Robot, name: str, rotations: Array, translations: Array)
         ("translation", "mm", TO_MM, translations, robot.limits.translations),
     ):
         for i, (value, (low, high)) in enumerate(zip(joint_values.tolist(), limits, strict=True), start=1):
+            # Solving far outside takes long and ends in a less clear message.
             if not low - SLACK <= value <= high + SLACK:
                 allowed = f"it must be from {low * by:.6g} to {high * by:.6g} {unit}"
                 raise InputError(f"{name} is out of range: {kind} of tube {i} is {value * by:.6g} {unit}; {allowed}")
@@ -174,10 +175,12 @@ def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[fl
     """
     given = robot.joint_limits
     low, high = np.array(robot.limits.rotations if given is None else given.rotations).T
+    # Limits in the file are of readings, so that 0 is clipped as a reading.
     rotations = np.clip(0.0, low, high) if turned is None else np.array(turned)
     if shifted is not None:
         return to_model(robot, rotations, np.array(shifted))
     own = robot.calibration
+    # Home translations are values of the model; only rotations are converted.
     return rotations if own is None else own.to_model(rotations, 0.0)[0], robot.home_translations
 
 
@@ -199,6 +202,7 @@ class LoadEntry(Part):
         points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `asking` adds
         for name, parts in (("points", points), ("distributed_mN_per_m", stretches)):
             for k, part in enumerate(parts):
+                # A part without force and moment is a forgotten key, not a load of 0.
                 own = [key for key in type(part).model_fields if key.startswith(("force", "moment"))]
                 if not part.model_fields_set & set(own):
                     raise InputError(f"{name}[{k}] has no load; it must have {' or '.join(own)}")
@@ -246,6 +250,7 @@ class Loaded(Entry):
         own = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
         if self.load is None and not own:
             return None
+        # Copied, since entries are frozen; `build` checks the sum of both.
         return (self.load or check(LoadEntry, {}, "")).model_copy(update=own).build()
 
 

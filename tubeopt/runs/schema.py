@@ -47,6 +47,7 @@ class _Numbers(GenerateJsonSchema):
 
 def _schema(kinds: Mapping[str, type[Entry]], title: str) -> str:
     union: Any = functools.reduce(operator.or_, kinds.values())
+    # One union of all kinds: definitions that they share are written once.
     schema = TypeAdapter(union).json_schema(schema_generator=_Numbers)
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps(head | schema | {"title": title}, indent=2) + "\n"
@@ -213,6 +214,7 @@ def page() -> str:
         told |= {part for part, _ in parts if part}
         tables = {part: _rows(keys) for part, keys in parts}
         count = Counter(row for rows in tables.values() for row in rows.items())
+        # Rare rows first: of several meanings of one key the most frequent remains.
         shared = {key: row for (key, row), n in sorted(count.items(), key=lambda one: one[1]) if n >= SHARED}
         if shared:
             lines += [f"### {title}: shared keys", "", *HEAD, *shared.values(), ""]

@@ -118,6 +118,7 @@ class SnapStudy(Loaded, Timed):
     @model_validator(mode="after")
     def _goes_somewhere(self) -> Self:
         start, end = self._ends()
+        # Without motion there is no snap to search for.
         if np.array_equal(start, end):
             raise ValueError("start and end are the same joint values; give other values for to_deg or to_mm")
         return self
@@ -129,6 +130,7 @@ class SnapStudy(Loaded, Timed):
         snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
             return Way(self.robot, start, end, snap, None)
+        # Equilibria are not unique: the one at the end depends on the path.
         motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
         return Way(self.robot, start, end, None, motion.equilibria[-1])
 
@@ -142,6 +144,7 @@ def follow_path(
 ) -> Path:
     """Slow motion through waypoints of joint values, and its snaps. A calibrated robot takes readings."""
     last = len(path.rotations) - 1
+    # Waypoint 0 is the start, so that the last one is the count of steps.
     step = None if progress is None else lambda waypoint: progress(waypoint, last)
     joints = to_model(robot, path.rotations, path.translations)
     return follow(robot, *joints, load=load, friction=None if shaken else friction_of(robot), progress=step)
@@ -216,6 +219,7 @@ class CertifyStudy(Timed):
     def run(self, progress: Progress | None = None) -> Certification:
         """The verdict; raises SolveError where `assess_snapping` does."""
         worst = self._worst() if self.over_box else None
+        # Over a box, the verdict is at the least certificate that the search found.
         shift = self._shift("translations_mm") if worst is None else worst.certificate.translations
         found = Certification(
             self.robot, assess_snapping(self.robot, shift, progress=progress), worst, self._robot_file
@@ -350,9 +354,11 @@ class LoadLimitStudy(Posed, Loaded, Timed):
                 if found is not None:
                     break
             return Bearing(self.robot, rotations, translations, load, found, reached)
+        # The direction of the push is that of the tip without load.
         start = start or forward_kinematics(self.robot, rotations, translations)
         up_to = SEARCHED[0] if up_to is None else up_to
         found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
         x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
+        # Found in N; the report has factors of a load of 1 mN.
         limit = None if found is None else replace(found, factor=found.factor / PUSH)
         return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)

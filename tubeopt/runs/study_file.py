@@ -84,11 +84,13 @@ class Timed(Study):
         Raises:
             TimeLimitError: it is reached before there is an answer.
         """
+        # The limit covers everything: solvers inside check the same clock.
         limit = self.si("time_limit_s")
         try:
             with within(limit):
                 return self.run_in(out, progress)
         except LateError as late:
+            # The best result by then is kept in the error, and saved by the command.
             raise late_error(self.kind, limit, late.best) from None
 
 
@@ -203,6 +205,7 @@ class Kinds(UserDict[str, Any]):
     """Kinds of a file -> the entry that reads it, from "module.name" of this package: imported when it is needed."""
 
     def __getitem__(self, kind: str) -> Any:
+        # A command imports only the study that it asks: start-up is faster.
         module, name = self.data[kind].split(".")
         found = getattr(importlib.import_module(f".{module}", __package__), name)
         return _study(found, kind) if isinstance(found, Question) else found
@@ -225,6 +228,7 @@ def reworded(words: Mapping[str, str]) -> Iterator[None]:
         text = str(error)
         for pattern, replacement in words.items():
             text = re.sub(pattern, replacement, text)
+        # Without a match the original error keeps its traceback.
         if text == str(error):
             raise
         raise InputError(text) from None
@@ -278,6 +282,7 @@ def load_study(path: str | PathLike[str]) -> Study:
     """
     path = found(path, "studies")
     data = load_yaml(path)
+    # A sweep has points, not one answer: it runs by its own command.
     if data.get("kind") == "sweep":
         raise InputError(f"{path}: kind is 'sweep'; use `tubeopt sweep`")
     return cast(Study, check_kind(STUDY_KINDS, data, path))

@@ -69,6 +69,7 @@ def _of_table(path: str | PathLike[str]) -> list[tuple[str, Any]]:
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.lstrip().startswith("#"):
             key, _, words = line.lstrip("# ").partition("=")
+            # 3D Slicer names the columns in a comment.
             columns = [each.strip() for each in words.split(",")] if key.strip() == "columns" else columns
         elif line.strip():
             cells = dict(zip(columns, (cell.strip() for cell in line.split(",")), strict=False))
@@ -86,6 +87,7 @@ def _of_json(path: str | PathLike[str]) -> list[tuple[str, Any]]:
         rows = []
         for each in lists:
             unit = each.get("coordinateUnits", "mm")
+            # 3D Slicer writes a word, or a list with one word.
             scale = UNITS[str(unit[0] if isinstance(unit, list) else unit)]
             points = [p for p in each.get("controlPoints", ()) if p.get("positionStatus") not in NOWHERE]
             rows += [(p["label"], np.array(p["position"], dtype=float) * scale) for p in points]
@@ -153,12 +155,14 @@ def load_pose(path: str | PathLike[str], axes: str | None = None) -> Frame:
     """
     matrix = _numbers(path, (4, 4), "a matrix of four rows of four numbers")
     turn = matrix[:3, :3]
+    # R^T R = I for a rotation, and the last row of a pose is 0 0 0 1.
     off = max(np.abs(turn.T @ turn - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
     if off > SQUARE or np.linalg.det(turn) < 0:
         raise InputError(
             f"{path}: the matrix is not a pose; it must have a right-handed rotation, a position, and the row 0 0 0 1"
         )
     own = needed(path, axes)
+    # U V^T is the rotation nearest to the matrix in the Frobenius norm: digits in files are rounded.
     u, _, v = np.linalg.svd(turn)
     return Frame(ras((u @ v).T, own).T, ras(matrix[:3, 3] * 1e-3, own))
 
@@ -301,6 +305,7 @@ class BasePart(Entry):
 
     def frame(self, landmarks: Mapping[str, Array]) -> Frame:
         """The plate in the patient, RAS."""
+        # Messages on unknown landmarks are those of the anatomy.
         known = Anatomy(landmarks=landmarks)
         if self.pose is not None:
             frame: Frame = self.pose
@@ -364,6 +369,7 @@ class AnatomyPart(Entry):
             InputError: files that cannot be read, labels that no voxel has, a registration that does not fit.
         """
         landmarks = {} if self.landmarks is None else self.landmarks.build()
+        # Landmarks in LPS read as RAS have x and y reversed, and usually miss the image.
         if self.image is not None and landmarks and not any(self.image.holds(each) for each in landmarks.values()):
             LOGGER.warning(f"no landmark lies inside {self.image.name}; check axes and unit of the landmark file")
         base, found = Frame(), None
@@ -374,6 +380,7 @@ class AnatomyPart(Entry):
             found = register(landmarks, here)
             base, error = found.frame, found.rms
             if error > self.registration.si("most_error_mm"):
+                # Often a single landmark was touched wrongly or mixed up: the message names the worst.
                 worst = max(found.errors, key=lambda name: found.errors[name])
                 raise InputError(
                     f"registration has an RMS error of {error * 1e3:.3g} mm (landmark "
@@ -399,6 +406,7 @@ class AnatomyPart(Entry):
         forbidden = _voxels(image, self.forbidden, self.forbidden_between, "forbidden")
         target = _voxels(image, self.target, None, "target")
         if lumen is not None and target is not None:
+            # The tip must reach the target, so that it belongs to the free space.
             lumen = lumen | target
         places = None if target is None else centres(image, target)
         if lumen is None and forbidden is None:
@@ -452,6 +460,7 @@ Place = Annotated[Triple, Typical(1e-3, 10.0)]
 def _near_the_robot(place: list[Decimal], info: ValidationInfo) -> list[Decimal]:
     robot = info.data.get("robot")
     if robot is not None:
+        # So far away, a place is in a wrong unit or in a wrong frame.
         most, away = FAR * max(tube.length for tube in robot.tubes) * TO_MM, math.hypot(*map(float, place))
         if away > most:
             numbers = ", ".join(map(str, place))
@@ -520,6 +529,7 @@ def _known(value: Any) -> Any:
     """A body with its kind, and its keys as the entry of that kind calls them."""
     if not isinstance(value, dict):
         raise ValueError(f"is {shown(value)}; it must be a mapping with the kind of a body, one of {', '.join(KINDS)}")
+    # Files may leave out the kind, where a key of the body determines it.
     kind = value.get("kind", next((kind for key, kind in BY_KEYS.items() if key in value), None))
     if kind is None:
         raise ValueError(f"has no kind, and its keys do not determine one; kind must be one of {', '.join(KINDS)}")

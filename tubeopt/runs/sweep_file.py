@@ -126,6 +126,7 @@ class SweepFile:
 
     def _at(self, summarise: Callable[[Any], Mapping[str, Any]], values: Mapping[str, Value]) -> Mapping[str, Any]:
         """The answer at one point; raises InputError and SolveError as the study does."""
+        # Workers reuse the study for every point.
         data = copy.deepcopy(self.data)
         for key, value in values.items():
             _put(data, key, value if isinstance(value, (bool, str)) else Decimal(repr(value)))
@@ -148,6 +149,7 @@ class SweepFile:
 
 def _begins_a_result(column: str, results: list[str]) -> None:
     """Raise InputError for a column of no result; parts of results that only some points have are no mistake."""
+    # "snap.fraction" is missing where no snap was found, but "snap" is there.
     names = {re.split(r"[.\[]", result)[0] for result in results}
     if not any(result.startswith(column) for result in results) and re.split(r"[.\[]", column)[0] not in names:
         raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
@@ -170,8 +172,10 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         count, seed = (0, 0) if entry.sample is None else (entry.sample.count, entry.sample.seed)
         points = Points(axes, method, count, seed)
         data, where = _study(source["study"], path)
+        # Before files are loaded: their content belongs to the mark, not their objects.
         fingerprint = _fingerprint(data, where, source)
         for name in FILES:
+            # A robot whose keys do not vary is built once, not at every point.
             data = _with_file(name, data, where, points.keys)
         for key in points.keys:
             _known(data, key)
@@ -206,6 +210,7 @@ def _anchored(data: Any, directory: Path) -> Any:
     """What is in a file, with the tables that it names to be found from anywhere."""
     if isinstance(data, dict):
         named = {key: isinstance(value, str) and key == "table" for key, value in data.items()}
+        # A sweep runs in other directories, and perhaps on other machines of a cluster.
         return {k: str(directory / v) if named[k] else _anchored(v, directory) for k, v in data.items()}
     return [_anchored(value, directory) for value in data] if isinstance(data, list) else data
 
@@ -260,7 +265,9 @@ def _fingerprint(data: Data, where: Path, source: Data) -> str:
 def _named(data: object, directory: Path, seen: set[Path]) -> Iterator[bytes]:
     """Contents of the files that are named in data, and in those files."""
     for text in _texts(data):
+        # Any text may be a path. Longer ones, or with a null byte, would raise an error of the system.
         file = resolved(text, directory).resolve() if len(text) < 1024 and "\0" not in text else directory
+        # Files may name each other in a circle.
         if file.is_file() and file not in seen:
             seen.add(file)
             yield file.read_bytes()

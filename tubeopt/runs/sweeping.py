@@ -61,7 +61,9 @@ class Axis:
     def at(self, unit: float) -> Value:
         """The value at a number from 0 to 1."""
         if self.values is not None:
+            # Equal shares of 0 to 1; 1 itself belongs to the last value.
             return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
+        # 15 digits: 0.1 * 3 becomes 0.3, and both ends are exact.
         return float(f"{(1 - unit) * self.low + unit * self.high:.15g}")
 
 
@@ -148,6 +150,7 @@ def flatten(record: Mapping[str, Any], leave: Sequence[str] = ()) -> dict[str, f
 
 
 def _flat(path: str, value: Any, leave: Sequence[str]) -> Iterator[tuple[str, float | str | bool | None]]:
+    # Before the test for lists: arrays become lists of plain numbers.
     if hasattr(value, "tolist"):  # of NumPy
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -178,6 +181,7 @@ def write_table(directory: Path, entries: Entries) -> list[Path]:
         for entry in entries():
             row = _row(entry)
             writer.writerow([_cell(row.get(column)) for column in columns])
+    # The journal is read again for each column, so that only numbers are in memory, not all lines.
     stored = {column: _array([_row(entry).get(column) for entry in entries()]) for column in columns}
     return [text, save_arrays(directory / "table.npz", **stored)]
 
@@ -214,6 +218,7 @@ def _cell(value: Any) -> str:
 
 def _array(values: Sequence[Any]) -> np.ndarray:
     """A column: numbers (nan where there is none), or text."""
+    # JSON has no NaN: the journal keeps such numbers as words.
     known = [value for value in values if value is not None and value not in ("NaN", "Infinity", "-Infinity")]
     if all(isinstance(value, (bool, int, float)) for value in known):
         return np.array([np.nan if value is None else float(value) for value in values])
@@ -323,10 +328,12 @@ def sweep(  # noqa: PLR0913
     directory = Path(directory)
     mark = fingerprint or _fingerprint(function, points)
     with Journal(directory / JOURNAL, mark, len(points)) as journal:
+        # Failures are kept by default: the same input fails again.
         done = set(journal.done) - (journal.failed if retry_failed else set())
         left = [index for index in range(len(points)) if index not in done]
         if progress is not None:
             progress(len(done), len(points), len(journal.failed & done))
+        # A generator: points of a large grid are made when a worker is free.
         chosen = (points[index] for index in left)
         outcomes = each(function, chosen, workers=workers, scheduler=scheduler) if left else iter(())
         for outcome in outcomes:
@@ -335,6 +342,7 @@ def sweep(  # noqa: PLR0913
             done.add(index)
             if progress is not None:
                 progress(len(done), len(points), len(journal.failed & done))
+            # After the last point there is nothing to stop.
             if len(done) < len(points) and time.monotonic() > until:
                 raise TimeLimitError(
                     f"sweep reached its time limit of {time_limit:g} s with {len(done)} of "
@@ -388,6 +396,7 @@ def _fingerprint(function: Callable[..., Any], points: Sequence[Point]) -> str:
     try:
         digest.update(pickle.dumps(function))
         for point in points:
+            # Sorted: the order of keys does not change a point.
             digest.update(repr(sorted(point.items())).encode())
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(f"the function cannot be sent to other processes: {error}") from None

@@ -40,6 +40,7 @@ def usual_tubes(count: int) -> dict[str, list[Decimal]]:
     """Keys of tubes that fit into one another and advance in order -> a number for each, inner to outer."""
     i = range(count)
     return {
+        # Steps of 0.3 mm with walls of 0.1 mm leave 0.05 mm of radial clearance.
         "outer_diameter_mm": [Decimal("1.0") + k * Decimal("0.3") for k in i],
         "inner_diameter_mm": [Decimal("0.8") + k * Decimal("0.3") for k in i],
         "straight_length_mm": [Decimal(50 * (count - k)) for k in i],
@@ -131,6 +132,7 @@ class NewRobot(NewTubes):
         else:
             data = named | {"tube": self.single | material}
         text = commented(ROBOT_KINDS[kind], data, f"A robot, tubes inner to outer: tubeopt robot show {path.name}\n")
+        # Read back as a check: what is written can be used.
         robot_from_dict(read_flow(text), path)
         return text
 
@@ -185,6 +187,7 @@ def _turn(robot: Robot, angle: int) -> list[int]:
 
 def _reached(robot: Robot) -> list[float]:
     """A place that the tip reaches, mm."""
+    # Taken from a solved shape, so that the target can be reached by any robot.
     tip = forward_kinematics(robot, np.radians(_fan(robot))).tip_position
     return [round(float(x), 1) for x in tip * TO_MM]
 
@@ -193,6 +196,7 @@ def _design(robot: Robot) -> Data:
     curvature = max(abs(tube.curvature) for tube in robot.tubes)
     tubes = list(range(1, robot.n_tubes + 1))
     return {
+        # Half as much again as the robot has: the search can move both ways.
         "free": [{"tubes": tubes, "curvature_per_m": [0.5, round(max(1.5 * curvature, 1.0), 1)]}],
         "requirements": {"snap_free": {"margin": 0.05}},
         "objective": {"kind": "change"},

@@ -109,12 +109,14 @@ class ValidationStudy(Timed):
         self._base()
         if not (self.fit or self.compare):
             for key in OF_FITS:
+                # A sweep or a flag may repeat the default.
                 if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"{key} is given without fit or compare; only these use it")
         if self.axis_noise_deg is not None and self.measurements.orientation is None:
             raise ValueError("axis_noise_deg is given, and the measurements have no directions")
         if self.fit and not self.compare:
             with reworded(KEYS):
+                # Unknown names are refused here, before minutes of fitting.
                 choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
         return self
 
@@ -122,6 +124,7 @@ class ValidationStudy(Timed):
         return BasePose(self.si("base_position_mm") or (0.0, 0.0, 0.0), self.si("base_axis") or (0.0, 0.0, 1.0))
 
     def _options(self) -> FitOptions:
+        # There are no more folds than measurements.
         folds = self.folds if self.folds is not None else min(10 if self.compare else 5, len(self.measurements))
         return FitOptions(
             base=self._base(),

@@ -38,6 +38,7 @@ class BatteryEntry(Part):
         battery: Battery = super().build()
         if self.voltage_V is None:
             return battery
+        # A default value is no contradiction, only a key that was written.
         if "state_of_charge_percent" in self.model_fields_set:
             raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
         return replace(battery, state_of_charge=battery.charge_at(self.si("voltage_V")))
@@ -113,6 +114,7 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
         InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
     """
     table = read_csv(path, LOG_COLUMNS)
+    # Each column of a thermometer has its place in its name.
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
@@ -149,6 +151,7 @@ def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
     """
     table = read_csv(path, ("time_s",))
     placed = [name for name in table.columns if name != "time_s"]
+    # A camera sees many points, so that their columns are plain numbers.
     strange = [name for name in placed if not re.fullmatch(r"[-+]?[0-9.]+", name)]
     refuse(path, [f"column {name} is not known; it must be time_s or a place in mm" for name in strange])
     table.expect(("time_s",), placed)
@@ -179,6 +182,7 @@ class SpringbackEntry(Part):
         if self.radius_range_mm is None:
             return back
         radii = self.si("radius_range_mm")
+        # The smallest radius is the largest curvature.
         return replace(back, curvature_range=(1 / max(radii), 1 / min(radii)))
 
 
@@ -248,6 +252,7 @@ def load_trials(path: str | PathLike[str]) -> Trials:
     radii = table.numbers(TRIAL_COLUMNS, MM)
     for row in range(len(table.rows)):
         for k, column in enumerate(TRIAL_COLUMNS):
+            # A cell that is no number was noted before, and read as 0.
             if not RADII[0] <= radii[row, k] <= RADII[1] and not any(
                 f"row {row + 1} " in problem and column in problem for problem in table.problems
             ):
