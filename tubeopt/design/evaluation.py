@@ -68,6 +68,7 @@ def rows_of(program: Program, state: State) -> list[Rows]:
 def _eased(state: State, group: Rows, k: int) -> Rows:
     column = state.layout.column(slack_name(k))
     jacobian = group.jacobian.copy()
+    # A slack moves every row of its group by the same number of steps.
     jacobian[:, column] += 1.0
     slack = float(state.x[column])
     return replace(group, values=group.values + slack, jacobian=jacobian, slack=(slack, column))
@@ -105,6 +106,7 @@ def linear_rows(state: State, task: DesignTask) -> tuple[Array, Array]:
             values += [shift - low, high - shift]
             slopes += [moved, -moved]
     values.append(length[:-1] - length[1:])
+    # An inner tube is at least as long as the next outer one, or their carriages could not be in order.
     slopes.append(longer[:-1] - longer[1:])
     for place in task.places:
         values.append(gaps_of(state.tubes, place.low, place.high))
@@ -123,6 +125,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
         if one.depth is not None and program.depth_pose is not None:
             place, slope = state.quantity(Quantity("tip_position", program.depth_pose))
             height = place[2] - one.depth
+            # An equation as two inequalities, so that least squares and IPOPT treat it like all other rows.
             parts.append(np.array([DEPTH_TOLERANCE - height, DEPTH_TOLERANCE + height]) / 1e-2)
             changes.append(np.array([-slope[2], slope[2]]) / 1e-2)
         if one.kind in program.layout.auxiliary:
@@ -130,6 +133,7 @@ def fixed_rows(program: Program, state: State) -> tuple[Array, Array]:
             values, change = program.aims[one].linear(state.quantity)
             change = -one.sign * change
             change[:, column] += one.sign
+            # Least or greatest of many values: the auxiliary unknown bounds all of them, which is smooth.
             parts.append(one.sign * (state.x[column] - values) / size)
             changes.append(change / size)
     return np.concatenate(parts), np.concatenate(changes)
@@ -142,6 +146,7 @@ def squared(group: Rows) -> Rows:
         return group
     vector, change = group.vector
     most = group.limit.value / group.limit.size
+    # (r^2 - |v|^2) / (2 r) is r - |v| to first order at |v| = r, and smooth also at v = 0.
     values = (most**2 - (vector**2).sum(1)) / (2 * most) - HELD
     return replace(group, values=values, jacobian=-np.einsum("kc,kcx->kx", vector, change) / most)
 
@@ -150,6 +155,7 @@ def cubed(group: Rows) -> Rows:
     """Rows that limit the length of a vector, as the six sides of the cube inside: linear in it, and stricter."""
     if group.vector is None:
         return group
+    # The cube inside a ball of radius r has half the side r / sqrt(3).
     vector, change = np.sqrt(3) * group.vector[0], np.sqrt(3) * group.vector[1]
     most = group.limit.value / group.limit.size - HELD + (0.0 if group.slack is None else group.slack[0])
     values = np.concatenate([most - vector, most + vector], axis=1).ravel()
@@ -205,6 +211,7 @@ class Evaluated:
 
     def note(self) -> None:
         """Keep the design where it is the best that the search passed: the answer, where time ends it."""
+        # Feasible designs are ranked by objective, all others by violation alone.
         short, words = self.violation
         if short <= FEASIBLE:
             found = Reached(self.state.x, self.objective[0], 0.0, "")
@@ -242,6 +249,7 @@ def evaluated_at(program: Program, x: Array) -> Evaluated:
 def state_at(program: Program, x: Array) -> State:
     """The state at x, SI; poses begin near the last ones solved."""
     known = program.lately.state
+    # Solvers ask for value and derivatives at the same x one after the other: poses are solved once.
     if known is None or not np.array_equal(known.x, x):
         known = program.lately.state = State(program.layout, x.copy(), program.guesses)
     return known

@@ -170,6 +170,7 @@ class State:
         if isinstance(pose, Via):
             t, first, second = pose.fraction, self._joints(pose.first), self._joints(pose.second)
             rotations, translations = (
+                # Joint values of a via point are linear between two poses, and so are their changes.
                 ((1 - t) * one[0] + t * other[0], (1 - t) * one[1] + t * other[1])
                 for one, other in zip(first, second, strict=True)
             )
@@ -178,6 +179,7 @@ class State:
             still = np.zeros((self.layout.n, self.layout.size))
             return (np.array(pose.rotations), still), (np.array(pose.translations), still)
         (alpha, beta), unit = self.layout.joints(pose), np.eye(self.layout.size)
+        # beta counts from the clamped end: the translation, which counts from home, grows with the straight part.
         straight = np.array([tube.straight_length for tube in self.tubes])
         return (self.x[alpha], unit[alpha]), (self.x[beta] + straight, unit[beta] + self.slopes["straight_length"])
 
@@ -186,6 +188,7 @@ class State:
         if index not in self._poses:
             joints, slopes = self.joint_values(index), self.joint_slopes(index)
             solved = solve_pose(self.tubes, *joints, self.guesses.get(index))
+            # Only directions that some unknown moves are differentiated; the chain rule to all unknowns comes after.
             directions, self._chains[index] = moving(np.concatenate([*slopes, self._reshaped]))
             pose = Pose(solved, (*JOINTS, *self.resized), self.piece_changes, directions)
             self._poses[index], self.guesses[index] = pose, pose.twist
@@ -240,7 +243,9 @@ class State:
                 size[self.layout.joints(pose)[1]] = 0.1  # m
         change = np.zeros((12 * self.layout.n, self.layout.size))
         for column in np.flatnonzero(self.chain(index).any(0)).tolist():
+            # Derivatives are exact, so that truncation is 1e-8 of the second change, and round-off 1e-12 over 1e-4.
             step = np.eye(self.layout.size)[column] * 1e-4 * size[column]
+            # States of their own with copied guesses: neither side may move the start of the other.
             ends = (here(State(self.layout, x, dict(self.guesses))) for x in (self.x + step, self.x - step))
             change[:, column] = -np.diff(np.stack(list(ends)), axis=0)[0] / (2 * step[column])
         return here(self), change
@@ -298,6 +303,7 @@ def _of_pose(pose: Pose, one: Quantity) -> tuple[Array, Array]:
             return pose.arm.position[-1], of.tip_position
         case "tip_direction":
             heading = pose.arm.frame[-1][:, 2]
+            # A turn vector w moves a direction t by w x t.
             return heading, np.cross(of.tip_rotation, heading[:, None], axis=0)
         case "margin":
             return np.array([pose.margin]), of.one_margin[None]

@@ -656,6 +656,7 @@ def _missed(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
         near = np.argsort(miss)[:NEAREST_ARMS]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+        # Points are rows: R p is p @ R^T.
         turned = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
         short = np.maximum(task.clearance - _room(task, turned), 0.0)
         least = min(least, float((miss[near] + short).min(initial=np.inf)))

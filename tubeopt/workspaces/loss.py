@@ -192,6 +192,7 @@ def _lost(firm: Keys, shaky: Keys, count: Keys) -> Mask:
 
 def _free_to_turn(robot: Robot) -> Robot:
     """The robot whose tubes may turn by half a turn either way: for tip rotations."""
+    # Limits are of joints, and samples are tip rotations: joints outside their limits are left out afterwards.
     limits = JointLimits(((-np.pi, np.pi),) * robot.n_tubes, robot.limits.translations)
     changed: Any = robot
     return replace(changed, joint_limits=limits)  # type: ignore[no-any-return]

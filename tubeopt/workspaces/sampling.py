@@ -187,6 +187,8 @@ class JointSamples:
             y = np.tile(box.low, (len(unit), 1))
             y[:, box.free] += unit * (box.high - box.low)[box.free]
             q = np.clip(y @ box.back.T, space.lower, space.upper)
+            # The box of distances may reach beyond the ranges: clipped points would pile up at their ends, and are left
+            # out.
             q = q[(np.abs(q - y @ box.back.T) <= 1e-9 * space.scale).all(1)]
             q = q[space.ordered(q)]
             barren = 0 if len(q) else barren + 1
@@ -248,6 +250,7 @@ def _box(space: JointSpace) -> Box:
     whole = np.arange(m) < n
     whole &= high - low >= TURN - 1e-9
     # Whole turns repeat the shape: one of them, around home where that is allowed.
+    # Nearest to 0, so that samples of robots with wider ranges have the same joint values.
     middle = np.clip(0.0, low + TURN / 2, high - TURN / 2)
     low, high = np.where(whole, middle - TURN / 2, low), np.where(whole, middle + TURN / 2, high)
     return Box(low, high, best.back, whole)
