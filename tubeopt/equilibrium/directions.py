@@ -50,6 +50,7 @@ class Breakpoints:
 def breakpoints_of(assembly: Assembly, between: bytes) -> Breakpoints:
     """Those of all tubes; `between` are the arc lengths (P + 1,) between the pieces."""
     each = [_places(assembly, i) for i in range(assembly.n_tubes)]
+    # Breakpoints behind the plate are out of the arm; one at the plate may move into it.
     own = [(i, s, k == len(row) - 1) for i, row in enumerate(each) for k, s in enumerate(row) if s > -ROUND_OFF]
     place = np.array([s for _, s, _ in own])
     index = np.searchsorted(np.frombuffer(between), place - 2 * ROUND_OFF)
@@ -79,12 +80,15 @@ def strips_of(points: Breakpoints, columns: int, speeds: bytes) -> tuple[tuple[S
     for own in points.together:
         in_front, rows = bool(points.place[own[0]] > ROUND_OFF), speed[[*own]]
         if len(own) == 1:
+            # One that is behind or at the plate uncovers only what it moves in front of it.
             widths[Strip(own, own, False)] = rows[0] if in_front else np.maximum(rows[0], 0.0)
             continue
         alike: dict[tuple[float, ...], list[int]] = {}
         for column in np.flatnonzero(rows.any(0)).tolist():
+            # Directions with equal speeds uncover equal strips, so each pattern is sorted once.
             alike.setdefault(tuple(rows[:, column].tolist()), []).append(column)
         for pace, those in alike.items():
+            # Shifted places in their order; between two of them lie those that moved farther.
             levels = sorted([0.0, *pace])
             least = SAME_SPEED * max(levels[-1], -levels[0])
             for low, high in pairwise(levels):
@@ -137,6 +141,7 @@ def uncovered_by(assembly: Assembly, between: bytes, strips: tuple[Strip, ...]) 
     beyond[row, [j for moved in each for j in moved]] = 1.0
     both = np.concatenate([place, place])
     side = both[:, None] + ROUND_OFF
+    # A tube whose breakpoint moved beyond is still what it was before it: its place is on the plate's side.
     near = side - 2 * ROUND_OFF * (beyond @ points.of_tubes)
     # Where a curved part begins to grow its end moves alone.
     bends = side - 2 * ROUND_OFF * ((beyond * ~points.end) @ points.of_tubes)
@@ -307,6 +312,7 @@ class Directions:
             return
         if name == "translations" and self.assembly.lengthwise is None and not self._density.any():
             entered.speed[:, own] = self.breakpoints.of_tubes
+            # A tube that moves forward has less of its straight part below the plate.
             into.transmission[:, own] = np.diag(-_held(self.assembly, self.side))
             return
         i = np.arange(self.n)
@@ -315,6 +321,7 @@ class Directions:
             into.transmission[i, column] = _held(self.assembly, 0)
         elif name == "curvature":
             bend = np.array([tube.curvature for tube in self.tubes])
+            # m = kb kappa: dm / dkappa = m / kappa, and kb where kappa is 0.
             into.data[..., m, column] = here.moments / np.where(bend, bend, 1.0)
             for k in np.flatnonzero(bend == 0).tolist():
                 into.data[..., m[k], column[k]] = here.stiffness[..., k] * self._bendable(k)
@@ -323,6 +330,7 @@ class Directions:
             into.data[..., kb, column], into.data[..., m, column] = here.stiffness / stiffness, here.moments / stiffness
         elif name == "torsional_stiffness":
             stiffness = np.array([tube.torsional_stiffness for tube in self.tubes], dtype=float)
+            # d(1 / kt) / dkt = -1 / kt^2, in proportion to the whole tube's kt.
             into.rate[..., i, column] = -here.rate / stiffness
             into.transmission[i, column] = -here.transmission / stiffness
         else:
@@ -348,6 +356,7 @@ class Directions:
         into.transmission[i, column] -= float(moves(np.array(held))) * self._softness(i)
         end = float(self.assembly.end[i])
         if self._density[i] and end > -self.side * ROUND_OFF:
+            # The tube's weight moves beyond all points before its end, by the density per unit of motion.
             into.force[..., column] += (self._arc_length < end)[..., None] * (self._density[i] * self._gravity)
         stretches = name == "curved_length" and own.curved_length > 0
         if table is None:
@@ -358,6 +367,7 @@ class Directions:
         place = self._arc_length + held
         moved = moves(place)
         for k, rate in enumerate(self._passing[:3]):
+            # At a fixed arc length a tube that moves forward shows what was behind: minus its slope times the motion.
             into.data[..., k * n + i, column] -= rate[..., i] * moved
         into.rate[..., i, column] -= self._passing[3][..., i] * moved
         if stretches:
@@ -367,6 +377,7 @@ class Directions:
             ends = np.array([tube.length for tube in self.tubes])
             begun, ended = table.values(np.stack([straight, ends]))[5][:, i]
             turned = here.problem.here.sections.wound.reshape(here.phase.shape)[..., i] - begun
+            # The twist is per length, so that a longer curved part winds more, in proportion.
             into.data[..., i, column] += np.where(moved != 0, turned, 0.0) / own.curved_length
             entered.wound[i, column] += (ended - begun) / own.curved_length
 

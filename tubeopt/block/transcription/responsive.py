@@ -152,6 +152,7 @@ class Responsive(Standing):
         out = np.empty((self.pieces, self.degree, n + 2, n + 3))
         out[..., :n] = self._by[..., :n]
         by_moment = by_bent @ self.across
+        # b = R'm changes by R'(dm + m x psi): the turn of the frame acts through m.
         np.matmul(by_moment, self.about_moment, out=out[..., n:])
         if self.along is not None:
             out[..., :n, n:] -= cross(self.axis[..., None, :], self.along)
@@ -224,8 +225,10 @@ class Responsive(Standing):
         # A state adds itself to what it makes of phi at every point, and of itself at the end.
         next_row = inner + size + 1
         there[:, : k * n].reshape(self.pieces, k, -1)[..., inner::next_row] += 1.0
+        # The state at the end is that at the beginning and the integral of its rates.
         end.reshape(self.pieces, -1)[:, inner::next_row] += 1.0
         self._past(end, 1)
+        # Equations of the points: unknowns less their own integrals; eliminated piece by piece.
         matrix = -there[..., :inner]
         matrix.reshape(self.pieces, -1)[:, :: inner + 1] += 1.0
         solved = np.asarray(np.linalg.solve(matrix, there[..., inner:]))
@@ -263,6 +266,7 @@ class Responsive(Standing):
         matrix = np.zeros((total, total))
         matrix[: pieces * size].reshape(-1)[own :: total + 1] = 1.0
         matrix[:size, :own] = -ends[0, :, own:]
+        # At the plate theta turns by the transmission times the torque, which is unknown there.
         matrix[:size, :n] -= ends[0, :, :n] * (softness * self.transmission)
         for k in range(1, pieces):
             matrix[k * size : (k + 1) * size, own + (k - 1) * size : own + k * size] = -ends[k]
@@ -275,6 +279,7 @@ class Responsive(Standing):
             return matrix
         tip = matrix[rows, last + n : last + own]
         if self.following:
+            # A moment that turns with the tip changes by psi x m.
             tip[n:] += hat(self.tip_moment)
         elif self.tip_moment.any():
             tip[self.tip_tube] -= cross(self.end_frame[-1, :, 2], self.tip_moment)
@@ -315,6 +320,7 @@ class Responsive(Standing):
         table = right[: self.pieces * size].reshape(self.pieces, size, count)
         if gained is not None:
             table[..., columns] = gained[..., turned:]
+        # What is known at the plate goes to the right-hand side through the first piece.
         table[0] += maps.ends[0] @ start
         table += jumps[1:]
         *_, result, singular = scipy.linalg.lapack.dgesv(matrix, right)
@@ -367,6 +373,7 @@ class Responsive(Standing):
             turning += phi_by @ data
         made = [turning, torque_by @ data, u_by @ data, -self.about_axis @ force]
         if self.turning is not None:
+            # Three more columns: a force that turns with the tip is forced by its unknown turn.
             made = [np.concatenate([np.zeros((*p.shape[:3], extra)), p], axis=3) for p in made]
             made[3][..., :extra] = self.turning
         return Forced(*made), columns
@@ -385,6 +392,7 @@ class Responsive(Standing):
         bends = felt.bending[..., n:, :]
         gained = self.weights[:, None] @ (self.frame[..., :2] @ bends).reshape(self.pieces, k, -1)
         state[1:, n : n + 3] += gained.reshape(self.pieces, 3, -1)
+        # Without a load psi acts on nothing, so that it is summed afterwards.
         state[:, n : n + 3] = np.cumsum(state[:, n : n + 3], axis=0)
         return Response(state, phi, self._turned(state, bends), lambda: felt, None)
 
@@ -421,17 +429,20 @@ class Responsive(Standing):
         known = margin
         for _ in range(MODE_STEPS):
             # Beside the eigenvalue itself, where there would be nothing left to divide by.
+            # Inverse iteration close to the eigenvalue: one step from any start gives the mode but for others.
             beside = margin - ASIDE
             softness = 1 / (1 - beside)
             maps = self._maps(softness)
             matrix = self._system(softness, maps.ends)
             angle = np.arange(len(matrix), dtype=float)
             factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
+            # Irregular starts, so that symmetry makes none orthogonal to a mode; the second shows other modes.
             right = np.column_stack([np.cos(angle), np.sin(angle)])
             grown = scipy.linalg.lapack.dgetrs(factors, pivots, right)[0]
             size = np.abs(grown[:, 0]).max()
             result = scipy.linalg.lapack.dgetrs(factors, pivots, grown[:, 0] / size)[0]
             result /= np.abs(result).max()
+            # What the second start has beside the first mode.
             other = np.abs(grown[:, 1] - result * ((result @ grown[:, 1]) / (result @ result))).max()
             state = self._state(result, softness)
             inner = maps.inner @ state[:-1]
@@ -458,6 +469,7 @@ class Responsive(Standing):
     def elastic(self, mode: Response, softness: float) -> float:
         """The elastic part T of the second variation along a mode, one column."""
         torque, bent, held = mode.torque[..., 0], mode.bent[..., 0], mode.state[0, self.n + 3 : 2 * self.n + 3, 0]
+        # int t^2 / kt + |b|^2 / K: energies by torques and moments, of an elasticity softened by the factor.
         density = (self.rate * torque**2).sum(2) + (bent**2).sum(2) / self.stiffness.sum(2)
         return float(softness**2 * ((self.weights * density).sum() + self.transmission @ held**2))
 
@@ -467,6 +479,7 @@ class Responsive(Standing):
         bending = (self.frame[..., :2] @ curved[..., None])[..., 0]
         form = (y * (self._by[..., : self.n, : self.n] @ y[..., None])[..., 0]).sum(2)
         if self.load is not None:
+            # Work of the forces and moments in the second order of the turn psi.
             form -= (self.force * cross(psi, cross(psi, self.axis)) + self.moment * cross(psi, bending)).sum(2)
         return 1.0 + float((self.weights * form).sum()) / self.elastic(mode, softness)
 

@@ -167,6 +167,7 @@ class HeatingLog:
                 f"the camera saw the tube from {time.min():g} to {time.max():g} s; the log goes from {self.time[0]:g} "
                 f"to {self.time[-1]:g} s"
             )
+        # Two clocks: rows at all times of either, with no reading where the other has none.
         both = np.union1d(self.time, time[inside])
 
         def spread(at: Array, values: Array) -> Array:
@@ -232,6 +233,7 @@ def believable(log: HeatingLog, rig: Rig, expected: dict[str, Array]) -> tuple[H
                 "thermometer is broken; leave it out"
             )
         top = np.flatnonzero(values == values.max())
+        # Saturated readings are equal and follow one another; a true maximum varies by noise.
         stays = len(top) >= FLAT and len(top) == top[-1] - top[0] + 1
         if stays and float(np.ptp(expected[name][read[top]])) > 0.2 * HEATED and rise > HEATED:
             channels[name] = channels[name].copy()
@@ -273,6 +275,7 @@ def unexplained(
     """
     words, unit = [], UNITS[kind_of(channel)]
     count = len(residual)
+    # Unbiased by the unknowns that were fitted to this channel.
     spread = float(np.sqrt((residual**2).sum() / max(count - unknowns, 1.0)))
     if stated is not None and scipy.stats.chi2.sf((residual**2).sum() / stated**2, max(count - unknowns, 1.0)) < RARE:
         words.append(
@@ -283,6 +286,7 @@ def unexplained(
     above, below = int(signs.sum()), int((~signs).sum())
     if min(above, below) >= 5 and spread > step / 2:
         runs = 1 + int((signs[1:] != signs[:-1]).sum())
+        # Mean and variance of the number of runs of independent signs.
         mean = 1 + 2 * above * below / count
         deviation = np.sqrt((mean - 1) * (mean - 2) / (count - 1))
         if scipy.stats.norm.cdf((runs - mean) / deviation) < RARE:
@@ -441,6 +445,7 @@ def calibrate(
     problem = _Problem(tube, rig, log)
     free, remarks = list(names), list(doubts)
     while True:
+        # The weakest factor first: holding it often determines others that were mixed with it.
         x, sigma, J, errors = problem.solve(free)
         weak = int(np.argmax(errors)) if len(free) else 0
         if not len(free) or errors[weak] < WEAK:
@@ -449,6 +454,7 @@ def calibrate(
         free.pop(weak)
     freedom = max(problem.count - len(free), 1)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + confidence / 2))
+    # Noise of the readings and the error of the grid add up in the worst case.
     room = reach * errors + np.abs(problem.shift(free, x, sigma, J))
     values = dict(zip(free, zip(x, room, strict=True), strict=True))
     estimates = tuple(_estimate(name, values.get(name)) for name in names)
@@ -527,6 +533,7 @@ class _Problem:
     def rig(self, names: Sequence[str], x: Array) -> Rig:
         """The rig with its factors exp(x)."""
         rig = self.given
+        # A gap that follows from the groove is written out first, so that a factor has something to act on.
         if "gap" in names:
             rig = replace(rig, mold=replace(rig.mold, gap=gap_of(self.tube, rig)))
         for name, value in zip(names, x, strict=True):
@@ -573,6 +580,7 @@ class _Problem:
         """Logarithms of the factors, noise of the channels, Jacobian of the residuals, and standard errors."""
         x = np.zeros(len(names))
         sigma = {c: NOISE[kind_of(c)] for c in self.read}
+        # Weights need the noise and the noise needs the fit: a second round with the first one's noise.
         for _ in range(2):
             if names:
                 x = self._fit(names, x, sigma)
@@ -585,6 +593,7 @@ class _Problem:
             }
         J = self.quotients(now) / self.spread(sigma)[:, None]
         values, vectors = np.linalg.eigh(J.T @ J)
+        # A direction that no reading sees has a huge error instead of a division by 0.
         floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
         errors = np.sqrt((vectors**2 / np.maximum(values, floor)).sum(1))
         return _Fitted(x, sigma, J, errors)
@@ -594,6 +603,7 @@ class _Problem:
         the difference from one of half as many cells."""
         rig = [self.rig(names, x)]
         fine, coarse = (self._predicted(rig, grid) for grid in (FINE, COARSE))
+        # Order 2 on half as many cells: the coarse error is 4 times the fine one, their difference 3 times.
         error = np.concatenate([(fine[c] - coarse[c])[read, 0] / 3 / sigma[c] for c, read in self.read.items()])
         return np.asarray(np.linalg.lstsq(J, error, rcond=None)[0])
 

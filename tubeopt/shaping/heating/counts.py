@@ -88,6 +88,7 @@ def full_current(tube: Tube, rig: Rig, *, leaking: bool = True) -> float:
     whole = 2 * (rig.mold.lead + rig.clamps.clearance) + tube.curved_length
     ohm = rig.resistivity_factor * thermal_data(tube).resistivity / tube.cross_section * whole
     if leaking:
+        # The mold that conducts is in parallel with the tube.
         ohm = 1 / (1 / ohm + 1 / leak_resistance(tube, rig))
     return rig.battery.voltage / (rig.battery.internal_resistance + rig.circuit.resistance + ohm)
 
@@ -127,12 +128,14 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
     given, limits = 0.0, kept_by_one(model, spec, rig)
     now = Instant.of(model, at_rest(model), limits)
     slow, fast = idle_rates(model, now.state)
+    # The counts that make the tube colder by COLDER in one slot, beside half a count of rounding.
     owed = 0.5 + COLDER * COUNTS / (spec.slot * float((fast - slow).max()))
     hurried = hurried and limits != (spec, rig)
     heated = int(np.count_nonzero(duty))
     watched = heated - spec.hold_slots + math.ceil(WATCHED / spec.slot)
     k = 0
     # Without a look, all that is owed would be given at once.
+    # After the time that is watched plain rounding is enough, if nothing is owed any more.
     while k < heated and (k < watched or sums[k - 1] - given > 0.5 + 1e-9):
         due = math.floor(sums[k] - given + 0.5)
         before, now = now, sustained(model, now, limits, float(min(max(due, 0), int(now.most))), spec.slot)
@@ -142,6 +145,7 @@ def guarded_counts(model: ThermalModel, spec: HeatingSpec, rig: Rig, duty: Array
         counts[k] = int(now.count)
         given += now.count
         if not hurried:
+            # What the tube has forgotten is dropped, so that it is not given at once later.
             given = max(given, sums[k] - owed)
         k += 1
     rest = np.maximum(np.floor(sums[k:heated] - given + 0.5), 0.0)
@@ -176,6 +180,7 @@ class Instant:
         """That of a state."""
         spec, rig = limits
         slow, fast, now = warming_span(model, state.cells, state.lumped)
+        # Warming is linear in the duty: slow + duty (fast - slow) = ramp, cell by cell.
         room = ((1 - SPARED) * spec.ramp - slow[0]) / np.maximum(fast[0] - slow[0], 1e-9)
         # What a pulse loses does not warm, but it flows.
         lost, bound = rig.circuit.lost_share, min(rig.circuit.current_limit / float(now[0]), 1.0)
@@ -202,9 +207,11 @@ def sustained(
     (found, room), lack = tried(0.0), -spare
     close = 1.0 if whole else CLOSE
     while above.count - found.count > close and room > 0:
+        # Regula falsi between a count that keeps the limits and one that does not.
         between = found.count + (above.count - found.count) * room / (room + lack)
         last, spare = tried(max(float(int(between)), found.count + 1) if whole else between)
         if spare >= 0:
+            # Halving the other end's value keeps one end from standing still (the Illinois rule).
             found, room, lack = last, spare, 0.5 * lack
         else:
             above, room, lack = last, 0.5 * room, -spare
@@ -427,4 +434,5 @@ def _level(model: ThermalModel, state: State, most: float, span: float, target: 
     top, bottom = (_hottest(advance(model, state, level, span)) for level in (most, less))
     if top <= target or most <= less:
         return most
+    # The line through both duties: temperatures are nearly linear over a few counts.
     return max(less + (target - bottom) / (top - bottom) * (most - less), 0.0)

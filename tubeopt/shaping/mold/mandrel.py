@@ -113,6 +113,7 @@ def bend_in_space(held: Tube) -> Winding:
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
             bent = max(held.curvature, 1.0)
+            # A chord of length c rises by kappa c^2 / 8 over its arc.
             step = min(math.sqrt(8 * SAGITTA / bent), CHORD_TURN / bent, 1e-3)
             places = np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
 
@@ -277,9 +278,11 @@ def _cylinder(held: Tube, helix: tuple[float, float], width: float, spec: MoldSp
     """The helix about x from angle 0, and tangent leads until they have left the cylinder."""
     curvature, torsion = helix
     size = curvature**2 + torsion**2
+    # Helix of curvature k and torsion t: radius k / (k^2 + t^2), advance per rad t / (k^2 + t^2).
     radius, lead, bent = curvature / size, torsion / size, math.sqrt(size)
     # A straight lead leaves at the radius where its groove's bottom is the surface.
     out = math.sqrt((radius + width) ** 2 - radius**2) / (radius * bent)
+    # Per arc length: it turns by sqrt(k^2 + t^2) and advances by the lead times that.
     advance = abs(lead) * bent
     first = SHANK + spec.plate.margin + out * advance
     last = first + (held.curved_length + out) * advance + spec.plate.margin
@@ -301,6 +304,7 @@ def _turns_apart(
     bent = math.hypot(*helix)
     if held.curved_length * bent <= 2 * math.pi:
         return []
+    # The pitch along the axis, times the cosine of the slope, is the distance square to the groove.
     wall = body.pitch * body.helix_radius * bent - width
     least = spec.groove.wall
     failure = (
@@ -348,6 +352,7 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
 
 def _sides(points: Array, count: int) -> Array:
     """(N, 3) unit directions: the principal axes of the curve, then `count` evenly about the sphere (Fibonacci)."""
+    # Along the axis of least extent a curve is flattest: the most probable side, tried first.
     axes = np.linalg.svd(points - points.mean(axis=0))[2][::-1]
     k = np.arange(count) + 0.5
     z, angle = 1 - 2 * k / count, math.pi * (1 + math.sqrt(5)) * k
@@ -364,6 +369,7 @@ def _meets_itself(curve: Winding, up: Array, width: float) -> bool:
     seen, ways = curve.points @ plane, curve.tangents @ plane
     heading = np.unwrap(np.arctan2(ways[:, 1], ways[:, 0]))
     steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    # A bend tighter than half the width would cut its own inner wall.
     if (np.abs(np.diff(heading)) > 2 * steps / width).any():
         return True
     return comes_back(seen, heading, width)
@@ -434,6 +440,7 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
     table, milling = rotation_table(mandrel), mandrel.spec.milling
     assert isinstance(mandrel.body, Cylinder)
     outer = mandrel.body.radius
+    # 1e-9 is round-off: a depth of whole steps takes no further pass.
     passes = math.ceil(mandrel.width / milling.step_down - 1e-9)
     check_duration("mandrel.nc", passes * float(table[-1, 0] - table[0, 0]) / milling.feed)
     safe = f"G0 Z{(outer + mandrel.width + milling.safe_height) * TO_MM:.4f}"
@@ -455,6 +462,7 @@ def mandrel_gcode(mandrel: Mandrel) -> str:
             "G93",
         ]
         for before, here, z in zip(table[:-1], table[1:], tip[1:], strict=True):
+            # Inverse time: moves per minute, since the speed over ground is not that of X and A.
             rate = 60 * milling.feed / (here[0] - before[0])
             lines.append(f"G1 X{here[1] * TO_MM:.4f} A{math.degrees(here[2]):.5f} Z{z * TO_MM:.4f} F{rate:.2f}")
         lines.append("G94")
@@ -510,6 +518,7 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
         heights: (N,) of the walls above the points, m.
         radius: of the circle, m: that of the groove. sagitta: by which its chords leave it at most, m.
     """
+    # Square to the curve even where `ups` leans along it, so the bottom stays round.
     across = np.cross(tangents, ups)
     across /= np.linalg.norm(across, axis=1)[:, None]
     up = np.cross(across, tangents)
@@ -524,6 +533,7 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
     a, b = grid[:-1], np.roll(grid[:-1], -1, axis=1)
     c, d = grid[1:], np.roll(grid[1:], -1, axis=1)
     sides = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+    # Ends are closed by fans from one corner: half a circle below two walls is convex.
     fan = np.column_stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)])
     faces = np.vstack([sides, grid[0][fan][:, ::-1], grid[-1][fan]])
     corners = rings.reshape(-1, 3) * TO_MM
