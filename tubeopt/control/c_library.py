@@ -97,7 +97,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     Args:
         name: what the comments call it.
         prefix: prefix of all C names; use a different one for each robot of a program.
-        loads: include tip force and weight; required for the compliance of tubes made of pieces.
+        loads: include tip force and weight.
 
     Raises:
         InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or
@@ -161,12 +161,11 @@ def _filled(file: str, **values: str) -> str:
 def _source(robot: Robot, space: JointSpace, name: str) -> str:
     eccentric = robot.assembly(robot.home_translations).eccentric
     kernel = kernel_text(robot.n_tubes, eccentric, _room(space))
-    return library_text(name, kernel, _data(robot, space), eccentric=eccentric)
+    return library_text(name, kernel, _data(robot, space))
 
 
-def library_text(name: str, kernel: str, numbers: str, *, eccentric: bool = False) -> str:
+def library_text(name: str, kernel: str, numbers: str) -> str:
     """The C text of a library: the kernel as it is for Python, the numbers of the robot as C, and what a loop asks."""
-    ends = ("robot", "differences" if eccentric else "slopes", "servo")
     parts = [
         f"/* {name}: made by tubeopt {__version__}; see the header. */\n",
         f'#include "tubeopt_robot.h"\n\n{HUSHED}',
@@ -175,7 +174,7 @@ def library_text(name: str, kernel: str, numbers: str, *, eccentric: bool = Fals
         FOLLOWING,
         numbers,
         with_included(HERE / "quadratic.c"),
-        *(with_included(C_FOLDER / f"{part}.c") for part in ends),
+        *(with_included(C_FOLDER / f"{part}.c") for part in ("robot", "servo")),
     ]
     return "".join(parts)
 

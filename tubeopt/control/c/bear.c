@@ -21,7 +21,7 @@ typedef struct {
 typedef struct {
     Bed bed;
     Answer answer;
-    tubeopt_joints joints;
+    tubeopt_pose pose;
 } Borne;
 
 typedef struct {
@@ -161,18 +161,16 @@ static void sample_bend(Bearing *b, const Layout *old, const Answer *last, const
     }
 }
 
-/* What was solved, into a pose. */
-static void tell_loaded(const Borne *borne, tubeopt_pose *pose) {
+/* What was solved at joint values, as a pose. */
+static void pose_borne(Borne *borne, const tubeopt_joints *joints) {
     const Bed *bed = &borne->bed;
     const Answer *a = &borne->answer;
+    tubeopt_pose *pose = &borne->pose;
     int tip = bed->layout.pieces * STEPS;
-    pose->joints = borne->joints;
+    pose->joints = *joints;
     memcpy(pose->position, a->position[tip], sizeof pose->position);
     memcpy(pose->frame, a->frame[tip], sizeof pose->frame);
-    for (int i = 0, k; i < N; i++) {
-        for (k = 0; k < tip && a->arc_length[k] < bed->layout.end[i] - ROUND_OFF_LENGTH; k++) {}
-        pose->tip_rotations[i] = a->rotation[k][i];
-    }
+    for (int i = 0; i < N; i++) pose->tip_rotations[i] = a->rotation[ending(&bed->layout, i) * STEPS][i];
     pose->margin = a->margin;
     pose->energy = a->energy;
     pose->error = a->tip_error;
@@ -182,7 +180,7 @@ static void tell_loaded(const Borne *borne, tubeopt_pose *pose) {
 /* The equilibrium under the whole load, grown from the unloaded one of this margin, whose rotations along its pieces are
    given. 0, or 1 where there is none, or it is not sure. */
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
-                         const double (*rotation)[N], double margin, tubeopt_pose *pose) {
+                         const double (*rotation)[N], double margin) {
     Bearing *b = room;
     Borne *next = b->borne + !b->here;
     Bed *bed = &next->bed;
@@ -190,14 +188,13 @@ int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joi
     if (!lay_bed(bed, joints->translations, load)) return 1;
     lay_rules(b, bed, load);
     sample_arm(bed, &bed->layout, pieces, s, rotation, b->theta);
-    next->joints = *joints;
     if (solve_loaded(&b->rules, joints->rotations, none, b->theta[0], NULL, margin, &b->work, &next->answer)) return 1;
-    tell_loaded(next, pose);
+    pose_borne(next, joints);
     return 0;
 }
 
 /* The equilibrium close to the last one. 0, or 1 where there is none. */
-int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose) {
+int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints) {
     Bearing *b = room;
     const Borne *now = b->borne + b->here;
     Borne *next = b->borne + !b->here;
@@ -214,11 +211,10 @@ int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joi
         sample_arm(bed, &old->layout, old->layout.pieces, last->arc_length, last->rotation, b->theta);
         sample_bend(b, &old->layout, last, &bed->layout);
     }
-    for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - now->joints.rotations[i];
-    next->joints = *joints;
+    for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - now->pose.joints.rotations[i];
     if (solve_loaded(&b->rules, joints->rotations, turn, b->theta[0], b->curvature[0], last->margin, &b->work, &next->answer))
         return 1;
-    tell_loaded(next, pose);
+    pose_borne(next, joints);
     return 0;
 }
 
@@ -228,10 +224,16 @@ void tubeopt_bearing_accept(void *room) {
     b->here = !b->here;
 }
 
-/* Compliance of the tip (36) at the last equilibrium, or at that which was solved for and not accepted. */
-void tubeopt_bearing_compliance(const void *room, int next, double *out) {
+/* The last equilibrium, or the `next` one, which was solved for and not accepted. */
+const tubeopt_pose *tubeopt_bearing_pose(const void *room, int next) {
     const Bearing *b = room;
-    memcpy(out, b->borne[next ? !b->here : b->here].answer.compliance, 36 * sizeof(double));
+    return &b->borne[next ? !b->here : b->here].pose;
+}
+
+/* Compliance of the tip (36) at the last equilibrium. */
+void tubeopt_bearing_compliance(const void *room, double *out) {
+    const Bearing *b = room;
+    memcpy(out, b->borne[b->here].answer.compliance, 36 * sizeof(double));
 }
 
 /* Points along the arm; returns the last one's number. */

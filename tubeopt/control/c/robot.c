@@ -8,10 +8,11 @@
 #if TUBEOPT_LOADS
 size_t tubeopt_bearing_size(void);
 int tubeopt_bearing_grow(void *room, const tubeopt_load *load, const tubeopt_joints *joints, int pieces, const double *s,
-                         const double (*rotation)[N], double margin, tubeopt_pose *pose);
-int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints, tubeopt_pose *pose);
+                         const double (*rotation)[N], double margin);
+int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joints *joints);
 void tubeopt_bearing_accept(void *room);
-void tubeopt_bearing_compliance(const void *room, int next, double *out);
+const tubeopt_pose *tubeopt_bearing_pose(const void *room, int next);
+void tubeopt_bearing_compliance(const void *room, double *out);
 int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]);
 void tubeopt_bearing_keep(void *room);
 void tubeopt_bearing_return(void *room);
@@ -34,41 +35,45 @@ struct tubeopt_memory {
     double rows[MOST_ROWS * JOINTS], bounds[MOST_ROWS], multipliers[MOST_ROWS]; /* of a servo step */
 #if TUBEOPT_LOADS
     int bears;
-    tubeopt_load load;
-    tubeopt_pose loaded, next_loaded, first_loaded;
+    tubeopt_load load, next_load;                       /* what it bears, and what it is to bear at the end of a way */
 #endif
 };
 
 #if TUBEOPT_LOADS
 #define OWN_ROOM ((sizeof(tubeopt_memory) + 63) / 64 * 64)
 
-static void *room_of(tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
+static void *room_of(const tubeopt_memory *m) { return (char *)m + OWN_ROOM; }
 
 size_t tubeopt_memory_size(void) { return OWN_ROOM + tubeopt_bearing_size(); }
 
 static int bears(const tubeopt_memory *m) { return m->bears; }
 
-static double margin_here(const tubeopt_memory *m) {
-    double own = m->answers[m->here].margin;
-    return m->bears ? fmin(own, m->loaded.margin) : own;
+/* One step of the loaded arm at part t of the way to the next load, without accepting it; after that of the unloaded one. */
+static int bear_to(tubeopt_memory *m, const tubeopt_joints *joints, double t) {
+    tubeopt_load at;
+    for (int r = 0; r < 3; r++) {
+        at.force[r] = (1 - t) * m->load.force[r] + t * m->next_load.force[r];
+        at.gravity[r] = (1 - t) * m->load.gravity[r] + t * m->next_load.gravity[r];
+    }
+    return m->bears && tubeopt_bearing_step(room_of(m), &at, joints);
 }
 
-/* One step of the loaded arm, without accepting it; after that of the unloaded one. */
-static int bear_to(tubeopt_memory *m, const tubeopt_joints *joints) {
-    return m->bears && tubeopt_bearing_step(room_of(m), &m->load, joints, &m->next_loaded);
+static void accept_loaded(tubeopt_memory *m) {
+    if (m->bears) tubeopt_bearing_accept(room_of(m));
 }
 
-static double next_margin(const tubeopt_memory *m) {
-    double own = m->answers[!m->here].margin;
-    return m->bears ? fmin(own, m->next_loaded.margin) : own;
+static void keep_loaded(tubeopt_memory *m) {
+    if (m->bears) tubeopt_bearing_keep(room_of(m));
+}
+
+static void return_loaded(tubeopt_memory *m) {
+    if (m->bears) tubeopt_bearing_return(room_of(m));
 }
 #else
 size_t tubeopt_memory_size(void) { return sizeof(tubeopt_memory); }
 
-static double margin_here(const tubeopt_memory *m) { return m->answers[m->here].margin; }
-static double next_margin(const tubeopt_memory *m) { return m->answers[!m->here].margin; }
 #define bears(memory) 0
-#define bear_to(memory, joints) 0
+#define bear_to(memory, joints, t) 0
 #define keep_loaded(memory)
 #define return_loaded(memory)
 #define accept_loaded(memory)
@@ -103,12 +108,13 @@ static tubeopt_status refused(const tubeopt_joints *joints) {
     return turned ? turned : moved;
 }
 
-static void tell(const tubeopt_memory *m, tubeopt_pose *pose) {
-    const Answer *a = m->answers + m->here;
+/* The last equilibrium, or the `next` one, which is not accepted and whose joints are not told. */
+static void tell(const tubeopt_memory *m, int next, tubeopt_pose *pose) {
+    const Answer *a = m->answers + (next ? !m->here : m->here);
     long long tip = a->pieces * STEPS;
 #if TUBEOPT_LOADS
     if (m->bears) {
-        *pose = m->loaded;
+        *pose = *tubeopt_bearing_pose(room_of(m), next);
         return;
     }
 #endif
@@ -122,6 +128,14 @@ static void tell(const tubeopt_memory *m, tubeopt_pose *pose) {
     pose->residual = a->residual;
 }
 
+/* The margin of the same, with the load and without. */
+static double margin_told(const tubeopt_memory *m, int next) {
+    double own = m->answers[next ? !m->here : m->here].margin;
+    tubeopt_pose pose;
+    tell(m, next, &pose);
+    return fmin(own, pose.margin);
+}
+
 /* The other answer, which was solved just now, becomes the last one. */
 static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
     m->here = !m->here;
@@ -130,23 +144,19 @@ static void accept(tubeopt_memory *m, const tubeopt_joints *joints) {
 }
 
 /* One step along the branch, without accepting it: 0, or 1 where it is not small or Newton's method is not at ease. */
-static int step_in(tubeopt_memory *m, const tubeopt_joints *joints, Workspace *w) {
+static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
     const Answer *last = m->answers + m->here;
     Answer *next = m->answers + !m->here;
     double turn[N];
+    m->fresh = 0;
     m->before = NULL; /* the next answer takes its room */
     for (int i = 0; i < N; i++) turn[i] = joints->rotations[i] - m->joints.rotations[i];
     Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
                    last->point, last->point_rotation[0], turn, m->joints.translations};
-    if (solve_one(&ROBOT, joints->rotations, joints->translations, &guess, w, next)) return 1;
+    if (solve(&ROBOT, joints->rotations, joints->translations, &guess, &m->work, next)) return 1;
     /* Where a branch ends and another one begins close by, a step across the gap is told by the margin alone. */
     if (next->margin < last->margin / 2) return 1;
     return next->contraction > LARGEST_RATIO || next->largest_change > LONGEST_TWIST(last->margin);
-}
-
-static int step_to(tubeopt_memory *m, const tubeopt_joints *joints) {
-    m->fresh = 0;
-    return step_in(m, joints, &m->work);
 }
 
 /* The workspace is to have the last equilibrium, solved anew where it has not; 1 where that fails. */
@@ -178,9 +188,39 @@ static tubeopt_joints between(const tubeopt_joints *from, const tubeopt_joints *
     return at;
 }
 
-#if TUBEOPT_LOADS || !SLOPES
-#include "sides.c"
-#endif
+/* From the last equilibrium along a straight way to other joint values and the next load, in parts of at most `longest` that
+   keep the branch. 1 where that ends, and all stays as it was. */
+static int keep_branch(tubeopt_memory *m, const tubeopt_joints *to, double longest) {
+    tubeopt_joints from = m->joints;
+    double step = longest, done = 0;
+    m->first = m->answers[m->here];
+    m->origin = from;
+    keep_loaded(m);
+    for (int solves = 0; done < 1; solves++) {
+        double t = done + step >= 1 - 1e-12 ? 1 : done + step;
+        tubeopt_joints at = between(&from, to, t);
+        if (solves == MOST_SOLVES || step < longest * SHORTEST_PART) { /* the branch has ended, or nearly so */
+            if (done > 0) {
+                m->answers[m->here] = m->first;
+                m->joints = from;
+                m->fresh = 0;
+                return_loaded(m);
+            }
+            return 1;
+        }
+        if (step_to(m, &at) || bear_to(m, &at, t)) {
+            step /= 4;
+            continue;
+        }
+        accept(m, &at);
+        accept_loaded(m);
+        done = t;
+        step = fmin(2 * step, longest);
+    }
+    m->before = &m->first;
+    return 0;
+}
+
 #if TUBEOPT_LOADS
 #include "bearing.c"
 #endif
@@ -190,7 +230,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
     if (not_taken) return not_taken;
     m->fresh = 0;
     m->before = NULL;
-    if (solve_one(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
+    if (solve(&ROBOT, joints->rotations, joints->translations, NULL, &m->work, m->answers + !m->here))
         return TUBEOPT_DECLINED;
     accept(m, joints);
 #if TUBEOPT_LOADS
@@ -199,7 +239,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
         return tubeopt_bear(m, &m->load, pose);
     }
 #endif
-    tell(m, pose);
+    tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
 
@@ -208,35 +248,11 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     tubeopt_status not_taken = refused(joints);
     if (not_taken) return not_taken;
     const Answer *last = m->answers + m->here;
-    tubeopt_joints from = m->joints;
-    double length = fmax(last->arc_length[last->pieces * STEPS], LONGEST_TUBE / 10), parts = parts_of(&from, joints, length);
-    double longest = 1 / parts, step = longest, done = 0;
+    double length = fmax(last->arc_length[last->pieces * STEPS], LONGEST_TUBE / 10);
+    double parts = parts_of(&m->joints, joints, length);
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
-    m->first = *last;
-    m->origin = from;
-    keep_loaded(m);
-    for (int solves = 0; done < 1; solves++) {
-        double t = done + step >= 1 - 1e-12 ? 1 : done + step;
-        tubeopt_joints at = between(&from, joints, t);
-        if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART && !step_to(m, &at) && !bear_to(m, &at)) {
-            accept(m, &at);
-            accept_loaded(m);
-            done = t;
-            step = fmin(2 * step, longest);
-        } else if (solves < MOST_SOLVES && step >= longest * SHORTEST_PART) {
-            step /= 4;
-        } else { /* the branch has ended, or nearly so */
-            if (done > 0) {
-                m->answers[m->here] = m->first;
-                m->joints = from;
-                m->fresh = 0;
-                return_loaded(m);
-            }
-            return TUBEOPT_SNAP;
-        }
-    }
-    m->before = &m->first;
-    tell(m, pose);
+    if (keep_branch(m, joints, 1 / parts)) return TUBEOPT_SNAP;
+    tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
 
@@ -250,7 +266,7 @@ tubeopt_status tubeopt_undo(tubeopt_memory *m, tubeopt_pose *pose) {
     m->fresh = 0;
     m->before = NULL;
     return_loaded(m);
-    tell(m, pose);
+    tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
 
@@ -275,22 +291,38 @@ static void only_backward(const tubeopt_memory *m, int *blocked) {
     }
 }
 
-/* Derivatives of the last equilibrium into m->slopes: by translations that grow, or for a servo step, which need not be
-   `exact`, by every translation towards a side to which it can move. 1 where that fails. */
-static int look_ahead(tubeopt_memory *m, int exact);
+#if TUBEOPT_LOADS || !SLOPES
+#include "differences.c"
+#endif
+
+/* Derivatives of the last equilibrium, without load, into m->slopes: by translations that grow, or for a servo step, which
+   need not be `exact`, by every translation towards a side to which it can move. 1 where that fails. */
+#if SLOPES
+static int look_ahead(tubeopt_memory *m, int exact) {
+    int blocked[JOINTS];
+    Asked asked = {.compliance = exact};
+    if (refresh(m)) return 1;
+    only_backward(m, blocked);
+    for (int i = 0; i < N; i++) {
+        asked.carriage[i] = CARRIAGES[i];
+        asked.side[i] = !exact && blocked[N + CARRIAGES[i]] ? -1 : 1;
+    }
+    return !differentiate(&asked, &m->work, m->answers + m->here, &m->slopes, exact ? NULL : m->along);
+}
+#else
+static int look_ahead(tubeopt_memory *m, int exact) { return differences(m, exact, &m->slopes); }
+#endif
 
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
     if (!m->started) return TUBEOPT_NOT_STARTED;
 #if TUBEOPT_LOADS
-    if (m->bears) return loaded_slopes(m, slopes) ? TUBEOPT_DECLINED : TUBEOPT_DONE;
+    if (m->bears) {
+        tubeopt_bearing_compliance(room_of(m), slopes->compliance[0]);
+        return differences(m, 1, slopes) ? TUBEOPT_DECLINED : TUBEOPT_DONE;
+    }
 #endif
     if (look_ahead(m, 1)) return TUBEOPT_DECLINED;
     memcpy(slopes, &m->slopes, sizeof *slopes); /* the kernel's begin with the same numbers */
-#if !SLOPES && TUBEOPT_COMPLIANCE
-    const tubeopt_load none = {{0, 0, 0}, {0, 0, 0}};
-    if (grow_anew(m, &none)) return TUBEOPT_DECLINED;
-    tubeopt_bearing_compliance(room_of(m), 1, slopes->compliance[0]);
-#endif
     return TUBEOPT_DONE;
 }
 
@@ -301,7 +333,7 @@ tubeopt_status tubeopt_shape(const tubeopt_memory *m, int count, double *arc_len
     const double *along = a->arc_length, (*place)[3] = a->position, (*frame)[9] = a->frame;
     int last = (int)a->pieces * STEPS;
 #if TUBEOPT_LOADS
-    if (m->bears) last = tubeopt_bearing_arm((const char *)m + OWN_ROOM, &along, &place, &frame);
+    if (m->bears) last = tubeopt_bearing_arm(room_of(m), &along, &place, &frame);
 #endif
     if (!last) { /* an arm of length zero */
         memset(arc_length, 0, count * sizeof(double));

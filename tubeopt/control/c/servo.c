@@ -43,7 +43,7 @@ static void dependent(const double *q, tubeopt_joints *joints) {
 static void aim_at(const tubeopt_memory *m, const tubeopt_command *c, Aim *aim, tubeopt_report *report) {
     tubeopt_pose here;
     double gap[3], distance = 0, length = 0, turned = 0;
-    tell(m, &here);
+    tell(m, 0, &here);
     for (int r = 0; r < 3; r++) gap[r] = c->position[r] - here.position[r];
     distance = sqrt(dot(gap, gap, 3));
     double share = distance > c->speed * c->step ? c->speed * c->step / distance : 1;
@@ -108,7 +108,7 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     }
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
-    double raised = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_here(m)), RISE * most), rise);
+    double raised = fmin(fmin(0.5 * (c->min_margin + ROOM - margin_told(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
 }
@@ -148,10 +148,8 @@ static tubeopt_status not_commanded(const tubeopt_command *c) {
     memcpy(all + 9, c->direction, sizeof c->direction);
     int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
     if (!possible) return TUBEOPT_BAD_INPUT;
-    double longest = 0;
-    for (int i = 0; i < N; i++) longest = fmax(longest, ROBOT.whole[i]);
     tubeopt_status found = bounded(all, 12, TUBEOPT_MOST_NUMBER);
-    int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * longest;
+    int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * LONGEST_TUBE;
     return found == TUBEOPT_DONE && away ? TUBEOPT_TOO_LARGE : found;
 }
 
@@ -174,7 +172,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
     m->origin = m->joints;
     keep_loaded(m);
     aim_at(m, c, &aim, report);
-    floor = fmin(c->min_margin, margin_here(m)); /* what is below it does not get worse */
+    floor = fmin(c->min_margin, margin_told(m, 0)); /* what is below it does not get worse */
     if (step_towards(m, c, bodies, q, 1, &aim, step) || step_towards(m, c, bodies, q, 0, &aim, step)) {
         double share = 1;
         for (int k = 0; k < JOINTS; k++) step[k] = fmin(fmax(step[k], aim.low[k]), aim.high[k]); /* of rounding */
@@ -183,7 +181,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
                 there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
             dependent(there, &next);
             report->solves++;
-            if (step_to(m, &next) || bear_to(m, &next) || next_margin(m) < floor || too_close(m, bodies)) continue;
+            if (step_to(m, &next) || bear_to(m, &next, 1) || margin_told(m, 1) < floor || too_close(m, bodies)) continue;
             accept(m, &next);
             accept_loaded(m);
             report->why = aim.why | (half ? TUBEOPT_SHORTENED : 0);
@@ -191,7 +189,7 @@ static tubeopt_status servo_step(tubeopt_memory *m, const tubeopt_command *c, co
         }
     }
     m->before = here;
-    tell(m, pose);
+    tell(m, 0, pose);
     return TUBEOPT_DONE;
 }
 

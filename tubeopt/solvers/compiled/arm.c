@@ -123,6 +123,7 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
 }
 
 #define COUPLING_FLOOR 1e-10 /* a margin closer to 1 is 1 */
+#define FLAT (1 - 1e-9)      /* margin above which nothing softens */
 
 /* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. One
    elimination finds that out; Lanczos' method would search for a mode among those that gather at 1. */
@@ -132,66 +133,13 @@ static int never_softens(const Unknowns *q, const State *state, double *h) {
     return cholesky(h, q->size, STRIDE);
 }
 
-/* Softest direction z of the second variation at `state`; 0 where it is not stable. */
-static int softest(const Unknowns *q, const State *state, double *h, double *z) {
+/* Least eigenvalue of the second variation at a solved state, at most 1; not positive where it is not stable. */
+static double margin_of(const Unknowns *q, const State *state, double *h) {
+    double z[MOST_UNKNOWNS];
+    if (!q->size || never_softens(q, state, h)) return 1;
+    if (!factor_variation(q, state, h)) return -1;
     anywhere(z, q->size);
-    second_variation(q, state, h);
-    if (!cholesky(h, q->size, STRIDE)) return 0;
-    least_eigenvalue(h, q->size, STRIDE, ROUGH_ERROR, 0, z);
-    return 1;
-}
-
-/* A direction z on the points of `coarse` carried over to those of `fine`, as y = Gamma V'' y says. */
-static void carry_over(const Unknowns *coarse, State *rough, const Unknowns *fine, Profile *arm, double *z) {
-    static const double none[N];
-    double turned[MOST_UNKNOWNS], y[MOST_POINTS][N];
-    times_factor(coarse, z, turned);
-    for (int x = 0; x < coarse->points; x++)
-        for (int i = 0; i < N; i++) {
-            rough->moment[x][i] = 0;
-            for (int j = 0; j < N; j++)
-                if (coarse->place[x][j] >= 0)
-                    rough->moment[x][i] += rough->slope[x][j * N + i] * turned[coarse->first[j] + coarse->place[x][j]];
-        }
-    integrate(coarse, none, rough, arm);
-    interpolate(coarse, arm, fine, TO_FINE, y);
-    to_unknowns(fine, none, y, z);
-}
-
-/* Whether all tubes with unknowns act on one another, be it through others. */
-static int all_coupled(const Unknowns *q) {
-    int reached = 0, all = 0;
-    for (int i = 0; i < N; i++) all |= (q->count[i] > 0) << i;
-    reached = all & -all;
-    for (int round = 0; round < N; round++)
-        for (int x = 0; x < q->points; x += q->tableau->degree) {
-            int here = 0;
-            for (int i = 0; i < N; i++) here |= (q->place[x][i] >= 0) << i;
-            if (here & reached) reached |= here;
-        }
-    return reached == all;
-}
-
-/* Least eigenvalue of the second variation at a solved state, at most 1, and where it is less its direction z; not positive
-   where it is not stable. Lanczos starts from the softest direction on the coarse points. */
-static double margin_of(const Unknowns *fine, const Unknowns *coarse, const double *alpha, const State *state,
-                        State *rough, Profile *arm, double *h, double *z) {
-    double y[MOST_POINTS][N];
-    if (!fine->size || never_softens(fine, state, h)) return 1;
-    integrate(fine, alpha, state, arm);
-    interpolate(fine, arm, coarse, TO_COARSE, y);
-    to_unknowns(coarse, alpha, y, rough->z);
-    evaluate(coarse, alpha, rough);
-    memset(z, 0, MOST_UNKNOWNS * sizeof(double));
-    if (softest(coarse, rough, h, z)) carry_over(coarse, rough, fine, arm, z);
-    /* Groups of tubes that do not act on one another have eigenvalues close by: something of all of them must be in it. */
-    double all[MOST_UNKNOWNS], part = (all_coupled(fine) ? 1e-3 : 0.3) * sqrt(dot(z, z, fine->size) / fine->size);
-    anywhere(all, fine->size);
-    for (int k = 0; k < fine->size; k++) z[k] += part * all[k];
-    if (!(dot(z, z, fine->size) > 1e-30)) anywhere(z, fine->size);
-    second_variation(fine, state, h);
-    if (!cholesky(h, fine->size, STRIDE)) return -1;
-    return fmin(1, least_eigenvalue(h, fine->size, STRIDE, EIGENVALUE_ERROR, 0, z));
+    return fmin(1, least_eigenvalue(h, q->size, STRIDE, EIGENVALUE_ERROR, 0, z));
 }
 
 /* Where to start from: samples of another arm along its arc length, or, where that has the same collocation points, what
@@ -247,9 +195,6 @@ typedef struct {
     double phi[N], direction[N];
     Sections tubes;
 } Place;
-
-/* Where tubes do not vary along a piece, the curvature turns but as they are twisted. */
-static const Looks *looks_of(const Layout *l, int p) { return l->across[p].steady ? &EVEN : &VARIED; }
 
 static void find_places(const Unknowns *q, const Profile *arm, int p, const Looks *at, Place *places) {
     double h = q->layout->length[p];
@@ -344,7 +289,8 @@ static double check_piece(const Unknowns *q, const Profile *arm, int p, const Pl
    over that of kb at them. */
 static double add_piece(const Unknowns *q, const Profile *arm, int p, double *poses, double *wrong, Answer *out) {
     const Layout *l = q->layout;
-    const Looks *looks = looks_of(l, p);
+    /* Where tubes do not vary along a piece, the curvature turns but as they are twisted. */
+    const Looks *looks = l->across[p].steady ? &EVEN : &VARIED;
     const Place *ends;
     double each[STEPS * 12], stretch[N], pull = 0;
     Place places[MOST_LOOKS];
@@ -387,10 +333,9 @@ static void tips_and_lever(const Unknowns *q, const double *pulls, Answer *out, 
         lever += pulls[p] * h * (ahead - h / 2);
     }
     out->tip_error += error * lever;
-    for (int i = 0, k = 0; i < N; i++) {
+    for (int i = 0; i < N; i++) {
         out->tube_end[i] = fmax(l->end[i], 0);
-        for (k = 0; k < last && out->arc_length[k] < out->tube_end[i] - ROUND_OFF_LENGTH; k++) {}
-        out->tip_rotations[i] = out->rotation[k][i];
+        out->tip_rotations[i] = out->rotation[ending(l, i) * STEPS][i];
     }
 }
 

@@ -5,8 +5,6 @@
    the right-hand side with theta held, d theta = L H^-1 L^-1 e, with C = L L' and H the second variation. A breakpoint
    that moves uncovers a stretch of another cross-section, which kicks the torque there and bends the arm. */
 
-#define FLAT (1 - 1e-9) /* margin above which nothing softens */
-
 /* A breakpoint that moves: the piece that begins there, and the tubes on the stretch that it uncovers and on what was
    there. */
 typedef struct {
@@ -21,9 +19,9 @@ typedef struct {
     Sections at[MOST_POINTS];
     double frame[MOST_POINTS][9], position[MOST_POINTS][3];
     double lean[MOST_POINTS][3 * N], form; /* y'V''y by theta, kb, m, weighted, at the collocated points; its integral */
-    double released;                       /* 1 - margin */
+    double released;                       /* 1 - margin, closer than the margin of the answer has it */
     Profile mode, change;                  /* y times that */
-    double moments[MOST_PIECES][MOST_DEGREE * N], sway[MOST_POINTS][2]; /* what t' and u gain at the points */
+    double sway[MOST_POINTS][2]; /* what u gains at the points, as change.moment t' */
     Gains gains;
     Jump jumps[MOST_PIECES + 1];
     double shift[MOST_SHAPE][3]; /* of the shape points by a joint */
@@ -137,7 +135,7 @@ static void pose_inside(const Answer *out, double h, int p, int b, double *frame
 /* Nothing is gained yet. */
 static void clear_gains(const Unknowns *q, Around *a) {
     int pieces = q->layout->pieces;
-    memset(a->moments, 0, pieces * sizeof a->moments[0]);
+    memset(a->change.moment, 0, pieces * sizeof a->change.moment[0]);
     memset(a->gains.kicks, 0, (pieces + 1) * sizeof a->gains.kicks[0]);
     memset(a->gains.jolts, 0, (pieces + 1) * sizeof a->gains.jolts[0]);
     memset(a->gains.twists, 0, pieces * sizeof a->gains.twists[0]);
@@ -148,7 +146,6 @@ static void look_around(const Unknowns *q, const Profile *arm, const Answer *out
     const Layout *l = q->layout;
     int k = q->tableau->degree;
     a->arm = arm;
-    a->released = 1 - out->margin;
     for (int p = 0; p < l->pieces; p++)
         for (int b = 0; b < k; b++) {
             int x = p * k + b;
@@ -161,32 +158,30 @@ static void look_around(const Unknowns *q, const Profile *arm, const Answer *out
         }
 }
 
-/* V''y at the collocated points, from y of the unknowns, added to a->moments. */
-static void add_stiffness(const Unknowns *q, const State *state, const double *y, Around *a) {
+/* V''y at the collocated points, from y of the unknowns, added to t' there. */
+static void add_stiffness(const Unknowns *q, const State *state, const double *y, Profile *to) {
     int k = q->tableau->degree;
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) {
             double sum = 0;
             for (int j = 0; j < N; j++)
                 if (q->place[x][j] >= 0) sum += state->slope[x][j * N + i] * y[q->first[j] + q->place[x][j]];
-            a->moments[q->piece[x]][x % k * N + i] += sum;
+            to->moment[q->piece[x]][x % k * N + i] += sum;
         }
 }
 
-/* a->change by base rotations and what is in a->moments and a->gains, and by what theta answers to these; H factorised. */
+/* a->change by base rotations and what is in a->change.moment and a->gains, and by what theta answers to these; H factorised. */
 static void respond(const Unknowns *q, const State *state, const double *h, const double *base, Around *a) {
     static const double none[N];
     double theta[MOST_POINTS][N], e[MOST_UNKNOWNS], change[MOST_UNKNOWNS];
     int k = q->tableau->degree;
-    memcpy(a->change.moment, a->moments, q->layout->pieces * sizeof a->moments[0]);
     turn_along(q, base, &a->gains, &a->change);
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) theta[x][i] = inside(q, &a->change, q->piece[x], x % k, i);
     to_unknowns(q, none, theta, e);
     cholesky_solve(h, q->size, STRIDE, e);
     times_factor(q, e, change);
-    add_stiffness(q, state, change, a);
-    memcpy(a->change.moment, a->moments, q->layout->pieces * sizeof a->moments[0]);
+    add_stiffness(q, state, change, &a->change);
     turn_along(q, base, &a->gains, &a->change);
 }
 
@@ -195,9 +190,7 @@ static void lean_of_margin(const Unknowns *q, const State *state, const double *
     static const double none[N];
     double y[MOST_UNKNOWNS];
     times_factor(q, z, y);
-    memset(a->moments, 0, sizeof a->moments);
-    add_stiffness(q, state, y, a);
-    memcpy(a->mode.moment, a->moments, sizeof a->moments);
+    add_stiffness(q, state, y, &a->mode);
     turn_along(q, none, NULL, &a->mode);
     a->form = 0;
     for (int x = 0; x < q->points; x++) {
@@ -262,13 +255,6 @@ static int pushes(const Unknowns *q, const Answer *out, const int *ends, int sid
     return mine && (side > 0 || (!others && q->layout->pieces));
 }
 
-/* Where a tube ends: the piece that begins there. */
-static int ending(const Layout *l, int tube) {
-    int p = 0;
-    while (p < l->pieces && l->start[p] < fmax(l->end[tube], 0) - ROUND_OFF_LENGTH) p++;
-    return p;
-}
-
 /* What a turn of the arm beyond shape point `from` shifts the point `at` by, added to `shift`. */
 static void swing(const Answer *out, const double *turn, int from, int at, double *shift) {
     double lever[3];
@@ -302,7 +288,7 @@ static void change_by(const Unknowns *q, const State *state, const Answer *out, 
     if (out->margin >= FLAT) return;
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) formed += a->lean[x][i] * inside(q, &a->change, q->piece[x], x % k, i);
-    column->margin = -(1 - out->margin) / a->form * formed;
+    column->margin = -a->released / a->form * formed;
 }
 
 /* A tube that moves forward: its transmission becomes shorter, by what lies there on the side from which it moves, and so
@@ -343,7 +329,7 @@ static void carry_along(const Unknowns *q, const int *mine, Around *a, Change *c
             double *out[8] = {0, 0, 0, 0, turned, 0, bent, stored};
             linear(in, out, 0, 0, 0);
             for (int r = 0; r < 3 * N; r++) {
-                for (int i = 0; i < N; i++) a->moments[p][b * N + i] += by[r] * turned[r * N + i];
+                for (int i = 0; i < N; i++) a->change.moment[p][b * N + i] += by[r] * turned[r * N + i];
                 for (int j = 0; j < 2; j++) a->sway[at][j] += by[r] * bent[r * 2 + j];
                 c->energy += weight * by[r] * stored[r];
                 if (l->collocated[p]) c->formed += by[r] * a->lean[solved + b][r];

@@ -18,9 +18,9 @@ DEGREE, COARSE_DEGREE = 6, 3
 """Collocation points per element of the solution, and of the descent towards it."""
 
 
-def rule_constants() -> str:
+def rule_constants(eccentric: bool) -> str:
     """The two rules of the kernel, and what carries over between them: the Lagrange basis integrated once and twice, of
-    the coarse points at the fine ones, and back."""
+    the coarse points at the fine ones, and for tubes off the centreline back."""
     coarse, fine = tableau("gauss", COARSE_DEGREE), tableau("gauss", DEGREE)
     tables: dict[str, Array] = {}
     for name, rule in (("COARSE", coarse), ("FINE", fine)):
@@ -29,7 +29,8 @@ def rule_constants() -> str:
         own |= {"both": both, "within": both.sum(-1)}
         tables |= {f"{name}_{part.upper()}": table for part, table in own.items()}
     tables["TO_FINE"] = np.stack([coarse.lagrange(fine.nodes, integrals=k) for k in (1, 2)])
-    tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in (1, 2)])
+    if eccentric:
+        tables["TO_COARSE"] = np.stack([fine.lagrange(coarse.nodes, integrals=k) for k in (1, 2)])
     return c_tables(tables)
 
 

@@ -264,5 +264,11 @@ static void second_variation(const Unknowns *q, const State *state, double *h) {
         vary(q, state, COARSE_DEGREE, h);
 }
 
+/* Factors of the second variation; 0 where it is not positive definite, and so the state not stable. */
+static int factor_variation(const Unknowns *q, const State *state, double *h) {
+    second_variation(q, state, h);
+    return cholesky(h, q->size, STRIDE);
+}
+
 /* The largest violation of the collocation equations, rad. */
 static double residual_of(const Unknowns *q, const State *state) { return turn_of(q, state->gradient); }

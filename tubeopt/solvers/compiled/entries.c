@@ -1,19 +1,7 @@
-/* The kernel as a shared library, for Python. What Python calls is marked for Windows as what CasADi generates. */
+/* What Python calls beside `solve` and `differentiate` of the kernel. It is marked for Windows as what CasADi generates. */
 
 CASADI_SYMBOL_EXPORT size_t workspace_size(void) { return sizeof(Workspace); }
 CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
-
-CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess,
-                               Workspace *w, Answer *out) {
-    return solve_one(tubes, alpha, shift, guess, w, out);
-}
-
-#if SLOPES
-CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes,
-                                       Along *along) {
-    return slopes_of(asked, w, out, slopes, along);
-}
-#endif
 
 /* Many configurations, each from tubes without torsion; `summary` (count, SUMMARY) gets tip position (3), tip frame by
    rows (9), tip rotations (n), margin, residual, mesh error, tip error, energy; `declined` (count) what is left over.
@@ -22,7 +10,7 @@ CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, long long count, const 
                                      double *summary, unsigned char *declined, long long points, double *arms,
                                      Workspace *w, Answer *one) {
     for (long long k = 0; k < count; k++, summary += 17 + N) {
-        declined[k] = solve_one(tubes, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
+        declined[k] = solve(tubes, alpha + k * N, shift + k * N, NULL, w, one) != SOLVED;
         long long tip = one->pieces * STEPS, size = points * N;
         declined[k] |= arms && tip + 1 != points;
         if (declined[k]) continue;

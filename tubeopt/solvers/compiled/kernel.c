@@ -3,7 +3,7 @@
    Before it stand the functions `balance`, `coupling_rate`, `stretched`, `section_curvature`, `section_moment` and
    `carry` that CasADi generates from the
    mechanics. What is not plain sailing (an arm of very many pieces, a saddle, a fold, Newton that does not converge) is
-   declined, and left to the general solver. `entries.c` is what Python calls; `control/c` has what a program in C does. */
+   declined, and left to the general solver. `entries.c` has what else Python calls; `control/c` what a program in C does. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,7 +25,6 @@
 #endif
 #if SLOPES
 #include "change.c"
-#include "slopes.c"
 #endif
 
 typedef struct {
@@ -35,8 +34,8 @@ typedef struct {
     Stretch stretch;
 #endif
     State state, trial;
-    Profile arm, spare;
-    double matrix[MOST_UNKNOWNS * STRIDE], mode[MOST_UNKNOWNS];
+    Profile arm;
+    double matrix[MOST_UNKNOWNS * STRIDE];
 #if SLOPES
     Around around;
 #endif
@@ -97,18 +96,19 @@ static void judge(const double *alpha, Workspace *w, Answer *out) {
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
-    out->margin = margin_of(&w->fine, &w->coarse, alpha, state, &w->trial, &w->spare, w->matrix, w->mode);
+    out->margin = margin_of(&w->fine, state, w->matrix);
 #endif
 }
 
 /* The stable equilibrium at base rotations `alpha` and translations `shift`, from a guess or, where that is NULL, from
    tubes without torsion. */
-static int solve_one(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess, Workspace *w,
-                     Answer *out) {
+CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess,
+                               Workspace *w, Answer *out) {
     int iterations = 0, failed;
     if (!lay_out(tubes, shift, NULL, &w->layout)) return DECLINED;
     if (!pose_unknowns(&w->fine, &w->layout, tubes, &FINE, ECCENTRIC)) return DECLINED;
-    if (!pose_unknowns(&w->coarse, &w->layout, tubes, &COARSE, 0)) return DECLINED;
+    int rough = !guess || ECCENTRIC; /* where coarse points are asked: for the descent, and for that margin */
+    if (rough && !pose_unknowns(&w->coarse, &w->layout, tubes, &COARSE, 0)) return DECLINED;
     out->contraction = out->largest_change = 0;
     failed = guess ? from_guess(guess, alpha, w, &iterations, out)
                    : from_untwisted(alpha, w, &iterations, &out->contraction);
@@ -121,9 +121,5 @@ static int solve_one(const Tubes *tubes, const double *alpha, const double *shif
 }
 
 #if SLOPES
-/* `all_slopes` of what `solve_one` has just left. */
-static int slopes_of(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes, Along *along) {
-    const Unknowns *q = &w->fine;
-    return all_slopes(q, &w->state, &w->arm, w->mode, out, asked, w->matrix, &w->around, slopes, along);
-}
+#include "slopes.c"
 #endif

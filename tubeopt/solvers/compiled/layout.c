@@ -31,14 +31,6 @@ static int compare(const void *a, const void *b) {
     return (x > y) - (x < y);
 }
 
-/* Bound of the fastest growth of torsion, 1/m. */
-static double fastest_growth(const double *kt, const double *moment, const double *stiffness) {
-    const double *in[] = {stiffness, moment, kt};
-    double rate, *out[] = {&rate};
-    coupling_rate(in, out, 0, 0, 0);
-    return rate;
-}
-
 /* Cut the arm at every transition and end in front of the plate; 0 where that cannot be. */
 static int cuts_of(const Tubes *t, const double *shift, Layout *l, double *cuts) {
     int count = 0, kept = 1;
@@ -109,7 +101,10 @@ static Needs needs_of(const Tubes *t, const Layout *l, double start, double leng
             least = fmin(least, turning);
         }
         if (most > least) needs.finest = fmax(needs.finest, (most - least) / TWIST_PER_PIECE);
-        needs.fastest = fmax(needs.fastest, fastest_growth(kt, m, kb));
+        const double *in[] = {kb, m, kt};
+        double rate, *out[] = {&rate};
+        coupling_rate(in, out, 0, 0, 0);
+        needs.fastest = fmax(needs.fastest, rate);
         needs.softest = fmin(needs.softest, sum);
     }
     return needs;
@@ -177,6 +172,13 @@ static int lay_out(const Tubes *t, const double *shift, const Friction *friction
         if (!add_pieces(t, l, k, cuts[k], length, wanted, &here, collocated)) return 0;
     }
     return 1; /* no piece: an arm of length zero */
+}
+
+/* Where a tube ends: the piece that begins there. */
+static int ending(const Layout *l, int tube) {
+    int p = 0;
+    while (p < l->pieces && l->start[p] < fmax(l->end[tube], 0) - ROUND_OFF_LENGTH) p++;
+    return p;
 }
 
 /* The panel of a tube at fraction x of a piece, looked for a little inwards where it may jump. */

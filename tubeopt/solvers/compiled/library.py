@@ -139,7 +139,7 @@ def kernel_text(n: int, eccentric: bool = False, room: Room = ROOM) -> str:
         "LAST_STEP": LAST_STEP,
         "LONGEST_STEP": LONGEST_STEP,
     }
-    tables = rule_constants() + arm_constants() + slope_constants() * slopes
+    tables = rule_constants(eccentric) + arm_constants() + slope_constants() * slopes
     return tables + c_text(constants, generator, "kernel.c")
 
 

@@ -5,7 +5,7 @@
 
 #define LANCZOS 48             /* steps for the margin at most */
 #define EIGENVALUE_ERROR 1e-10 /* fraction of 1 / margin by which that may be off when they end */
-#define ROUGH_ERROR 1e-6       /* the same on the coarse points, which only tell where to start */
+#define ROUGH_ERROR 1e-6       /* the same of margins by which only steps are judged */
 #define SOFTENING_ERROR 1e-2   /* fraction of 1 - margin that may be wrong where it only tells where to look on */
 #define LARGE 1e100            /* numbers whose squares do not overflow */
 #define CHORD_STEP 1e-3        /* below it, rad, Newton's method keeps its factors */
@@ -192,9 +192,15 @@ ALWAYS_INLINE void hyman(const double *h, int m, int band, double x, double *y, 
 }
 
 /* Largest eigenvalue of such a matrix all of whose eigenvalues are real, with its eigenvector y of unit length: Laguerre's
-   method from `above` all of them, which comes down without passing the largest. NAN where it does not settle. */
-ALWAYS_INLINE double largest_of_hessenberg(const double *h, int m, int band, double above, double *y) {
-    double x = above, last = INFINITY, p[3];
+   method from the largest sum of a row, which is above all of them, comes down without passing the largest. NAN where it
+   does not settle. */
+ALWAYS_INLINE double largest_of_hessenberg(const double *h, int m, int band, double *y) {
+    double x = 0, last = INFINITY, p[3];
+    for (int i = 0; i < m; i++) {
+        double row = 0;
+        for (int j = i ? i - 1 : 0; j < m && j <= i + band; j++) row += fabs(h[(size_t)i * LANCZOS + j]);
+        x = fmax(x, row);
+    }
     for (int step = 0; step < 80; step++) {
         hyman(h, m, band, x, y, p);
         double first = p[1] / p[0], second = first * first - p[2] / p[0];
@@ -223,20 +229,6 @@ typedef struct {
     double small, apart, most, *basis;
 } Krylov;
 
-/* A bound of all eigenvalues of an upper Hessenberg matrix of m rows: the largest sum of a row. Where it is symmetric, that
-   without its last row has eigenvalues up to `before`, and `beside` couples that row: as if all of it pulled at their
-   eigenvector, which is close enough for two or three steps of Laguerre's method. */
-static double above_all(const double *h, int m, int symmetric, double before, double beside) {
-    double out = 0, apart = (before - h[(m - 1) * (LANCZOS + 1)]) / 2;
-    if (symmetric) return before - apart + sqrt(apart * apart + beside * beside);
-    for (int i = 0; i < m; i++) {
-        double row = 0;
-        for (int j = i ? i - 1 : 0; j < m; j++) row += fabs(h[(size_t)i * LANCZOS + j]);
-        out = fmax(out, row);
-    }
-    return out;
-}
-
 /* The largest eigenvalue, with full orthogonalisation from `vector`, where its eigenvector is left; -1 where it has none.
 
    Eigenvalues gather at 1, and the larger ones are 1 / (1 - (1 - margin) / most). It ends where the margin is off by less
@@ -247,7 +239,7 @@ ALWAYS_INLINE double largest_of(Krylov *l, double *vector) {
     double norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
     for (l->settled = 0;; m++) {
-        double *last = basis + (size_t)m * stride, *next = last + stride, *corner = small + m * (LANCZOS + 1), before = beside;
+        double *last = basis + (size_t)m * stride, *next = last + stride, *corner = small + m * (LANCZOS + 1);
         memcpy(next, last, n * sizeof(double));
         l->apply(l->of, next);
         /* Eigenvalues gather at 1: `small` is of A - 1, or rounding would hide how they differ. */
@@ -264,9 +256,8 @@ ALWAYS_INLINE double largest_of(Krylov *l, double *vector) {
         beside = sqrt(dot(next, next, n));
         int end = m + 1 == n || beside < 1e-13;
         if (l->symmetric || end || m + 1 == steps || m % 2 == 0) {
-            double above = above_all(small, m + 1, l->symmetric, value, before);
-            value = l->symmetric ? largest_of_hessenberg(small, m + 1, 1, above, y)
-                                 : largest_of_hessenberg(small, m + 1, LANCZOS, above, y);
+            value = l->symmetric ? largest_of_hessenberg(small, m + 1, 1, y)
+                                 : largest_of_hessenberg(small, m + 1, LANCZOS, y);
             if (!(value > -1)) return -1;
             double residual = fabs(beside * y[m]), whole = 1 + value;
             double within = l->small * whole * (1 + whole * (1 - l->most) / l->most);

@@ -89,7 +89,7 @@ static int compare_finer(const double *alpha, Workspace *w, Answer *out) {
     evaluate(check, &w->other, 1);
     if (!factorise(check, &w->other, 1, 1)) return DECLINED;
     newton_step(check, &w->other, alpha, 1, &w->other_step, 1);
-    out->theta_error = theta_change(check, &w->other, &w->other_step);
+    out->theta_error = largest_turn(check, &w->other, (const double(*)[N])w->other_step.theta);
     double tip[3], here[3], gap[3];
     tip_of(stage, &w->state, here);
     tip_of(check, &w->other, tip);
@@ -117,19 +117,15 @@ static void take_up(const Stage *s, const double *alpha, const double *theta, co
     }
 }
 
-#define ANYWHERE_PART 1e-3 /* what of a direction is any other: alone, a symmetric one would never leave its plane */
-
 /* The equilibrium under the whole load on the branch of the unloaded one in w->state, of this margin: grown on few points,
    what that changes carried over, and settled. Returns about the margin, NaN where this fails. */
 static double grow_roughly(const double *alpha, double margin, Workspace *w, Answer *out) {
     Stage *stage = &w->stage, *rough = &w->rough;
     State *here = &w->rough_state;
-    double soft[MOST_UNKNOWNS];
     carry_over(stage, &w->state, rough, TO_ROUGH, here);
     for (int x = 0; x < rough->points; x++) memcpy(w->other.theta[x], here->theta[x], sizeof here->theta[x]);
     if (grow(rough, alpha, margin, &w->room, here, &w->trial, &w->step, out)) return NAN;
     margin = rough_margin(rough, 0, &w->step, &w->room);
-    carry_direction(rough, w->room.vector, stage, FROM_ROUGH, soft);
     for (int x = 0; x < rough->points; x++)
         for (int i = 0; i < N; i++) here->theta[x][i] -= w->other.theta[x][i];
     carry_over(rough, here, stage, FROM_ROUGH, &w->trial);
@@ -138,8 +134,6 @@ static double grow_roughly(const double *alpha, double margin, Workspace *w, Ans
         memcpy(w->state.q[x], w->trial.q[x], sizeof w->state.q[x]);
     }
     if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return NAN;
-    anywhere(w->room.vector, unknowns_of(stage));
-    for (int k = 0; k < unknowns_of(stage); k++) w->room.vector[k] = soft[k] + ANYWHERE_PART * w->room.vector[k];
     return margin;
 }
 
@@ -154,17 +148,16 @@ static int solve_prepared(const double *alpha, const double *turn, const double 
     Stage *stage = &w->stage;
     double near = margin;
     take_up(stage, alpha, theta, turn, curvature, &w->state);
-    anywhere(w->room.vector, unknowns_of(stage));
     out->iterations = 0;
     if (curvature) {
         if (settle(stage, alpha, margin, &w->state, &w->trial, &w->step, out)) return DECLINED;
     } else if (isnan(near = grow_roughly(alpha, margin, w, out))) {
         take_up(stage, alpha, theta, turn, curvature, &w->state);
         if (grow(stage, alpha, margin, &w->room, &w->state, &w->trial, &w->step, out)) return DECLINED;
-        anywhere(w->room.vector, unknowns_of(stage));
     }
     tip_compliance(stage, &w->state, &w->step, w->room.basis[0], out->compliance);
     lay_arm(stage, &w->state, alpha, out);
+    anywhere(w->room.vector, unknowns_of(stage));
     out->margin = margin_of(stage, &w->state, near, EIGENVALUE_ERROR, &w->step, &w->room);
     if (!(out->margin > LEAST_STIFFNESS)) return DECLINED;
     return compare_finer(alpha, w, out);

@@ -39,13 +39,9 @@ static double largest_turn(const Stage *s, const State *state, const double (*th
     return out;
 }
 
-static double theta_change(const Stage *s, const State *state, const Step *step) {
-    return largest_turn(s, state, step->theta);
-}
-
 /* The largest turn that a step makes, rad: of a tube, or of the arm if curvature changed alike all along it. */
 static double size_of(const Stage *s, const State *state, const Step *step) {
-    double out = theta_change(s, state, step);
+    double out = largest_turn(s, state, step->theta);
     for (int x = 0; x < s->points; x++)
         for (int j = 0; j < 2; j++) out = fmax(out, s->problem->whole * s->soft[x] * fabs(step->bend[x][j]));
     return out;
@@ -120,29 +116,30 @@ static double residual_of(const Stage *s, const State *state, const double *alph
     return out;
 }
 
-/* Newton steps from `state`; the factors of a step that is small serve for the next. Not at ease, and so declined, where
-   successive steps do not shrink to `ratio` of one another. */
-static int newton(Stage *s, State *state, const double *alpha, double factor, double ratio, Step *step, Answer *out) {
+/* Whether Newton's method is at ease at the factor, where successive steps shrink to LARGEST_RATIO of one another, and ends
+   at a stable equilibrium, whose factors are left: on few points, which only lead to an answer, the last that it made. The
+   factors of a step that is small serve for the next. */
+static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
     Torsion torsion;
     double last = INFINITY;
     int fresh = 1;
     evaluate(s, state, factor);
     for (int n = 0; n < MOST_ITERATIONS; n++) {
         out->iterations++;
-        if (fresh && !factorise(s, state, factor, 1)) return DECLINED;
+        if (fresh && !factorise(s, state, factor, 1)) return 0;
         newton_step(s, state, alpha, factor, step, 0);
         double size = size_of(s, state, step);
         /* Where steps shrink by less, the end may be another branch: it is for the continuation to come closer. */
-        if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > ratio * last)) return DECLINED;
+        if (!isfinite(size) || size > 1e3 || (size > LAST_STEP && size > LARGEST_RATIO * last)) return 0;
         take(s, state, step, 1, 1);
         evaluate(s, state, factor);
-        if (size <= s->enough) return SOLVED;
+        if (s->enough > 0 && size <= s->enough) return 1;
         if (size <= LAST_STEP && (size <= ROUND_OFF || residual_of(s, state, alpha, factor, &torsion) <= ROUND_OFF))
-            return SOLVED;
+            return factorise(s, state, factor, 1);
         fresh = size > s->chord;
         last = size;
     }
-    return DECLINED;
+    return 0;
 }
 
 typedef struct {
@@ -281,13 +278,6 @@ static double margin_of(Stage *s, const State *state, double near, double small,
         elastic = fmin(1, fmax(BEYOND * (1 - margin), LEAST_SOFTENING));
     }
     return fmin(1, margin);
-}
-
-/* Whether Newton's method is at ease at the factor, and ends at a stable equilibrium, whose factors are left: on few
-   points, which only lead to an answer, the last that it made. */
-static int at_ease(Stage *s, State *state, const double *alpha, double factor, Step *step, Answer *out) {
-    if (newton(s, state, alpha, factor, LARGEST_RATIO, step, out)) return 0;
-    return s->enough > 0 || factorise(s, state, factor, 1);
 }
 
 /* From no load, where the margin is `near`, to the whole: predicted along the tangent of the branch, corrected, and

@@ -53,10 +53,7 @@ static int newton(const Unknowns *q, const double *alpha, State *state, double *
     evaluate(q, alpha, state);
     for (int k = 0; k < most; k++) {
         ++*iterations;
-        if (fresh) {
-            second_variation(q, state, h);
-            if (!cholesky(h, q->size, STRIDE)) return DECLINED;
-        }
+        if (fresh && !factor_variation(q, state, h)) return DECLINED;
         for (int r = 0; r < q->size; r++) step[r] = -state->gradient[r];
         cholesky_solve(h, q->size, STRIDE, step);
         double size = turn_of(q, step);

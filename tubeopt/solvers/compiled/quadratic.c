@@ -57,12 +57,6 @@ static void split_row(const Quadratic *q, const double *row, double *along, doub
         for (int c = 0; c < n; c++) along[c] -= by[k] * q->rows[n * q->active[k] + c];
 }
 
-static void drop_row(Quadratic *q, int which) {
-    q->multipliers[q->active[which]] = 0;
-    for (int k = which; k + 1 < q->actives; k++) q->active[k] = q->active[k + 1];
-    q->actives--;
-}
-
 /* The row that is violated most, of unit length, by more than `most`; -1 where none is. */
 static int worst_row(const Quadratic *q, const double *x, double most) {
     int worst = -1;
@@ -125,7 +119,9 @@ static int least_distance(Quadratic *q, const double *a, double *x) {
             q->active[q->actives++] = row;
             row = worst_row(q, x, within);
         } else {
-            drop_row(q, leaving);
+            q->multipliers[q->active[leaving]] = 0;
+            q->actives--;
+            for (int k = leaving; k < q->actives; k++) q->active[k] = q->active[k + 1];
         }
     }
     return 1;

@@ -24,7 +24,6 @@ typedef struct {
 typedef struct {
     Held held[2];
     double matrix[MOST_UNKNOWNS * STRIDE], compliance[MOST_UNKNOWNS * MOST_UNKNOWNS], mode[MOST_UNKNOWNS];
-    double basis[LANCZOS + 1][MOST_UNKNOWNS];
     double before[MOST_UNKNOWNS], free[MOST_UNKNOWNS], step[MOST_UNKNOWNS], last[MOST_UNKNOWNS];
     double theta[MOST_POINTS][N];
     Exchange exchange;
@@ -182,13 +181,10 @@ static int settle(Held *h, int wanted, Room *w) {
     h->margin = 1;
     if (!q->size) return 1;
     h->margin = 0;
-    second_variation(q, &h->state, w->matrix);
-    if (!cholesky(w->matrix, q->size, STRIDE)) return 0;
+    if (!factor_variation(q, &h->state, w->matrix)) return 0;
     if (!wanted) return 1;
     anywhere(w->mode, q->size);
-    Factored of = {w->matrix, q->size, STRIDE};
-    Krylov inverse = {by_factor, &of, 1, q->size, LANCZOS, MOST_UNKNOWNS, 0, ROUGH_ERROR, HARDLY_SOFTER, 1, w->basis[0]};
-    h->margin = fmin(1, 1 / largest_of(&inverse, w->mode));
+    h->margin = fmin(1, least_eigenvalue(w->matrix, q->size, STRIDE, ROUGH_ERROR, HARDLY_SOFTER, w->mode));
     return h->margin > 0;
 }
 

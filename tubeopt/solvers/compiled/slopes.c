@@ -72,7 +72,7 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
             double pull = 0;
             for (int r = 0; r < 3; r++) pull += a->frame[x][3 * r + j] * moment[r];
             for (int i = 0; i < N; i++)
-                a->moments[x / k][x % k * N + i] -= pull * a->bend_slope[x][2 * i + j];
+                a->change.moment[x / k][x % k * N + i] -= pull * a->bend_slope[x][2 * i + j];
             a->sway[x][j] = pull / stiffness;
         }
     }
@@ -85,52 +85,46 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
     }
 }
 
-/* x <- H^-1 x beside a direction of unit length. */
-typedef struct {
-    Factored factor;
-    const double *direction;
-} Beside;
-
-static void by_factor_beside(const void *of, double *x) {
-    const Beside *b = of;
-    by_factor(&b->factor, x);
-    double along = dot(x, b->direction, b->factor.n);
-    for (int r = 0; r < b->factor.n; r++) x[r] -= along * b->direction[r];
-}
-
-/* Whether two modes share the least eigenvalue of H, factorised, one of which is `mode`, of unit length. */
-static int shared(const double *h, int n, const double *mode, double least) {
-    double basis[LANCZOS + 1][MOST_UNKNOWNS], other[MOST_UNKNOWNS], along;
-    Beside of = {{h, n, STRIDE}, mode};
-    Krylov inverse = {by_factor_beside, &of, 1, n, LANCZOS, MOST_UNKNOWNS, 0, MODE_ERROR, 0, 1, basis[0]};
-    anywhere(other, n);
-    along = dot(other, mode, n);
-    for (int r = 0; r < n; r++) other[r] -= along * mode[r];
-    return 1 / largest_of(&inverse, other) - least < ONE_VALUE;
-}
-
-/* All slopes at a solved state, its arm and the mode of its margin. 0 where the second variation, for which `h` is room, is
-   singular. Into `along`, where not NULL, those of the shape points. */
-static int all_slopes(const Unknowns *q, const State *state, const Profile *arm, double *mode, const Answer *out,
-                      const Asked *asked, double *h, Around *a, Slopes *slopes, Along *along) {
-    const long long *carriage = asked->carriage;
+/* Whether two modes share the least eigenvalue of the second variation, one of which is `mode`, of unit length: with that
+   one raised by 1, the least is that of another. Leaves the factors that h had. */
+static int shared(const Unknowns *q, const State *state, const double *mode, double least, double *h) {
+    double other[MOST_UNKNOWNS];
+    int n = q->size;
     second_variation(q, state, h);
-    if (!cholesky(h, q->size, STRIDE)) return 0;
+    for (int r = 0; r < n; r++)
+        for (int c = r; c < n; c++) h[(size_t)r * STRIDE + c] += mode[r] * mode[c];
+    cholesky(h, n, STRIDE);
+    anywhere(other, n);
+    double next = least_eigenvalue(h, n, STRIDE, MODE_ERROR, 0, other);
+    factor_variation(q, state, h);
+    return next - least < ONE_VALUE;
+}
+
+/* All slopes at what `solve` has just left. 0 where the second variation is singular. Into `along`, where not NULL, those of
+   the shape points. */
+CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const Answer *out, Slopes *slopes,
+                                       Along *along) {
+    const Unknowns *q = &w->fine;
+    const State *state = &w->state;
+    const long long *carriage = asked->carriage;
+    double *h = w->matrix;
+    Around *a = &w->around;
+    if (!factor_variation(q, state, h)) return 0;
     memset(&a->mode, 0, sizeof a->mode);
     memset(&a->change, 0, sizeof a->change);
-    look_around(q, arm, out, a);
+    a->released = 0;
+    look_around(q, &w->arm, out, a);
     if (out->margin < FLAT) {
-        /* From close by, Lanczos' method would have but rounding to go by. */
-        double all[MOST_UNKNOWNS], part = 0.3 * sqrt(dot(mode, mode, q->size) / q->size);
-        anywhere(all, q->size);
-        for (int r = 0; r < q->size; r++) mode[r] += part * all[r];
+        double mode[MOST_UNKNOWNS];
+        anywhere(mode, q->size);
         double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, 0, mode);
+        a->released = 1 - least;
         lean_of_margin(q, state, mode, a);
-        if (!asked->either && shared(h, q->size, mode, least)) a->form = NAN;
+        if (!asked->either && shared(q, state, mode, least, h)) a->form = NAN;
     }
     for (int i = 0; i < N; i++) {
         /* The equilibrium is a minimum of the energy: only what a joint does at a fixed shape counts. */
-        Change change = {.energy = -arm->torque[0][i]};
+        Change change = {.energy = -w->arm.torque[0][i]};
         Column column;
         int first = 1;
         change.base[i] = 1;
