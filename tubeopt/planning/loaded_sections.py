@@ -164,6 +164,7 @@ class LoadedArms(Arms):
     def borne(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Torques (P, n) and moments (P, 2), each as seen from the tip and from the plate: they jump where moments act
         at points."""
+        # In the cross-section's own frame, of which the first two axes bend.
         jump = np.einsum("pij,pi->pj", self._frames, (self._felt[1] - self._felt[0])[:, MOMENT])[:, :2]
         return (self.torque - self.kicks, self.torque), (self.moment - jump, self.moment)
 
@@ -248,6 +249,7 @@ class LoadedArms(Arms):
         turning_along = couple * (du + u**2)
         twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd + turning_along[:, None]
         lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1) + turning_along
+        # The third derivative of the centreline is at most |u|^2 + |u'|.
         shape = SHAPE_ERROR[0] * h**3 * (u**2 + du) + out[owner]
         np.maximum.at(out, owner, np.where(self.wide, np.inf, shape))
         for error, third in zip(errors[1:], (turned_on, twisted, lifted[:, None]), strict=True):

@@ -165,6 +165,7 @@ def _sorted(
 
 
 def _add(store: Store, table: Array, early: Mask) -> None:
+    # Columns from the end, so that tables with and without joint values serve: tip, direction, margin.
     store.add(table[:, -7:-4], table[:, -4:-1], table[:, -1], np.broadcast_to(early, len(table)))
 
 

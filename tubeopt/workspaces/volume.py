@@ -152,6 +152,7 @@ def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, floa
         corners = points[Delaunay(points).simplices]
     except QhullError:
         raise InputError("the tips lie in a plane; an alpha shape needs points in space") from None
+    # Three edges (T, 3, 3) from one corner of each tetrahedron: |det| / 6 is its volume.
     edges = corners[:, 1:] - corners[:, :1]
     size = np.abs(np.linalg.det(edges)) / 6
     # A sliver has no circumsphere within round-off. Its matrix is replaced, so that one call solves all.

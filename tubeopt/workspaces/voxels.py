@@ -126,6 +126,7 @@ def size_for(extent: Array, count: int) -> float:
     if longest <= 0:
         return 1e-3
     # A workspace that is flat is as thick as a thousandth of its length, so that its voxels are counted on its face.
+    # m^3 of the bounding box.
     volume = float(np.prod(np.maximum(extent, longest / 1000)))
     # At most 500 voxels along the longest side, however many samples there are, to bound the memory.
     edge = max((volume * PER_VOXEL / count) ** (1 / 3), longest / 500)
@@ -193,6 +194,7 @@ def index_of(keys: Keys) -> Keys:
 def patch_of(directions: Array) -> Keys:
     """(B,) the patch of equal area, from 0, in which each unit vector (B, 3) lies (Archimedes: equal heights)."""
     x, y, z = directions.T
+    # Bands of equal height have equal area; z = 1 itself belongs to the last.
     band = np.clip(((z + 1) * 4).astype(np.int64), 0, 7)
     sector = np.clip(((np.arctan2(y, x) / (2 * np.pi) + 0.5) * 8).astype(np.int64), 0, 7)
     return np.asarray(8 * band + sector)
