@@ -64,6 +64,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     for a in range(len(joints) - 1):
         rows = [np.outer(1 - share, joints[a][j]) + np.outer(share, joints[a + 1][j]) for j in range(2)]
         path = follow(robot, rows[0], rows[1], start=start)
+        # The row before the snap and the share of the step after it, as a fraction of the whole path.
         snap = (path.snaps[0].index + path.snaps[0].fraction) / count if path.snaps else None
         margin = np.array([e.margin for e in path.equilibria])
         numbers = program.task_poses[a], program.task_poses[a + 1]
@@ -72,6 +73,7 @@ def motions(program: Program, robot: ConcentricRobot, x: Array) -> list[Motion]:
     return out
 
 
+# Kept: exchange and the final check ask for the same box of the same robot.
 @lru_cache(maxsize=16)
 def worst_in_box(robot: ConcentricRobot, box: Box) -> tuple[float, tuple[float, ...]]:
     """Least certificate over a box of translations, and where."""
@@ -108,6 +110,7 @@ def violations(program: Program, x: Array) -> tuple[Added, str]:
         tables = list(added.points) or [corners(box) for box in boxes]
         for k, box in enumerate(boxes):
             missed = _missed(program, x, box)
+            # Points that the program has already stay missed by its tolerance: adding them again would never end.
             new = [point for point in missed if point not in tables[k]][:POINTS_PER_ROUND]
             tables[k] = (*tables[k], *new)
             why += [f"{len(missed)} points of the workspace box"] if new else []
@@ -128,6 +131,7 @@ def _weak_points(program: Program, robot: ConcentricRobot, x: Array, least: floa
         else:
             continue
         out.append((motion.first, motion.second, fraction))
+        # The number of the pose that this point becomes: exchange appends it to all poses.
         program.guesses[len(program.layout.poses) + len(out) - 1] = twist_of(found)
     return out
 
@@ -146,6 +150,7 @@ def _inside_fold(robot: ConcentricRobot, motion: Motion) -> tuple[float, Equilib
         return rotations, translations
 
     there, here = at(1.0), at(0.0)
+    # Moved back from its new branch, the robot leaves that one at the other fold.
     back = follow(robot, [there[0], here[0]], [there[1], here[1]], start=motion.equilibria[-1]).snaps
     t = motion.snap if not back else 0.5 * (motion.snap + 1.0 - back[-1].fraction)
     candidates = find_equilibria(robot, *at(t))
@@ -186,10 +191,12 @@ def reachable(program: Program, x: Array, point: tuple[float, ...], tolerance: f
     )
     alone = compile_task(DesignTask(robot, fixed, (Reach((target,)), *keep), ordered=False))
     best = np.inf
+    # A local search that fails proves nothing, so that it gets two more starts.
     for attempt_number in range(3):
         random = np.random.default_rng([seed, attempt_number])
         begin = with_joints(alone, alone.layout.space.start, random)
         best = min(best, violation(alone, to_feasibility(alone, begin)))
+        # Guesses of a search that failed would start the next one on the same branch.
         alone.guesses.clear()
         if best <= 1e-3:
             break
@@ -201,6 +208,7 @@ def _of_one_pose(one: Requirement, n: int) -> bool:
     if not isinstance(one, CustomRequirement):
         return True
     try:
+        # Recorded for one pose, an expression raises if it names a second one.
         return bool(recorded(one.expression, n, 1, one.words, (1,) * n).quantities)
     except InputError:
         return False
@@ -209,12 +217,14 @@ def _of_one_pose(one: Requirement, n: int) -> bool:
 def carry(old: Program, added: Added, x: Array, seed: int = 0) -> tuple[Program, Array]:
     """The program with more cases, and x in its layout; poses that are new begin from the best of many."""
     new = compile_task(old.task, added)
+    # With the same poses only translations of the certificate are new, and x keeps its layout.
     if new.layout.poses == old.layout.poses:
         new.guesses.update(old.guesses)
         return new, x.copy()
     out = with_joints(new, x[: old.layout.designs], np.random.default_rng([seed, len(new.layout.poses)]))
     first_old, first_new = len(old.task_poses), len(new.task_poses)
     pairs = [
+        # strict=False: a box that got points has more poses than before, the old ones first.
         *(pair for before, after in zip(old.own, new.own, strict=True) for pair in zip(before, after, strict=False)),
         *([(old.depth_pose, new.depth_pose)] if old.depth_pose is not None and new.depth_pose is not None else []),
         *((first_old + k, first_new + k) for k in range(len(added.vias))),

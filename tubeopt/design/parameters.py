@@ -63,6 +63,7 @@ def of_section(tube: Tube, **changes: Any) -> Tube:
     that of the cross-section does, and a given mass as its area."""
     new = replace(tube, **changes)
     second = new.second_moment / tube.second_moment
+    # K = E I and K_t = G J, and J = 2 I of a tube: both grow as the second moment and as their modulus.
     moduli = [(one.material.youngs_modulus, one.material.shear_modulus) for one in (new, tube)]
     factors = [second * after / before for after, before in zip(*moduli, strict=True)]
     grown = {
@@ -127,6 +128,7 @@ def _coefficient(x: Quantity, length: float, order: int) -> float:
     """Coefficient of the Chebyshev polynomial of an order on the whole piece."""
     if not isinstance(x, Series):
         return x if order == 0 else 0.0
+    # At Chebyshev nodes the polynomials T_k are orthogonal as sums too: the fit is the truncated series.
     nodes = np.cos(np.pi * (np.arange(65) + 0.5) / 65)
     return float(chebyshev.chebfit(nodes, x(length * (nodes + 1) / 2), 24)[order])
 
@@ -152,6 +154,7 @@ def changed_tubes(tubes: Sequence[Tube], values: PieceValues) -> tuple[Tube, ...
 
 def _changed_piece(tube: Tube, piece: Piece, values: Mapping[tuple[str, int], tuple[float, float | None]]) -> Piece:
     x, y, z = piece.precurvature
+    # Sorted by order: coefficients of rising degree.
     shape = [value for (field, _), (value, _) in sorted(values.items()) if field == "piece_shape"]
     if shape:
         shape[0] = shape[0] if any(abs(c) > LEAST_BEND for c in shape) else LEAST_BEND
@@ -165,6 +168,7 @@ def _changed_piece(tube: Tube, piece: Piece, values: Mapping[tuple[str, int], tu
         x, y = turned(x, y, own["piece_plane"])
     stiffness: dict[str, Any] = {}
     for name, factor in zip(("bending", "torsional"), factors(values), strict=True):
+        # A factor of 1 leaves a stiffness None, so that the piece keeps that of the tube.
         if factor != 1.0:
             drawn = getattr(piece, f"{name}_stiffness")
             whole = float(getattr(tube, f"{name}_stiffness")) if drawn is None else drawn
@@ -175,6 +179,7 @@ def _changed_piece(tube: Tube, piece: Piece, values: Mapping[tuple[str, int], tu
 def factors(values: Mapping[tuple[str, int], tuple[float, float | None]]) -> tuple[float, float]:
     """By what bending and torsional stiffness of a piece are multiplied."""
     bending, share = values.get(("piece_bending_factor", 0), (1.0, None))
+    # Slots that take 1 - b of the bending stiffness take share (1 - b) of the torsional one.
     tied = 1.0 if share is None else 1 - share * (1 - bending)
     return bending, tied * values.get(("piece_torsion_factor", 0), (1.0, None))[0]
 
@@ -190,6 +195,7 @@ def largest_bend_slope(piece: Piece, unknown: Unknown, value: float) -> float:
     rows = [values(q, s) for q in (x, y)]
     worst = int(np.argmax(np.hypot(*rows)))
     sign = float(np.sign(rows[0][worst])) or 1.0
+    # The maximum changes as the curvature at its place does (envelope theorem): by T_k there.
     return sign * float(np.cos(unknown.order * np.arccos(np.clip(2 * s[worst] / piece.length - 1, -1, 1))))
 
 
@@ -203,15 +209,19 @@ def change_of(here: Directions, unknown: Unknown, values: PieceValues) -> Change
         length = tube.pieces[j].length
         local = here.place[..., i] - low
         kb, kt, x, y, _, _ = here.values[..., i]
+        # Beyond its end a tube has no stiffness, and no change of it.
         there = (here.here.stiffness[..., i] > 0).astype(float)
         inside = (local > 0) & (local < length)
         dx, dy, dkb, dkt, wound = _piece_rates(unknown, values[i, j], local / length, length, here.values[..., i])
         size = np.hypot(x, y)
+        # A straight section has no direction: divided by 1 its rates are 0, not 0 / 0.
         solid = np.where(size > 0, size, 1.0)
         bent = there * inside
         out.stiffness[..., i] += bent * dkb
+        # The moment is kb |u*|, the phase atan2(u*_y, u*_x): product rule, and rates in polar coordinates.
         out.moment[..., i] += bent * (dkb * size + kb * (x * dx + y * dy) / solid)
         out.phase[..., i] += wound + inside * (x * dy - y * dx) / solid**2
+        # d (1 / kt) = -dkt / kt^2: the twist rate is the torsional moment times 1 / kt.
         out.rate[..., i] += -(inside * dkt) / kt**2
         out.transmission[i] += _compliance_change(here, i, (low, low + length), dkt / kt)
         if unknown.field == "piece_twist":
@@ -249,18 +259,23 @@ def _piece_rates(
         case "piece_curvature":
             bend = values["piece_curvature", 0][0]
             bend = bend if abs(bend) > LEAST_BEND else LEAST_BEND
+            # u* is proportional to the bend.
             return PieceRates(x / bend, y / bend, 0.0, 0.0, 0.0)
         case "piece_shape":
+            # T_k(x) = cos(k arccos x) is curvature about the x axis, then turned with the bend plane.
             order = np.cos(unknown.order * np.arccos(np.clip(2 * fraction - 1, -1, 1)))
             return PieceRates(order * np.cos(plane), order * np.sin(plane), 0.0, 0.0, 0.0)
         case "piece_plane":
+            # (x, y) turned by phi changes by (-y, x).
             return PieceRates(-y, x, 0.0, 0.0, 0.0)
         case "piece_twist":
             return PieceRates(0.0, 0.0, 0.0, 0.0, length * np.clip(fraction, 0.0, 1.0))
         case "piece_bending_factor":
             share = 0.0 if unknown.torsion_share is None else unknown.torsion_share
+            # kt is proportional to 1 - share (1 - b), and the slope of that by b is share.
             return PieceRates(0.0, 0.0, kb / bending, kt * share / (1 - share * (1 - bending)), 0.0)
         case _:
+            # torsion = tied * factor, so that kt / torsion * tied = kt / factor.
             untwisted = {**values, ("piece_torsion_factor", 0): (1.0, None)}
             return PieceRates(0.0, 0.0, 0.0, kt / torsion * factors(untwisted)[1], 0.0)
 
@@ -275,6 +290,7 @@ def _compliance_change(here: Directions, tube: int, ends: tuple[float, float], r
         place = clamped.copy()
         place[tube] = min(end, clamped[tube])
         compliance.append(float(here.table.compliant(place)[tube]))
+    # d (1 / GJ) = -(1 / GJ) dGJ / GJ, and dGJ / GJ is the same all along a piece.
     return -(compliance[1] - compliance[0]) * float(relative.flat[0])
 
 
@@ -451,6 +467,7 @@ class DesignSpace:
         out = np.zeros((len(tubes), len(self.unknowns)))
         for i, tube in enumerate(tubes):
             for j, piece in enumerate(tube.pieces):
+                # Pieces that share the largest curvature, but for round-off; the steepest slope counts.
                 if piece.largest_curvature >= tube.curvature * (1 - 1e-12):
                     slope = self.bend_slope(tube, (i, j), x)
                     out[i] = np.where(np.abs(slope) > np.abs(out[i]), slope, out[i])
@@ -478,6 +495,7 @@ class DesignSpace:
 
 def _changed(tube: Tube, changes: dict[str, float]) -> Tube:
     """A tube with other dimensions, those of pieces all in proportion."""
+    # At once: with only one diameter changed, a tube may have no wall.
     at_once = [name for name in changes if name in DIAMETERS or not tube.general]
     changed = of_section(tube, **{name: changes[name] for name in at_once}) if at_once else tube
     for name in changes:
@@ -517,6 +535,7 @@ def design_space(tubes: Sequence[Tube], free: Sequence[Free]) -> DesignSpace:
     unknowns = tuple(unknown for _, unknown in found)
     begin = np.clip([start_of(tubes, unknown) for unknown in unknowns], lower, upper)
     span = np.where(upper > lower, upper - lower, 1.0)
+    # The size of the start, from a tenth of the range to all of it: near 0 it would make steps of no size.
     scale = np.where(np.abs(begin) > 0, np.minimum(span, np.maximum(np.abs(begin), 0.1 * span)), span)
     return DesignSpace(tuple(tubes), unknowns, begin, lower, upper, scale, pieced)
 
@@ -549,6 +568,7 @@ def _piece_entries(
         for i, j in places:
             if (one.field, (i, j)) in taken:
                 raise InputError(f"{NAMES[one.field]} of piece {j + 1} of tube {i + 1} is free twice; name it once")
+            # The constant coefficient of a shape is a curvature: both free would be two unknowns for one number.
             other = {"piece_shape": "piece_curvature", "piece_curvature": "piece_shape"}.get(one.field)
             if (other, (i, j)) in taken:
                 raise InputError(

@@ -53,6 +53,7 @@ def _between(pose: Pose, share: Array) -> tuple[Index, Array, Array, Array]:
     `_cubic` weighs (4, K, 3)."""
     s, position, tangent = pose.arm.arc_length, pose.arm.position, pose.arm.frame[:, :, 2]
     k, h, x = between(s, share * s[-1])
+    # Hermite's cubic takes slopes by x = (s - s_k) / h: h times the unit tangents.
     nodes = np.stack([position[k], h[:, None] * tangent[k], position[k + 1], h[:, None] * tangent[k + 1]])
     return k, h, x, nodes
 
@@ -72,12 +73,15 @@ def arm_slopes(pose: Pose, share: Array) -> Array:
     dh = arc[k + 1] - arc[k]
     moved = weights[0][:, None, None] * position[k] + weights[2][:, None, None] * position[k + 1]
     for w, end in ((weights[1], k), (weights[3], k + 1)):
+        # A turn vector w moves a tangent t by w x t = -[t] w.
         turned = -hat(tangent[end]) @ turn[end]
         moved = moved + w[:, None, None] * (h[:, None, None] * turned + tangent[end][:, :, None] * dh[:, None, :])
+    # x = (share L - s_k) / h: at a fixed share of a length that changes, x changes too.
     dx = (share[:, None] * arc[-1] - arc[k] - x[:, None] * dh) / h[:, None]
     return np.asarray(moved + np.einsum("wk,wkc->kc", rates, nodes)[:, :, None] * dx[:, None, :])
 
 
+# From 1: the point at the plate is the same for all designs.
 SHARES = (np.arange(CLEARANCES * WITHIN) + 1) / (CLEARANCES * WITHIN)
 
 
@@ -91,6 +95,7 @@ def arm_clearance(pose: Pose, body: Any, chain: Array, thicker: Array, ended: Ar
     radius, rounder = _radius(pose, thicker, ended, pose.shape_slopes[2][-1] @ chain)
     points = arm_points(pose, SHARES)
     room = body.signed_distance(points) - radius - HELD_OFF
+    # The least of several points has the slope of the point where it is reached.
     worst = room.reshape(CLEARANCES, WITHIN).argmin(1) + WITHIN * np.arange(CLEARANCES)
     local = np.einsum("kc,kcl->kl", body.gradient(points[worst]), arm_slopes(pose, SHARES[worst]))
     return room[worst], local @ chain - rounder[worst]
@@ -106,11 +111,13 @@ def _radius(pose: Pose, thicker: Array, ended: Array, longer: Array) -> tuple[Ar
     share = SHARES[:, None]
     beyond = (share * pose.arm.arc_length[-1] - pose.problem.assembly.end) / RAMP
     ramp = np.clip(beyond, 0.0, 1.0)
+    # Each radius falls to that of the innermost tube: at least that is left of the arm everywhere.
     each = radii - (radii - radii[0]) * ramp
     tube = each.argmax(1)
     k = np.arange(len(SHARES))
     thin = ramp[k, tube, None]
     change = thin * thicker[0] + (1 - thin) * thicker[tube]
+    # The slope jumps at both ends of a ramp; there 0 is taken, the value outside of it.
     sloping = (beyond[k, tube] > 0) & (beyond[k, tube] < 1)
     rate = np.where(sloping, (radii[0] - radii[tube]) / RAMP, 0.0)
     return each[k, tube], change + rate[:, None] * (share * longer - ended[tube])
@@ -144,6 +151,7 @@ def solve_pose(tubes: Sequence[Tube], rotations: Array, translations: Array, gue
     problem = member.problem
     if guess is not None and len(guess.fraction) and problem.size:
         fraction = problem.arc_length / max(problem.assembly.total_length, 1e-300)
+        # The twist is interpolated, not theta: it is 0 without torsion at any rotations, so that it fits other ones.
         twist = np.column_stack([np.interp(fraction, guess.fraction, column) for column in guess.twist.T])
         result = member.solve(member.unknowns(rotations + twist), iterations=12)
         if result.converged:
@@ -164,6 +172,7 @@ def moving(rows: Array) -> tuple[Array, Array]:
     """(L, Q) the directions of rows (L, X) in which anything changes, and (Q, X) the unknowns of these: derivatives
     along them, times the second, are those by all unknowns."""
     columns = np.flatnonzero(rows.any(0))
+    # Derivatives cost as much as there are directions: unknowns that move nothing are left out.
     return rows[:, columns], np.eye(rows.shape[1])[columns]
 
 
@@ -215,6 +224,8 @@ class Pose:
     def shape_slopes(self) -> tuple[Array, Array, Array]:
         """(m, 3, L) change of position and of frame (turn vector), (m, L) of arc length, at the shape points."""
         of = self.derivatives
+        # `position` is that at a fixed arc length: a shape point also moves along its tangent, by d s. The slope of the
+        # tip contains the change of the length already.
         position = of.position + self.arm.frame[:, :, 2, None] * of.moved[:, None]
         position[-1] = of.tip_position
         return position, of.turned, of.moved
@@ -226,6 +237,7 @@ class Pose:
         Where two tubes of pieces do better than at their worst it is the margin of the equilibrium that has the least.
         """
         value, mode, _ = worst_case(self.problem)
+        # At its worst the margin is stationary in the rotations: its slope at given rotations is that of the minimum.
         worst = worst_of_pair(self.solved.member, value)
         if worst is not None:
             return worst.margin, Pose(worst, self.wrt, self.more, self.along).derivatives.one_margin

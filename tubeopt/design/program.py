@@ -143,6 +143,7 @@ def compile_task(task: DesignTask, added: Added | None = None) -> Program:
         targets[depth_pose] = (float(deep[0].depth or 0.0),)
     certified = _certified(task, added)
     stated, aims = _recorded(task, added, own, (len(poses), depth_pose, certified))
+    # Last, so that the numbers of the task poses stay as exchange adds points of joint paths.
     poses.extend(Via(*via) for via in added.vias)
     kinds = [one.kind for one in task.built_in]
     auxiliary = tuple(kind for kind in BOUNDED if kind in kinds)
@@ -205,9 +206,12 @@ def _certified(task: DesignTask, added: Added) -> tuple[tuple[float, ...], ...]:
         if one.translations is not None:
             found.extend(one.translations)
         if one.box is not None:
+            # Two opposite corners begin the exchange, which adds the worst translations inside.
             found.extend([one.box[0], one.box[1]])
         if not found:
+            # Without translations and without a box the robot is certified at home.
             found.append((0.0,) * task.robot.n_tubes)
+    # Without duplicates: equal rows would be active twice.
     return tuple(dict.fromkeys([*found, *added.translations]))
 
 
@@ -217,6 +221,8 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
     most = extreme_lengths(task, "upper")
     high_tubes = most["straight_length"] + most["curved_length"]
     turns = np.array(task.robot.limits.rotations)
+    # beta is minus the length of a tube behind the plate: from all of the longest possible tube to nothing. Changes
+    # that matter are 1 rad and a fifth of a tube, which may have length 0.
     of_a_pose = (
         np.concatenate([turns[:, 0], -high_tubes]),
         np.concatenate([turns[:, 1], np.zeros(n)]),
@@ -230,6 +236,7 @@ def _bounds(task: DesignTask, layout: Layout) -> tuple[Array, Array, Array]:
 
 def recompiled(task: DesignTask, near: Program) -> Program:
     """The program of a task with the added cases of another one, and what is known of its poses."""
+    # A copy of the guesses: neither program may move the starts of the other.
     return replace(compile_task(task, near.added), guesses=dict(near.guesses))
 
 

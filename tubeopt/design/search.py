@@ -162,6 +162,7 @@ class _Search:
     def from_unit(self, u: Array) -> tuple[list[Array], Array]:
         """Dimensions of each robot, and own numbers, SI, at a point of the unit cube."""
         low, high = self.ranges.T
+        # Clipped, since `to_unit` may leave the cube by round-off.
         x = low + np.clip(u, 0.0, 1.0) * (high - low)
         *designs, own = np.split(x, np.cumsum([program.layout.designs for program in self.programs]))
         return designs, own
@@ -169,16 +170,20 @@ class _Search:
     def to_unit(self, designs: Sequence[Array], own: Array) -> Array:
         """Point of the unit cube of dimensions and own numbers, SI."""
         low, high = self.ranges.T
+        # A range without width has no unit: its coordinate is 0, not 0 / 0.
         return np.asarray((np.concatenate([*designs, own]) - low) / np.where(high > low, high - low, 1.0))
 
     def __call__(self, u: Array) -> float:
         """The score: beyond 1 where a requirement is not kept."""
+        # 0 is the best score that `Wanted` allows, so nothing is left to search.
         if time.perf_counter() > self.until or self.score == 0:
             raise _EndError
         self.tried += 1
         if self.progress is not None:
             self.progress(self.tried)
         designs, own = self.from_unit(u)
+        # Requirements come before the score: they need no planning. Their score is graded by the violation, from 1 to
+        # 2, so that the simplex finds back to designs that satisfy them.
         short = max(violation(program, x) for program, x in zip(self.programs, designs, strict=True))
         if short > FEASIBLE:
             return 1.0 + min(short, 1.0)
@@ -193,6 +198,7 @@ class _Search:
             robots = [robot_at(program, x) for program, x in zip(self.programs, designs, strict=True)]
             score, value = self.wanted(*robots, own)
         except (InputError, SolveError):
+            # The worst score among designs that satisfy the requirements, still below that of any other design.
             return 1.0, 0.0
         return float(score), float(value)
 
@@ -200,13 +206,17 @@ class _Search:
         """Simplex searches, each from the end of the one before, while they improve the score."""
         # A simplex that is pressed against a requirement becomes flat, and cannot move along it: a new one can.
         self.until, before = until, np.inf
+        # scipy stops where both are satisfied: the simplex is small, and all its scores are equal. The counts are out
+        # of reach, so that only the time limit ends a search early.
         options = {"xatol": SIMPLEX_SIZE, "fatol": 0.0, "maxfev": 10**6, "maxiter": 10**6}
         bounds = [(0.0, 1.0)] * len(u)
         with suppress(_EndError):
             while True:
+                # Edges point into the cube, down from the upper half of a range: the bounds shorten none of them.
                 simplex = np.vstack([u, u + np.diag(SIMPLEX_STEP * np.where(u > 0.5, -1, 1))])
                 some = {**options, "initial_simplex": simplex}
                 found = scipy.optimize.minimize(self, u, method="Nelder-Mead", bounds=bounds, options=some)
+                # `not <` in place of `>=`: a score that is NaN ends the search too.
                 if not found.fun < before - SIMPLEX_SIZE:
                     break
                 u, before = found.x, float(found.fun)
@@ -327,14 +337,17 @@ def without_derivatives(
         first = [best_of(multistart(program, starts=1, seed=seed)).x for program in programs]
     note = None if progress is None else lambda count: progress(count, 0)
     search = _Search(programs, wanted, progress=note)
+    # Own numbers begin at 0, or at the bound nearest to it.
     zero = np.clip(np.zeros(len(wanted.ranges)), *np.reshape(wanted.ranges, (-1, 2)).T)
     with within(time_limit - seconds):
         _, before = search.score_of([program.layout.space.start for program in programs], zero)
     drawn = [start_values(program, seed + k, starts)[1:] for k, program in enumerate(programs)]
+    # A generator: this work is done under the search time below, not before it.
     others = ([to_feasibility(*each) for each in zip(programs, some, strict=True)] for some in zip(*drawn, strict=True))
     begin = time.perf_counter()
     with within(seconds), suppress(LateError):
         for k, designs in enumerate([first, *others]):
+            # The time that a start leaves over is used by the next ones.
             search.descend(search.to_unit(designs, zero), begin + seconds * (k + 1) / starts)
     if search.best is None:  # the time limit came before the first score
         search.best, (_, search.value) = search.to_unit(first, zero), search.score_of(first, zero)

@@ -165,6 +165,8 @@ class State:
             turned, (shift, moved) = self._joints(number)
             drawn, withdrawn, last = retracted(self.tubes, shift, share)
             ended = moved + self.slopes["curved_length"]
+            # A withdrawn tube ends at `share` times the end of the last one:
+            # d translation = share d end_last - d curved_length, and `ended` is d translation + d curved_length.
             return turned, (drawn, moved - withdrawn[:, None] * (ended - share * ended[last]))
         pose = self.layout.poses[index]
         if isinstance(pose, Via):
@@ -236,6 +238,7 @@ class State:
             of = state.pose(index).by_joints
             return np.concatenate([each.ravel(order="F") for each in (of.tip_position, of.tip_rotation)])
 
+        # Sizes: dimensions have their own, rotations and auxiliary numbers 1, translations that of an arm.
         size = np.ones(self.layout.size)
         size[: self.layout.designs] = self.layout.space.scale
         for pose in self.layout.poses:
@@ -322,6 +325,7 @@ def tip_deflection(state: State, index: PoseNumber, load: Load) -> tuple[Array, 
     plain = to_equilibrium(pose.solved, "guess")
     pushed = under_load(plain, load)
     of = linearise(pushed, pose.wrt, more=pose.more, along=pose.along)
+    # Both the loaded and the unloaded tip move with the design, so that the slope is a difference too.
     change = (of.tip_position - pose.derivatives.tip_position) @ chain
     return pushed.tip_position - plain.tip_position, change
 
@@ -336,6 +340,7 @@ def margin_under(state: State, index: PoseNumber, load: Load) -> tuple[float, Ar
     if load.has_energy:
         slope = linearise(pushed, pose.wrt, more=pose.more, along=pose.along).one_margin @ chain
     else:
+        # Without an energy the Hessian is not symmetric, and the margin is that of its symmetric part.
         free = [(step, robots) for _, step, robots in _free_pieces(state)]
         slope = margin_slopes(pushed, names, free, sure=True) @ np.concatenate([rows, pieces])
     if not np.isfinite(slope).all():
@@ -352,6 +357,7 @@ def stroke_force(state: State, index: PoseNumber) -> tuple[float, Array]:
     varied = [Varied(step, robots, turn[:, k]) for k, step, robots in free]
     found = stroke_slopes(plain, names, STRONGEST, varied=varied)
     if found is None:
+        # The value is capped at STRONGEST, and a capped value has no slope.
         return STRONGEST, np.zeros(state.layout.size)
     pieces = np.eye(state.layout.size)[state.free_pieces]
     return found[0], found[1] @ np.concatenate([rows, pieces])
@@ -394,6 +400,7 @@ def _strain() -> ca.Function:
 def _straightened() -> ca.Function:
     """(precurvature, outer diameter) -> strain held straight, and its slope (1, 2)."""
     x = ca.SX.sym("x", 2)
+    # Held straight, a tube loses its whole precurvature: it is bent by |u*| against its natural shape.
     strain = surface_strain(x[1] / 2, ca.fabs(x[0]), x[0])
     return ca.Function("straightened", [x], [strain, ca.densify(ca.jacobian(strain, x))])
 
@@ -419,6 +426,7 @@ def _ratio(state: State, tube: int, number: int) -> tuple[float, Array]:
     for column, one in enumerate(space.unknowns):
         if one.field == "piece_bending_factor" and (tube, number) in one.pieces:
             left = shape.pieces[number].bending_factor(float(shape.bending_stiffness))
+            # The share that is left is proportional to the unknown factor, so that its slope is left / factor.
             change[column] = slope * left / state.x[column]
     return value, change
 
@@ -431,6 +439,7 @@ def straightened_strain(state: State, tube: int, number: int) -> tuple[float, Ar
     else:
         natural = shape.pieces[number].largest_curvature
         designs = state.x[: state.layout.designs]
+        # Held straight, a tube depends on no joint value and no auxiliary number: their columns are 0.
         change = np.pad(space.bend_slope(shape, (tube, number), designs), (0, state.layout.size - len(designs)))
     value, slope = (part.full().ravel() for part in _straightened()([natural, shape.outer_diameter]))
     change = slope[0] * change + slope[1] * state.slopes["outer_diameter"][tube]
@@ -442,20 +451,24 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
     """Largest bending strain of a tube in a pose, and its change (X,); 0 where it is not in front of the plate."""
     shape, of = state.tubes[tube], state.pose(index).derivatives
     n, mesh = of.n, of.problem.mesh
+    # Sections in which the tube is present from end to end; the others have no strain of it.
     there = np.flatnonzero((of.here.stiffness[..., tube] > 0).all(1) & (mesh.length > 0))
     if not len(there):
         return 0.0, np.zeros(state.layout.size)
     across, bend = (table[there].reshape(len(there) * len(PLACES), -1) for table in of.sections)
     theta, stiffness, moment = (across[:, k * n + tube] for k in range(3))
+    # The moment of a tube is kb u*, its stiffness times its precurvature: the quotient is u*.
     given = np.column_stack([theta, bend, moment / stiffness, np.full(len(theta), shape.outer_diameter)])
     strains, slopes = (part.copy() for part in mapped(_strain(), len(given))(given))
     number = _pieces_there(shape, mesh.start[there] + mesh.length[there] / 2 + of.assembly.transmission[tube])
     ratios = np.array([_slot_ratio(shape, k)[0] if k >= 0 else 1.0 for k in number.tolist()])
+    # The maximum has the slope of the section in which it is reached; of equal ones the first is taken.
     worst = int(np.argmax(strains[:, 0] * np.repeat(ratios, len(PLACES))))
     piece, end = divmod(worst, len(PLACES))
     k = int(there[piece])
     at = of.section(k, PLACES[end], of.moved[k * (len(PLACES) - 1) + end])
     kb, natural = stiffness[worst], given[worst, 3]
+    # u* = M / kb, so that du* = (dM - u* dkb) / kb.
     grown = (at.by_tubes[2 * n + tube] - natural * at.by_tubes[n + tube]) / kb
     slope, value = slopes.reshape(-1, 5)[worst], float(strains[worst, 0])
     change = (slope[0] * at.by_tubes[tube] + slope[1:3] @ at.by_curvature + slope[3] * grown) @ state.chain(index)
@@ -469,4 +482,5 @@ def pose_strain(state: State, index: PoseNumber, tube: int) -> tuple[float, Arra
 def _pieces_there(shape: Tube, place: Array) -> Array:
     """(P,) piece of a tube at places along it, m; -1 its straight part, and all of a tube of one curvature."""
     joints = shape.straight_length + np.cumsum([0.0, *(piece.length for piece in shape.pieces)])
+    # A place beyond the last piece by round-off belongs to that piece.
     return np.minimum(np.searchsorted(joints, place, side="right") - 1, len(shape.pieces) - 1)

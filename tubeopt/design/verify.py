@@ -79,6 +79,7 @@ def check_tubes(one: Requirement, robot: ConcentricRobot, equilibria: tuple[Equi
             return [Check("smallest wall thickness", _mm(least), least >= limit * (1 - MISSED))]
         case Nesting(clearance=limit) if robot.n_tubes > 1:
             least = min(outer.inner_diameter - inner.outer_diameter for inner, outer in pairwise(robot.tubes))
+            # An absolute tolerance, 1 nm: the limit may be 0, and a share of it would allow nothing.
             return [Check("least clearance of the diameters", _mm(least), least >= limit - 1e-3 * MISSED)]
         case Length(field=field, tube=i, limit=limit, least=at_least):
             value = getattr(robot.tubes[i], field)
@@ -100,9 +101,12 @@ def largest_strain(one: Strain, robot: ConcentricRobot, equilibria: tuple[Equili
     for e in equilibria if one.in_poses else ():
         for aside in (-1e-9, 1e-9):  # m: the arm's curvature jumps at breakpoints
             s = e.arc_length + aside
+            # In front of the plate, up to the end of the tube: its translation and its curved length.
             there = (s > 0) & (s < e.translations[:, None] + np.array([[tube.curved_length] for tube in robot.tubes]))
             own = [_own(tube, s - d) for tube, d in zip(robot.tubes, e.translations, strict=True)]
             stiffness = there * np.array([part[1] for part in own])
+            # u* e^(j theta) in the common frame. Without a load, sum k_i (u - u*_i) = 0:
+            # the arm has their weighted mean.
             turned = [part[0] * np.exp(1j * angle) for part, angle in zip(own, e.rotation, strict=True)]
             bent = (stiffness * turned).sum(axis=0) / np.maximum(stiffness.sum(axis=0), 1e-300)
             for i, tube in enumerate(robot.tubes):
@@ -162,6 +166,7 @@ def numbers_of(robot: ConcentricRobot, equilibria: Sequence[Equilibrium]) -> Loo
                 anywhere = Strain((1.0,) * robot.n_tubes, straightened=False, in_poses=True)
                 return largest_strain(anywhere, robot, (found,))[list(one.at)]
             case "clearance":
+                # A recorded clearance has a row for each part of the arm; the least of all is the strictest for each.
                 return np.full(CLEARANCES, least_room(one.at[0], robot, found))
             case "deflection":
                 return under_load(found, one.at[0]).tip_position - found.tip_position
@@ -250,13 +255,16 @@ def count_snaps(
     random = np.random.default_rng(seed)
     n = robot.n_tubes
     home = shifts(robot, translations)
+    # A tube with negative curvature begins turned by half: all bend to one side, without torsion.
     start = np.array([np.pi if tube.curvature < 0 else 0.0 for tube in robot.tubes])
     snaps, snapped = 0, 0
     for _ in range(turns):
         turn = np.zeros(n)
+        # The last tube stays: turning all tubes together changes no shape, only relative turns do.
         turn[: n - 1] = random.choice([-1.0, 0.0, 1.0], n - 1)
         if n > 1 and not turn.any():
             turn[random.integers(n - 1)] = random.choice([-1.0, 1.0])
+        # A random offset: from the exactly aligned home, a turn and its reverse are mirror images.
         begin = start + random.uniform(-0.5, 0.5, n)
         way = np.array([start, begin, begin + 2 * np.pi * turn, begin, start])
         found = len(follow(robot, way, np.tile(home, (5, 1))).snaps)
@@ -319,7 +327,9 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
             found = 0.0  # a fold
         where = ", ".join(f"{d * 1e3:.4g}" for d in rows[k])
         words = f"least margin that search finds at translations {where} mm"
+        # The certificate is a lower bound: an equilibrium with less margin refutes it.
         checks.append(Check(words, f"{found:.4f}", found >= values[k] - SLACK))
+    # Only a positive margin promises that no turn snaps.
     if one.margin > 0:
         snaps = sum(count_snaps(robot, turns, 10 + int(k), rows[k])[0] for k in order)
         words = f"snaps in {turns * len(order)} random full turns forth and back"
@@ -329,6 +339,7 @@ def _certificate(program: Program, robot: ConcentricRobot, one: SnapFree, turns:
 
 def _erring(robot: ConcentricRobot, one: SnapFree, rows: list[Array]) -> list[Check]:
     """The certificate with curvatures and stiffnesses that are off by as much as they may be."""
+    # Growth 1 means no errors; a tube that is not even has no single curvature to change.
     if one.growth == 1 or not all(tube.even for tube in robot.tubes):
         return []
     random, least = np.random.default_rng(0), np.inf
@@ -368,6 +379,7 @@ def _paths(program: Program, robot: ConcentricRobot, x: Array, one: SnapFreeInUs
         return Check("joint paths between the task poses", "a snap", False)
     least = min(float(motion.margin.min()) for motion in found)
     words = "margin on the joint paths between the task poses"
+    # Exchange accepts margins down to one tolerance; the second one keeps round-off from refuting these.
     return Check(words, f"{least:.4f}", least >= one.margin - 2 * one.tolerance)
 
 
@@ -380,6 +392,7 @@ def _stroke_force(one: StrokeForce, robot: ConcentricRobot, equilibria: tuple[Eq
 def _anatomy(one: Avoid, robot: ConcentricRobot, equilibria: tuple[Equilibrium, ...]) -> Check:
     drawn = on_the_way(robot, equilibria) if one.deployed else ()
     room = min((least_room(one, robot, e) for e in (*equilibria, *drawn)), default=np.inf) - one.clearance
+    # No tolerance here: the design was kept off by HELD_OFF in addition.
     return Check("room between the arm and the obstacles at the task poses", f"{room * 1e3:.4f} mm", room >= 0)
 
 
@@ -396,6 +409,7 @@ def _tips(program: Program, equilibria: tuple[Equilibrium, ...]) -> list[Check]:
         gaps = np.linalg.norm([e.tip_position for e in reached] - np.array(aims), axis=1)
         worst = int(np.argmax(gaps / allowed))
         words = f"largest distance of the tip from {len(aims)} targets"
+        # As in `reachable`, a thousandth of the tolerance may be missed.
         kept = bool(gaps[worst] <= (1 + 1e-3) * allowed[worst])
         checks.append(Check(words, f"{gaps[worst] * 1e3:.4f} mm", kept))
         if isinstance(one, Reach):
@@ -408,6 +422,7 @@ def _directions(one: Reach, equilibria: list[Equilibrium]) -> list[Check]:
     for k, (target, equilibrium) in enumerate(zip(one.targets, equilibria, strict=True)):
         if target.direction is not None:
             heading = equilibrium.tip_rotation[:, 2]
+            # Clipped: beyond 1 by round-off, arccos is NaN.
             angle = float(np.arccos(np.clip(heading @ np.array(target.direction), -1, 1)))
             kept = angle <= target.direction_tolerance + SLACK
             out.append(Check(f"direction at target {k + 1}", f"{np.degrees(angle):.3f} deg off", kept))

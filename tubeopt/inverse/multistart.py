@@ -99,9 +99,11 @@ def build_table(
         began, some = clock.seconds, q[tried : tried + count]
         joint = space.joint(some)
         found = solved_batch(space.robot, joint[:, :n], joint[:, n:])
+        # Rows without an equilibrium have margin NaN: as 0 they are below LEAST_MARGIN.
         kept = found.converged & (np.nan_to_num(found.margin) >= LEAST_MARGIN)
         parts.append((some[kept], found.tip_position[kept], found.tip_rotation[kept, :, 2], found.margin[kept]))
         tried += count
+        # Batches double while they are quick, up to 128: a slow robot still stops near its time limit.
         if clock.seconds - began < 0.02:
             count = min(2 * count, 128)
     solved, tip, direction, margin = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -118,6 +120,7 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
         return q
     out = q.copy()
     for tubes in space.robot.moving_together:
+        # The second rotation of a sample, 0 to 1 over its range, becomes the separation: samples stay evenly spread.
         middle, apart = q[:, tubes[0]], WIDEST * (q[:, tubes[1]] - space.lower[tubes[1]])
         span = space.upper[tubes[1]] - space.lower[tubes[1]]
         apart = apart / span if span > 0 else np.zeros(len(q))
@@ -135,6 +138,7 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     if stored is not None and stored.whole:
         return stored
     table = build_table(space, size, clock, stored)
+    # Nothing new was tried, so that the file needs no change.
     if table.tried == (stored.tried if stored is not None else 0):
         return table
     try:
@@ -207,6 +211,7 @@ def nearest_starts(
     outside = ~((turned >= space.lower) & (turned <= space.upper)).all(1)
     # Where whole turns do not help, turn as far as the narrowest range allows.
     least, most = (space.lower[:n] - q[:, :n]).max(1), (space.upper[:n] - q[:, :n]).min(1)
+    # The turn within -pi .. pi, the shortest of those that differ by whole turns.
     part = np.clip((turn + np.pi) % (2 * np.pi) - np.pi, least, np.maximum(most, least))
     turned[outside] = q[outside]
     turned[outside, :n] += part[outside, None]
@@ -232,9 +237,13 @@ def spread_starts(space: JointSpace, q: Array, count: int, *, first: int) -> Ite
     relative = q[:, :n] - q[:, n - 1 : n]
     # Rotations against the outermost tube, as points of circles; the turn of the whole robot follows from the target.
     features = np.hstack([np.cos(relative), np.sin(relative), q[:, n:] / space.scale[n:]])
+    # Distance from the nearest chosen one. Taking its maximum each time is the farthest-point method
+    # (Gonzalez, Theor. Comput. Sci. 38 (1985)).
     gap = np.min([np.linalg.norm(features - own, axis=1) for own in features[: max(first, 1)]], axis=0)
     for _ in range(min(count, len(q)) - max(first, 1)):
+        # Rounded, so that of mirror images the more promising one is taken.
         farthest = int(np.argmax(np.round(gap, 9)))
+        # All others equal one that was chosen.
         if gap[farthest] <= 0:
             return
         yield q[farthest]
@@ -245,6 +254,7 @@ def _mirrored(space: JointSpace, table: StartTable) -> StartTable:
     """The table with the mirror image of every configuration: all rotations negative, seen in the plane x = 0."""
     flipped, mirror = table.q.copy(), np.array([-1.0, 1.0, 1.0])
     flipped[:, : space.robot.n_tubes] *= -1
+    # Negated rotations may leave the limits: whole turns bring some back, and the others are left out.
     flipped = space.wrap(flipped, space.middle())
     inside = ((flipped >= space.lower) & (flipped <= space.upper)).all(1)
     images = flipped, table.tip * mirror, table.direction * mirror, table.margin
@@ -369,12 +379,14 @@ class Multistart:
         least = np.inf
         for answer in found:
             cost = self.goal.cost(posture_of(self.goal.space, answer.equilibrium))
+            # Relative to the cost, but with a floor: costs near 0 differ by round-off only.
             if cost < least - SAME_COST * max(abs(cost), 1e-3):
                 best, least = [answer], cost
         return best
 
     def all(self) -> list[InverseSolution]:
         """Distinct answers, best first."""
+        # Distinct answers have different postures: starts are spread over these from the first on.
         self.everywhere = True
         found = [*self._by_starts(), *self._by_programs()]
         if not found:
@@ -399,11 +411,14 @@ class Multistart:
         found, goal, first, name = False, self.goal, self.first, "seed"
         self.ends.append([])
         if first is None and goal.named:
+            # Without a seed, but with joint values to stay near: the nearest ones within the limits.
             first, name = start_at(goal.space, goal.space.nearest(goal.reference)), "reference"
         if first is not None and (answer := self._from(first, name)) is not None:
             found = True
             yield answer
+        # Four times as many starts as tries: one with too little margin, or out of the limits, counts as no try.
         for start in self._starts(4 * goal.options.starts):
+            # An answer shows that the target is in reach: from then on no count of misses ends the search.
             if goal.clock.over or self.tries >= goal.options.starts or (not found and self._hopeless()):
                 break
             answer = self._from(start, "table")
@@ -433,6 +448,7 @@ class Multistart:
         for start in islice(clear, CLEAR_STARTS):
             if self.goal.clock.over:
                 return
+            # Tries, not starts: `_from` may refuse a start before it searches.
             before = self.tries
             answer = self._from(start, "table")
             self.clear += self.tries - before
@@ -479,6 +495,7 @@ class Multistart:
         at = search.posture
         if not search.reached or self.goal.cost(at) > self.goal.cost(than) + 1e-12:
             return False
+        # From a seed the answer must be on its own branch: the seed moved to these joint values arrives there.
         return name != "seed" or same_place(than.to(at.q), at)
 
     def _by_program(self, start: Posture) -> Search:
@@ -504,6 +521,7 @@ class Multistart:
         length = self.goal.space.length
         miss = float(np.linalg.norm(self.goal.residual(search.posture))) * length
         same = SAME_MISS * length
+        # A smaller miss starts the count anew, an equal one adds to it, a larger one shows nothing.
         if miss < self.least - same:
             self.agreeing = 0
         elif miss < self.least + same:
@@ -518,6 +536,7 @@ class Multistart:
         if not search.reached:
             return None
         goal, at = self.goal, search.posture
+        # Within the tolerance of the search it may miss that of an answer: it is corrected once more.
         if not goal.met(at):
             at = correct(goal, at, goal.slope(at), close=ON_TARGET).posture or at
         good = goal.met(at) and goal.allowed(at, SLACK)
@@ -606,5 +625,6 @@ def _difference(one: InverseSolution, other: InverseSolution) -> float:
     """Largest distance of two arms at equal shares of their lengths, over the longer of them."""
     arms = one.equilibrium, other.equilibrium
     (a, _), (b, _) = (ArmSurface(arm).line(33) for arm in arms)
+    # Arms that are withdrawn all the way have length 0, and do not differ.
     longest = max(float(arm.arc_length[-1]) for arm in arms)
     return float(np.linalg.norm(a - b, axis=1).max()) / max(longest, 1e-300)

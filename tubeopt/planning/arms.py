@@ -107,6 +107,7 @@ class Track:
         """(N, 2, 3) points of the linear arm at fractions x (N,) of sections, at times t (N, 2)."""
         one, other = self.intervals.places(link, section, x)
         low, high = self.times[link][:, None], self.times[link + 1][:, None]
+        # A rest without duration: its first arm stands for all of it.
         share = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
         return self.frame.placed(one[:, None] + share * (other - one)[:, None])
 
@@ -135,6 +136,7 @@ def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joint
     trace = follow(verifier, first, time, joints)
     steps = trace.steps
     if len(steps) == 1:  # it only rests
+        # A second step at the same joint values makes a link, so that a rest has bounds like any motion.
         steps = (steps[0], Step(1.0, steps[0].equilibrium, steps[0].joints))
     links, lost = joined(verifier, [Link(a, b) for a, b in pairwise(steps)])
     whole = trace.snap is None and not trace.lost and not lost and steps[-1].at == 1.0
@@ -153,6 +155,7 @@ class Side(Table):
 
     def along(self) -> Array:
         """(N,) squares of their length, m^2."""
+        # Of both instants the longer: the length of a vector that is linear in time is convex.
         return np.asarray(((self.points[:, 1] - self.points[:, 0]) ** 2).sum(-1).max(1))
 
     def halved(self, track: Track, t: Array) -> tuple[Side, Side]:
@@ -237,6 +240,7 @@ def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, mo
             measured, when = closest, then
         short = np.flatnonzero(bound < wanted.line(measured))
         over = one.verifier.over or other.verifier.over
+        # A measured distance below the clearance refutes it, and no sharper bound is necessary.
         if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
             break
         one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
@@ -264,6 +268,7 @@ def _bounds(
         bows = (track.intervals.sagitta(s.link, s.section, s.x) for track, s in zip(tracks, cells.sides, strict=True))
         bend = np.stack(list(bows))
         along = [side.along() for side in cells.sides]
+        # The terms of Efron and Stein: squares of the change along either arm and in time.
         spread = np.stack([*along, ((gaps[..., 1, :] - gaps[..., 0, :]) ** 2).sum(-1).max((1, 2))])
         least = distance.min((1, 2, 3))
         surface = least - thick
@@ -271,11 +276,14 @@ def _bounds(
             row = int(surface.argmin())
             corner = int(distance[row].min((0, 1)).argmin())
             closest, when = float(surface[row]), float(cells.t[row, corner])
+        # |D|^2 >= min |D_k|^2 - V, then both sagittas and both radii are taken off.
         low = np.sqrt(np.maximum(least**2 - spread.sum(0) / 4, 0.0)) - bend.sum(0) - thick
         line = wanted.line(closest)
         sharp = surface - low <= SHARE * max(closest - line, 0.0)
+        # Beyond the limit of cells all count as they are: less sharp, still a bound.
         over = (low - off >= line) | sharp | (total > wanted.cells)
         np.minimum.at(bound, cells.which[over], (low - off)[over])
+        # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: the direction that takes most off the bound is halved.
         taken = spread / (8 * np.maximum(least, 1e-6)) + np.concatenate([bend, np.zeros((1, len(cells)))])
         cells = cells[~over].halved(tracks, taken[:, ~over].argmax(0))
     return bound, links, closest, when
@@ -497,6 +505,7 @@ def verify_arms(
                     time_limit=max(clock.left, LEAST_SECONDS),
                 )
             )
+        # No bodies: the proof above kept them off, and a track needs the branch and its bounds only.
         wanted = Wanted(0.0, ACCURACY, MOST_CELLS)
         verifier = TrajectoryVerifier(arm.robot, scene_of(()), wanted, clock)
         tracks.append(tracked(verifier, first, time, np.concatenate(joints, axis=1), arm.base))
@@ -544,6 +553,7 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
     Pieces as long as `chord`, m, are taken as straight."""
     ends = equilibrium.tube_end
     length = float(equilibrium.arc_length[-1])
+    # Radii step at the ends of tubes: no capsule spans such a step.
     s = np.union1d(np.linspace(0.0, length, 2 + int(length / chord)), ends[(ends > 0) & (ends < length)])
     outline = ArmSurface(equilibrium)
     points = outline.centreline(s)

@@ -101,7 +101,10 @@ def way_around(box: Box, position: Array) -> float:
                 # From a point that is itself beyond the side the plane is reached straight on.
                 reach = [np.hypot(max(side * (edge - p[i]), 0.0), middle - p[k]) for p in (np.zeros(3), position)]
                 along = position[3 - i - k]
+                # Unfolded about the edge both parts lie in one plane. Across the edge they add up;
+                # `along` is the other leg.
                 ways.append(float(np.hypot(sum(reach), along)))
+        # Every axis gives a lower bound of its own, and the largest of them counts.
         longest = max(longest, min(ways))
     return longest
 
@@ -129,6 +132,7 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
     for _ in range(STEPS):
         tips = tips_about(task, z)
         here = float(np.linalg.norm(tips[0] - position))
+        # A step that gains less than a thousandth has come to a local minimum, or to a limit.
         if here > (1 - 1e-3) * miss:
             break
         miss = here
@@ -156,6 +160,7 @@ def damped_step(gaps: Array, difference: float, damping: float, constraints: tup
     """(m,) the step of Gauss and Newton, in units of the scales, that makes a gap (r,) small; None where the
     constraints leave none. `gaps` (m + 1, r): here, and a `difference` farther along each coordinate."""
     slope, m = ((gaps[1:] - gaps[0]) / difference).T, len(gaps) - 1
+    # |J d + g|^2 + damping^2 |d|^2 as rows of one least-squares problem.
     weights = np.vstack([slope, damping * np.eye(m)])
     found = constrained_least_squares(weights, np.append(-gaps[0], np.zeros(m)), *constraints)
     return None if found is None else found.x
@@ -170,6 +175,7 @@ def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, A
     rows = [unit[n:], -unit[n:], space.rows * space.scale, unit, -unit]
     bounds = [(space.lower - z)[n:] / space.scale[n:], (z - space.upper)[n:] / space.scale[n:]]
     bounds += [space.least - space.rows @ z, np.full(2 * m, -longest)]
+    # At most 0: the step 0 is allowed even from a point that is slightly out of range.
     return np.vstack(rows), np.minimum(np.concatenate(bounds), 0.0)
 
 
@@ -453,6 +459,7 @@ def _beside(
     space, found = task.chart.space, list[Equilibrium]()
     options, weights = _options(task, clock.left), 1 / space.scale
     for place in wanted.places():
+        # Twice the tolerance of `_fault`, which must not refuse an answer for round-off.
         question = Goal(
             space,
             place.position,
@@ -558,6 +565,7 @@ def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[E
         return [_end(task, e, (0,) * n)]
     ranges = []
     for i in range(n):
+        # 1e-6 of a turn keeps rotations at the very edge of the limits.
         least = int(np.ceil((space.lower[i] - e.rotations[i]) / (2 * np.pi) - 1e-6))
         most = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
         ranges.append(range(least, most + 1))

@@ -92,13 +92,16 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
     slopes: Slopes = {}
     for _ in range(FINEST):
         row = _Row(verifier, links, span, slopes)
+        # Less the errors of both tips, so that this speed is certainly reached.
         measured = float((row.speed - row.wrong).max(initial=0.0))
         if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
             return Pace(math.inf, measured)
+        # Derivatives by the share of a link, divided by h^2 and h^3, are those by time.
         rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
         own, reached = row.fastest(rates, min(measured * (1 + TIGHT), limit))
         most, reached = float(own.max(initial=0.0)), max(measured, reached)
         line = reached * (1 + TIGHT)
+        # A bound must be sharp, and within the limit too, unless a speed that is reached breaks the limit anyway.
         loose = own > (min(line, limit) if reached <= limit else line)
         loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links], dtype=bool)
         # The speed over less than the accuracy of the tips is not known better.
@@ -108,15 +111,18 @@ def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limi
         # What the bound gives away falls with the square of the length, and faster near folds; halves get the cubic.
         best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
         wide = np.maximum(best - reached, TIGHT * reached) / (TIGHT * reached or 1.0)
+        # Assumes that a halving gains 2^3; what is loose after that is halved in the next round.
         times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MOST_HALVINGS), 0).tolist()
         parts: list[Link] = []
         for link, count, bound in zip(links, times, own.tolist(), strict=True):
+            # The bound of a whole link is valid for its halves: they start with it.
             more = [replace(link, fastest=bound)] if count else []
             for _ in range(int(count)):
                 more = [half for each in more for half in halves(verifier, each)]
             parts += more
         links = [link for link, count in zip(links, times, strict=True) if not count]
         links += joined(verifier, parts)[0]
+        # In order of time: bounds of neighbours are combined.
         links.sort(key=lambda link: link.one.at)
     return Pace(most, measured)
 
@@ -156,6 +162,7 @@ class _Row:
     def wrong(self) -> Array:
         """(B,) by how much the errors of both tips may change that size."""
         error = np.array([step.equilibrium.tip_error for step in self.steps])
+        # The difference of two tips is off by the sum of their errors, at most twice the larger one.
         return np.asarray(2 * np.maximum(error[1:], error[:-1]) / self.passed)
 
     @cached_property
@@ -177,6 +184,8 @@ class _Row:
         same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
             return np.asarray(same)
+        # A gap that changes its sign over two links: breakpoints pass each other. One sign is enough, since the table
+        # is antisymmetric.
         gap = self._gaps(np.array([step.joints[n:] for step in self.steps]))
         return np.asarray(same & ~((gap[:-2] > ROUND_OFF) & (gap[2:] < -ROUND_OFF)).any((1, 2)))
 
@@ -198,6 +207,7 @@ class _Row:
         parts: list[tuple[int, float, Mask]] = []
         if shift.any() and self._meeting(step, shift):
             for side in (1, -1):
+                # From 0, so that the differences of the sorted rates sum up to each rate.
                 paces = np.unique(np.append(0.0, side * shift).clip(0))
                 parts += [(side, side * (b - a), side * shift >= b) for a, b in pairwise(paces.tolist())]
         try:
@@ -215,6 +225,7 @@ class _Row:
         n, ended = self.verifier.robot.n_tubes, self.verifier.constants.ended
         meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
         owner = np.full(len(meet), -1)
+        # Points are the plate, the breakpoints of all tubes, then places of the load; only those of tubes move.
         owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)
         moves = np.append(shift, 0.0)[owner] != 0
         return bool((meet & (owner[:, None] != owner) & (moves[:, None] | moves)).any())
@@ -237,7 +248,9 @@ class _Row:
             return np.zeros(0), 0.0
         h, third, speed = self.passed, rates[1], self.speed
         wrong = self.wrong
+        # With |v'| <= a, v differs from its mean over h by a h / 2 at most: at an end, with v' = a throughout.
         plain = np.minimum(speed + rates[0] * h / 2 + wrong, [link.fastest for link in self.links])
+        # About the middle the second derivative cancels, and the third one leaves a 24th.
         middle = speed + third * h**2 / 24 + wrong
         # From the middle of a link to that of the next, by what the joints go instead of time: at other rates too.
         pace = self.pace
@@ -249,6 +262,7 @@ class _Row:
         enough = speed + HERMITE * third * h**2 <= line
         for k in np.flatnonzero((out > line) & np.isfinite(third)).tolist():
             ends: list[Array | None] = [None, None]
+            # The side without a bound first: J is necessary there, and may make the other side unnecessary.
             for side in np.argsort(np.isfinite(sides[:, k]), kind="stable").tolist():
                 missing = not np.isfinite(sides[side, k])
                 if not missing and (not enough[k] or min(plain[k], sides[:, k].max()) <= line):
@@ -257,8 +271,10 @@ class _Row:
                 there = 0.0 if end is None else float(np.linalg.norm(end))
                 reached = max(reached, there)
                 if missing and end is not None:
+                    # Linear from the middle to the end, h / 2 away, but for third (h / 2)^2 / 8.
                     sides[side, k] = max(middle[k], there) + third[k] * h[k] ** 2 / 32
             if ends[0] is not None and ends[1] is not None:
+                # An error of the mean changes the cubic's velocity by 6 x (1 - x) <= 1.5 times itself.
                 cubic = fastest_on_cubic(self.chord[k], ends[0], ends[1]) + 1.5 * wrong[k]
                 plain[k] = min(plain[k], cubic + HERMITE * third[k] * h[k] ** 2)
         return np.asarray(np.minimum(plain, sides.max(0))), reached
@@ -267,6 +283,8 @@ class _Row:
 def fastest_on_cubic(mean: Array, begin: Array, end: Array) -> float:
     """Upper bound of the speed along the cubic with velocities (3,) `begin` and `end` at its ends and this `mean`."""
     x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (begin + end) / 2
+    # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
+    # bounds the speed between samples.
     velocity = begin + (end - begin) * x + 6 * x * (1 - x) * bow
     return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(bow) / (8 * SAMPLES**2))
 
@@ -471,6 +489,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
     forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
+    # A force may move the arm that much closer to bodies than the bound of the arm without it shows.
     wanted = Wanted(kept.clearance + moved, ACCURACY, MOST_CELLS)
     verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), wanted, clock, load)
     rate_limits = kept.rate_limits
@@ -648,6 +667,7 @@ def _at_samples(steps: Sequence[Step], t: Array) -> tuple[Equilibrium, ...]:
     """Of steps that follow times (T,) the equilibria at these, as far as they go."""
     at = np.array([step.at for step in steps])
     share = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)
+    # Half of the shortest link earlier: round-off must not choose the step after a sample.
     nearest = np.searchsorted(at, share - SHORTEST / 2)
     reached = nearest < len(at)
     return tuple(steps[k].equilibrium for k in nearest[reached])

@@ -193,6 +193,7 @@ class ForceEstimate(Displayed):
         most, random = float(scipy.special.chdtri(3, 1 - confidence)), np.random.default_rng(seed)
         fitted = _trial(self.equilibrium, self.base, self.force, self.measured)
         noise, position = self.measured.noise, self.measured.position
+        # Residuals are measured less fitted, over the noise: without them the points are those of the fitted arm.
         position = position - noise * fitted.residual.reshape(position.shape)
         held = 0
         for _ in range(whole("draws", draws, 1)):
@@ -202,6 +203,7 @@ class ForceEstimate(Displayed):
                 start = _trial(self.equilibrium, self.base, self.force, drawn)
                 again = _estimate(start, self.base, drawn)
                 off = again.directions @ (self.force - again.force)
+                # Squares along the own axes of the ellipsoid; a direction without a bound adds 0.
                 held += float(np.sum((off / again.errors) ** 2)) <= most
         return held / draws
 
@@ -345,6 +347,7 @@ def estimate_forces(
         except SolveError as error:
             failures.append((row, str(error)))
             found.append(None)
+            # The branch is lost: the next row begins without force.
             last = None
         else:
             found.append(estimate)
@@ -503,6 +506,7 @@ class _Pushed:
 
     def __init__(self, start: _Trial, base: Load, measured: Measured, most_steps: int, axes: Array) -> None:
         self.bounds = np.outer([-np.inf, np.inf], np.ones(axes.shape[1]))
+        # The part of the force across the axes stays as it is.
         self._axes, self._held = axes, start.force - axes @ (axes.T @ start.force)
         self._base, self._measured, self._most_steps, self.tried = base, measured, most_steps, 0
         self.start = _Force(self, axes.T @ start.force, start)
@@ -513,6 +517,7 @@ class _Pushed:
         self.tried += 1
         if self.tried > self._most_steps:
             raise SolveError("the step limit was reached")
+        # The Jacobian is over the noise: times it, this is in m.
         moved = np.abs(near.jacobian @ (force - near.force)).max() * self._measured.noise
         if moved > LONGEST_MOVE * float(near.equilibrium.arc_length[-1]):
             raise SolveError("the force moves the arm beyond the range of the linearisation")
@@ -562,11 +567,13 @@ def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)
     away = e.tip_rotation @ about_z(e.rotation[int(tip), -1]) @ measured.offset
+    # The compliance of the tip has these slopes already; other points need the Hessian.
     if len(measured.arc_length) == 1 and abs(measured.arc_length[0] - e.arc_length[-1]) <= ARRIVED:
         slopes = e.compliance[:3, :3] + _turned_by(e.compliance[3:, :3], away)
         return _Trial(force, e, (measured.position[0] - e.tip_position - away) / noise, slopes / noise)
     point = point_of(e)
     problem, state = point.member.problem, point.state
+    # dx/dF = H^-1 (dp/dx)': a force at the tip enters the equations by the slopes of the tip (virtual work).
     moved = np.linalg.solve(state.hessian, tip_slopes(problem, state)[:3].T)
     residuals, rows = [], []
     for s, position in zip(measured.arc_length, measured.position, strict=True):
@@ -591,6 +598,7 @@ def _remaining(trial: _Trial, axes: Array) -> Array:
 
 
 def _distance(trial: _Trial, measured: Measured) -> float:
+    # The mean is over coordinates, and a point has three of them.
     return measured.noise * float(np.sqrt(3 * (trial.residual**2).mean()))
 
 
@@ -599,6 +607,7 @@ def _estimate(start: _Trial, base: Load, measured: Measured) -> ForceEstimate:
     along them stays that of the trial. So does it along the directions that are seen worst where the fit does not
     settle, if the rest settles within the noise and fits along them fail for moved measurements.
     A short arm hardly gives to a force along it."""
+    # Right singular vectors by column, from the best seen direction to the worst.
     weakest = np.linalg.svd(start.jacobian)[2].T
     failed: SolveError | None = None
     choices = [EVERYWHERE, weakest[:, :2], weakest[:, :1]]
@@ -614,6 +623,7 @@ def _estimate(start: _Trial, base: Load, measured: Measured) -> ForceEstimate:
             failed = failed if axes is seen else failed or error
             continue
         if axes is seen and _hidden(trial).sum() < 3 - seen.shape[1]:
+            # Along seen directions the fit came to where more of them are seen: all are fitted from there.
             start = trial
         elif axes is seen or axes is EVERYWHERE or float(np.linalg.norm(_remaining(trial, EVERYWHERE))) <= WITHIN:
             break
@@ -641,6 +651,7 @@ def _hidden(trial: _Trial) -> Mask:
     """(3,) which directions, from the best to the worst seen, are not seen: one standard error along them is more, to
     first order, than four times the load under which a straight arm buckles."""
     e, size = trial.equilibrium, np.linalg.svd(trial.jacobian, compute_uv=False)
+    # Euler's load of a column that is clamped at one end, pi^2 K / (4 L^2).
     buckling = np.pi**2 / 4 * sum(tube.bending_stiffness for tube in e.robot.tubes) / float(e.arc_length[-1]) ** 2
     return np.asarray((size * 4 * buckling < 1) | (size <= UNSEEN * size[0]))
 
@@ -670,15 +681,18 @@ def _spread(trial: _Trial, base: Load, measured: Measured, axes: Array) -> tuple
         known = [side for side in sides if side is not None]
         lost[k] = len(known) < 2
         if sides[0] is not None and sides[1] is not None:
+            # F(r) - F(-r) = 2 a r, and the sum of both changes is b r^2.
             linear[k], bent[k] = (sides[0] - sides[1]) / (2 * ROOT), (sides[0] + sides[1]) / ROOT**2
         elif known:
             side = 1.0 if sides[0] is not None else -1.0
+            # With one side only, a = v / size is that of the linear fit, and the rest is b r^2 / 2.
             bent[k] = 2 * (known[0] - side * ROOT * right[k] / size[k]) / ROOT**2
     if lost.any():
         return _open(linear, bent, right, lost)
     first = right.T / size
     forces = NORMAL @ linear + 0.5 * NORMAL**2 @ bent
     covariance = _second_moment(linear, bent)
+    # The same quantile for the linear F with the same draws: their sampling error cancels in the ratio.
     reached, usual = (
         np.quantile(np.einsum("ki,ij,kj->k", f, np.linalg.inv(c), f), 0.95)
         for f, c in ((forces, covariance), (NORMAL @ first.T, first @ first.T))
@@ -690,6 +704,7 @@ def _spread(trial: _Trial, base: Load, measured: Measured, axes: Array) -> tuple
 
 def _second_moment(linear: Array, bent: Array) -> Array:
     """(3, 3) mean of F F' of F = sum_k a_k z_k + b_k z_k^2 / 2, rows a_k and b_k, z normal."""
+    # E z^4 = 3 and E z_j^2 z_k^2 = 1: squares leave b_k b_k' / 2, and the mean of F adds its own square.
     total = bent.sum(0)
     return np.asarray(linear.T @ linear + bent.T @ bent / 2 + np.outer(total, total) / 4)
 

@@ -183,6 +183,7 @@ def tilt(poses: Poses, row: int, shape: Equilibrium, stations: Array) -> None:
 
 def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tuple[int, Equilibrium]]:
     """Rows of a run at which the branch of the rows before goes on, where the row on its own leads elsewhere."""
+    # Twist of every tube between its drive and its tip: a snap is a jump of it.
     own = batch.tip_rotations[run] - batch.rotations[run]
     driven = np.abs(np.diff(batch.rotations[run], axis=0)).max(1, initial=0.0)
     # A tip that turns against its drive by so much more than any drive turned may be in another equilibrium.
@@ -200,6 +201,7 @@ def _followed(robot: Robot, batch: EquilibriumBatch, run: Index) -> Iterator[tup
                 here = forward_kinematics(robot, batch.rotations[row], batch.translations[row], start=here)
             except SolveError:
                 break  # the branch ends: the robot snaps to what the row alone leads to
+            # Back at the equilibrium that the row finds on its own: both agree from here on.
             if not here.stable or (np.abs(here.tip_rotations - batch.tip_rotations[row]) < 1e-3).all():
                 break
             yield row, here
@@ -218,9 +220,11 @@ def about_z(angle: ArrayLike) -> Array:
 
 def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
     """(K, 3) positions of stations behind the tip; on the plate's axis where they are behind the plate."""
+    # Breakpoints that coincide give equal arc lengths, which a spline does not accept.
     at, kept = shape.arc_length[-1] - stations, np.append(True, np.diff(shape.arc_length) > 0)
     line = scipy.interpolate.CubicHermiteSpline(shape.arc_length[kept], shape.position[kept], shape.frame[kept, :, 2])
     out: Array = line(np.maximum(at, 0.0))
+    # Behind the plate the tubes are straight, along its axis.
     out[:, 2] += np.minimum(at, 0.0)
     return out
 
@@ -328,6 +332,7 @@ class ArmModel:
         while moves:
             tried = [np.where(np.arange(m.n_tubes) == k, turns, fitting) for k, turns in moves]
             misfits = [self._misfit(turns) for turns in tried]
+            # A change must take off a tenth, and more than round-off.
             if min(misfits) > min(CLEARLY * least, least - SEEN):
                 break
             fitting, least = tried[int(np.argmin(misfits))], min(misfits)
@@ -349,6 +354,7 @@ class ArmModel:
         """Root mean square distance (m) of the positions from those without friction, where rotations count from
         `turns` (n,); infinite where there is none."""
         self.turns, setup = turns, self.first.copy()
+        # Without friction every row is solved on its own, which is enough to recognise a full turn.
         setup.friction[:] = 0.0
         try:
             with warnings.catch_warnings(action="ignore", category=ImplausibleWarning):  # of turns that are tried
@@ -365,6 +371,7 @@ class ArmModel:
         seen = np.isfinite(positions[..., 0]) & poses.found[:, None] & np.isfinite(poses.position[..., 0])
         rows, stations = np.nonzero(seen)
         predicted, pointing = self._placed(self.first, poses)
+        # The axis of the sensor needs a registration, which positions alone give first; directions then refine it.
         m, registration = self.measurements, self._register(positions[seen], predicted[seen])
         self.axis = self._sensor_axis(poses, pointing, registration)
         parts, row, station = [positions[rows, stations]], [rows], [stations]
@@ -414,6 +421,7 @@ class ArmModel:
         seen = np.isfinite(m.orientation).all((1, 2)) & poses.found
         if not seen.any():
             return None
+        # Rows times R are R' times vectors: from the plate into the device's frame.
         tangent = pointing[seen] @ registration.rotation
         alike = np.einsum("ka,nba,nb->k", AXES, m.orientation[seen], tangent)
         return np.asarray(AXES[int(np.argmax(alike))])
@@ -452,6 +460,7 @@ class ArmModel:
         near = None
         if self._gave_way:
             _, _, before, there = self._gave_way[0]
+            # Carriages that yield by as much as before, at the new readings.
             near = there + shift - before
         found = yielded(setup.robot(self.robot), alpha, shift, np.array(setup.drives.translation_compliance), near)
         self._gave_way[:] = [(setup.copy(), alpha, shift, found), *self._gave_way[:2]]
@@ -476,6 +485,7 @@ class ArmModel:
             poses = solve_poses(robot, alpha, shift, self.stations, runs)
         else:
             poses = rubbed_poses(robot, (alpha, shift), self.stations, runs, friction, margins=margins)
+        # Joint values that are given come from differences, which ask for them once.
         if joints is None:
             self._solved[:] = [(setup.copy(), alpha, shift, poses), *self._solved[:2]]
         return poses
@@ -485,6 +495,7 @@ class ArmModel:
         stations = poses.position.copy()
         stations[:, 0] += poses.frame @ setup.sensor_offset
         x, y = setup.sensor_tilt
+        # R_y(y) R_x(x) e_z: the axis of the tube, turned about x, then about y.
         direction = poses.frame @ np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
         turn = setup.plate_turn
         return stations @ turn.T + setup.plate_shift, direction @ turn.T
@@ -533,6 +544,7 @@ class ArmModel:
                 moved = self.setup(_nudged(state.x, k, inward * STEP * p.scale))
                 change = np.hstack(self.joints(moved)) - np.hstack(self.joints(now))
                 change /= inward * STEP * p.scale
+                # Minus: residuals are measured less predicted.
                 out[..., k] = -np.einsum("vaj,vj->va", joints, change[self.row])
                 continue
             for step in (inward * STEP * p.scale, -inward * STEP * p.scale):

@@ -105,6 +105,7 @@ def _count(context: Context, effect: Effect) -> int:
 
 
 def _parameter(context: Context, name: str, registration: str) -> Parameter:
+    # A name ends with a tube ("2"), a piece of a tube ("2_1") or an axis ("x").
     match = re.fullmatch(r"([a-z_]*[a-z])_(\d+|\d+_\d+|[xyz])", name)
     kind, number = (match[1], match[2]) if match else (name, None)
     if not _known(kind, number):
@@ -116,6 +117,7 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
     missing = lacking(context.measurements, effect, registration)
     if missing:
         raise InputError(f"parameter {name!r} {missing}")
+    # Names count from `first`, places in the setup from 0.
     index = None if number is None else numbers_of(context, effect).index(number) + effect.first - 1
     unit = "" if index is None and kind == "curvature" else effect.unit
     span, which = effect.span(context, index), _places(context, effect, index)
@@ -188,6 +190,7 @@ def apply(setup: Setup, parameters: Sequence[Parameter], values: Array) -> Setup
     """A setup with the parameters at `values` (P,)."""
     changed = setup.copy()
     order = list(EFFECTS)
+    # In the order of the table, so that the result does not depend on the order in which parameters are named.
     pairs = sorted(zip(parameters, values.tolist(), strict=True), key=lambda pair: order.index(pair[0].kind))
     for parameter, value in pairs:
         parameter.effect.change(changed, setup, parameter.which, value, parameter.index is None)

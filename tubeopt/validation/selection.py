@@ -411,8 +411,10 @@ class _Search:
         first, then = scale.losses(before), scale.losses(after)
         differences = np.array([(first - then)[own == k].sum() for k in np.unique(own)])
         total = max(float(first.sum()), 1e-300)
+        # Losses are squares: the root gives the part by which the error itself falls.
         gain = 1 - float(np.sqrt(max(0.0, then.sum()) / total))
         count = len(differences)
+        # A sum over independent blocks has the standard error std sqrt(count).
         spread = float(differences.std(ddof=1) * np.sqrt(count)) if count > 1 else np.inf
         return gain, float(differences.sum() / max(spread, 1e-12 * total))
 
@@ -473,6 +475,7 @@ class HeldOutSets:
         table *= np.sqrt(np.repeat(self.weights, 3))[:, None]
         size = np.sqrt((table[:, :-1] ** 2).sum(0))
         self.scale = np.where(size > 0, size, 1.0)  # what moves nothing stays as drawn
+        # Columns of unit length: units of parameters do not matter for the linear solves.
         table[:, :-1] /= self.scale
         rows = np.repeat(self.fold, 3)
         self.squares = np.array([table[rows == k].T @ table[rows == k] for k in np.unique(self.fold)])
@@ -483,9 +486,11 @@ class HeldOutSets:
         )
         self.inverse = 1 / (self.prior * own) ** 2
         self.known: dict[Effects, float] = {}
+        # For independent errors of unit variance the optimism is twice the number of parameters and freedoms.
         optimism = self.lost(self.there) - self.seen(self.there)
         self.inflation = max(1.0, optimism / (2 * max(self.parameters(self.there) + self.free, 1)))
         least = max(math.log(self.numbers / self.inflation), 2 * math.log(max(self.count, 1)), LEAST)
+        # Holding out charges 2 for each parameter already.
         self.price, self.charge = self.inflation * LEAST, self.inflation * (least - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
@@ -517,11 +522,13 @@ class HeldOutSets:
         step[:n] = np.where(chosen, 0.0, self.absent)
         here = [(kind in effects) - float(kind in self.there) for kind in self.jumps]
         step[n + self.free : -1] = here * self.scale[n + self.free :]
+        # Residuals are the last column: with the factor 1, step' S step is the loss of residuals + J step.
         step[-1] = 1.0
         free = np.concatenate([chosen, np.ones(self.free, dtype=bool), np.zeros(len(here) + 1, dtype=bool)])
         while free.any():
             step[free] = 0.0
             self._solve(square, step, free)
+            # A parameter that is fixed at its edge is not freed again, so that this loop ends.
             beyond = free[:n] & ((step[:n] < self.low - 1e-9) | (step[:n] > self.high + 1e-9))
             if not beyond.any():
                 break
@@ -536,6 +543,7 @@ class HeldOutSets:
         matrix, slope = square[np.ix_(at, at)], square[at] @ step
         matrix[own, own] += self.inverse[at[own]]
         slope[own] -= (self.drawn * self.inverse)[at[own]]
+        # Small against the unit length of columns: only columns that are alike need it.
         matrix[np.arange(len(at)), np.arange(len(at))] += 1e-12
         step[at] = -np.linalg.solve(matrix, slope)
 
