@@ -270,7 +270,7 @@ CALLS: dict[str, Call] = {
     "Observer": (Observer, lambda: {"start": home()}),
     "CrtkRobot": (CrtkRobot, lambda: {"servo": Servo(PAIR, ([0.0, 0.2], None))}),
     "RobotServer": (RobotServer, lambda: {"robot": CrtkRobot(Servo(PAIR, ([0.0, 0.2], None)))}),
-    "EquilibriumBlock": (EquilibriumBlock, lambda: {"opti": tubeopt.Problem(), "near": home()}),
+    "EquilibriumBlock": (EquilibriumBlock, lambda: {"opti": tubeopt.Problem(), "initial": home()}),
 }
 
 REQUIRED: dict[str, dict[str, Any]] = {

@@ -53,11 +53,9 @@ def test_every_rule_of_the_style_guide_matches_its_own_words() -> None:
         assert words, phrase
 
 
-def test_a_page_is_read_without_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(PROSE, "ROOT", tmp_path)
-    page = tmp_path / "page.md"
-    page.write_text("# Title\n\nOne line\nand `code` more.\n\n```python\ntold\n```\n\n| a | b |\n- item\n")
-    read = [(text.where, text.text) for text in PROSE._page(page)]
+def test_a_page_is_read_without_code() -> None:
+    page = "# Title\n\nOne line\nand `code` more.\n\n```python\ntold\n```\n\n| a | b |\n- item\n"
+    read = [(text.where, text.text) for text in PROSE._page("page.md", page)]
     assert read == [
         ("page.md:1", "# Title"),
         ("page.md:3", "One line and `code` more."),

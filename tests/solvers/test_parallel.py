@@ -22,7 +22,7 @@ from tubeopt.solvers.parallel import Failure, each, executor
 
 from .parallel_functions import Weighed, evaluated, picky, slow, square
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -75,8 +75,8 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     tubes turns the arm. Cells of the plane at its edge count half, as for `voxel_volume`.
 
     Args:
-        size: edge of the cells, m; by default a quarter of that of `voxels`, or all of it for a grid of joint values,
-            most of whose tips turn into the same places.
+        size: edge of the cells, m; by default a quarter of that of `voxels`, or 1.5 times that for a grid of joint
+            values, most of whose tips turn into the same places.
         min_margin: only configurations at least as stable count.
 
     Raises:
@@ -90,7 +90,8 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
             "the workspace is not a body of revolution: the robot is "
             "eccentric, or rotations are limited to less than a full turn"
         )
-    finer = 1 if workspace.method == "grid" else 4
+    # The tips of a grid turn into rows of the plane: cells must be wider than the gaps between the rows.
+    finer = 2 / 3 if workspace.method == "grid" else 4
     scale = default_size(workspace) / finer if size is None else positive("size", size)
     seen: dict[bool, Keys] = {}
     for first, table in workspace.chunks():

@@ -120,12 +120,12 @@ static void draw(Workspace *w, const double *alpha, const State *state, Answer *
 static int as_it_was(const tubeopt_joints *at, Workspace *w) {
     double theta[MOST_POINTS][N], turn[N];
     const Answer *last = arm->answers + arm->here;
-    if (!lay_out(&ROBOT, at->translations, &w->layout)) return 0;
+    if (!lay_out(&ROBOT, at->translations, NULL, &w->layout)) return 0;
     if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return 0;
     if (!pose_unknowns(&w->coarse, &w->layout, &ROBOT, &COARSE, 0)) return 0;
     for (int i = 0; i < N; i++) turn[i] = at->rotations[i] - arm->joints.rotations[i];
-    Guess guess = {last->pieces * STEPS + 1, last->points, last->arc_length, arm->rotation, arm->torsion, last->point,
-                   last->point_rotation[0], turn, arm->joints.translations};
+    Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
+                   last->point, last->point_rotation[0], turn, arm->joints.translations};
     sample(&w->fine, &guess, theta);
     to_unknowns(&w->fine, at->rotations, theta, w->state.z);
     return 1;
@@ -156,7 +156,7 @@ static int glide(Workspace *w, const double *alpha) {
 static int twisted_evenly(const tubeopt_joints *at, Workspace *w) {
     double theta[MOST_POINTS][N];
     const Unknowns *q = &w->fine;
-    if (!lay_out(&ROBOT, at->translations, &w->layout)) return 0;
+    if (!lay_out(&ROBOT, at->translations, NULL, &w->layout)) return 0;
     if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return 0;
     if (!pose_unknowns(&w->coarse, &w->layout, &ROBOT, &COARSE, 0)) return 0;
     for (int x = 0; x < q->points; x++)
@@ -218,19 +218,19 @@ ASKED(certificate) double certificate(void) {
     State *state = &w->state;
     arm->fresh = 0;
     arm->before = NULL;
-    if (!lay_out(&ROBOT, at.translations, &w->layout)) return NAN;
+    if (!lay_out(&ROBOT, at.translations, NULL, &w->layout)) return NAN;
     if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return NAN;
     if (!q->size) return 1;
     for (double factor = 1; factor > LEAST_FACTOR; factor /= 2) {
         for (int x = 0; x < q->points; x++) {
             double sum = 0;
-            for (int i = 0; i < N; i++) sum += q->stiffness[x][i];
+            for (int i = 0; i < N; i++) sum += q->at[x].stiffness[i];
             for (int i = 0; i < N; i++) {
                 double *row = state->slope[x] + i * N;
                 row[i] = 0;
                 for (int j = 0; j < N; j++) {
                     if (j == i) continue;
-                    row[j] = factor * fabs(q->moment[x][i] * q->moment[x][j]) / sum;
+                    row[j] = factor * fabs(q->at[x].moment[i] * q->at[x].moment[j]) / sum;
                     row[i] -= row[j];
                 }
             }
@@ -312,7 +312,7 @@ ASKED(energy_map) int energy_map(int one, int two, int samples) {
     double row[MOST_UNKNOWNS] = {0};
     arm->fresh = 0;
     arm->before = NULL;
-    if (!lay_out(&ROBOT, at.translations, &w->layout)) return 0;
+    if (!lay_out(&ROBOT, at.translations, NULL, &w->layout)) return 0;
     if (!pose_unknowns(q, &w->layout, &ROBOT, &COARSE, 0) || !q->count[one] || !q->count[two]) return 0;
     Hold holds[2] = {hold_of(q, one), hold_of(q, two)};
     for (int i = 0; i < samples; i++) {
