@@ -75,7 +75,7 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
     tubes turns the arm. Cells of the plane at its edge count half, as for `voxel_volume`.
 
     Args:
-        size: edge of the cells, m; by default a quarter of that of `voxels`, or 1.5 times that for a grid of joint
+        size: edge of the cells, m; by default a quarter of that of `voxels`, or 4/3 of that for a grid of joint
             values, most of whose tips turn into the same places.
         min_margin: only configurations at least as stable count.
 
@@ -91,7 +91,7 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
             "eccentric, or rotations are limited to less than a full turn"
         )
     # The tips of a grid turn into rows of the plane: cells must be wider than the gaps between the rows.
-    finer = 2 / 3 if workspace.method == "grid" else 4
+    finer = 3 / 4 if workspace.method == "grid" else 4
     scale = default_size(workspace) / finer if size is None else positive("size", size)
     seen: dict[bool, Keys] = {}
     for first, table in workspace.chunks():
