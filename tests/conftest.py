@@ -109,11 +109,10 @@ def own_tables(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture
 def short_films(monkeypatch: pytest.MonkeyPatch) -> None:
     """Films of three pictures."""
-    for module in ("trajectory", "arms"):
-        monkeypatch.setattr(
-            f"tubeopt.show.plots.{module}.save_film",
-            lambda path, title, count, draw: save_film(path, title, min(count, 3), draw),
-        )
+    monkeypatch.setattr(
+        "tubeopt.show.plots.trajectory.save_film",
+        lambda path, title, count, draw: save_film(path, title, min(count, 3), draw),
+    )
 
 
 LAID_OUT: set[tuple[object, ...]] = set()

@@ -109,7 +109,8 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
     assert not made.agreed
     assert "mm from clamp to bend, the mold has" in made.disagreement
     assert "does not fit on the plate" in made.disagreement
-    assert "an even gap of 50 um (gap_um); one with 50 um on either side of this tube comes to 8" in made.remarks[0]
+    assert "gap_um of the rig file is 50 um" in made.remarks[0]
+    assert "50 um on each side of this tube has a uniform gap of 8" in made.remarks[0]
 
 
 def test_an_even_gap_from_a_log_goes_along_with_the_groove() -> None:

@@ -133,7 +133,11 @@ def reports() -> dict[str, type[Report[Any]]]:
     for module in MODULES:
         importlib.import_module(f".{module}", __package__)
     known: Mapping[Any, Any] = registered.registry
-    kinds = {kind.command: kind for kind in known.values() if isinstance(kind, type) and issubclass(kind, Report)}
+    kinds = {
+        kind.command: kind
+        for kind in known.values()
+        if isinstance(kind, type) and issubclass(kind, Report) and kind.command  # parts of others have none
+    }
     return dict(sorted(kinds.items()))
 
 

@@ -200,7 +200,7 @@ ASKED(let_go) int let_go(int evenly) {
 ASKED(pose) int pose(void) {
     tubeopt_pose here;
     if (!arm->started) return TUBEOPT_NOT_STARTED;
-    tell(arm, &here);
+    tell(arm, 0, &here);
     return pose_out(TUBEOPT_DONE, &here);
 }
 
@@ -235,10 +235,11 @@ ASKED(certificate) double certificate(void) {
                 }
             }
         }
+        double mode[MOST_UNKNOWNS];
         second_variation(q, state, w->matrix);
         if (!cholesky(w->matrix, q->size, STRIDE)) continue;
-        anywhere(w->mode, q->size);
-        return 1 + (least_eigenvalue(w->matrix, q->size, STRIDE, EIGENVALUE_ERROR, 0, w->mode) - 1) / factor;
+        anywhere(mode, q->size);
+        return 1 + (least_eigenvalue(w->matrix, q->size, STRIDE, EIGENVALUE_ERROR, 0, mode) - 1) / factor;
     }
     return NAN;
 }

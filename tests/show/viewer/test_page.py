@@ -70,7 +70,7 @@ def test_another_robot_stands_beside_and_obstacles_are_loaded(tab: Tab) -> None:
     tab.upload("Put another robot beside (YAML)", CONFIGS / "two_tube.yaml")
     tab.wait_for("message", "two tubes has 2 tubes; it must have 3")
     tab.upload("Load bodies (YAML, mesh, image)", CONFIGS.parent / "obstacles" / "two_bodies.yaml")
-    tab.wait_for("message", "two_bodies.yaml: obstacles, 2, of which the tip keeps clear when it is led")
+    tab.wait_for("message", "two_bodies.yaml: obstacles, 2; the tip avoids them when you drag it")
     tab.tab("Joints")
     tab.type("rotation of tube 1", 90)
     tab.wait_for_tip(tip(90, 0, 0))
