@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 import numpy as np
-from pydantic_core import to_json
 
 from ..errors import InputError, MissingExtraError
 from .shipped import NAME, alike, shipped
@@ -228,6 +227,8 @@ class Journal:
 
 
 def _line(data: Mapping[str, Any]) -> bytes:
+    from pydantic_core import to_json  # here: wheels are built without pydantic
+
     return to_json(data, inf_nan_mode="strings") + b"\n"
 
 
