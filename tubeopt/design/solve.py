@@ -389,7 +389,7 @@ def _folded(optimum: Optimum, groups: list[Rows]) -> Optimum:
 # --- orders of breakpoints --------------------------------------------------------------------------------------------
 
 
-# Relative gain below which another order of breakpoints is no better: the tolerance of IPOPT. Less would go to and fro.
+# Relative gain below which another order of breakpoints is no better: the tolerance of IPOPT. Less would cycle.
 ORDER_GAIN = 1e-7
 
 
