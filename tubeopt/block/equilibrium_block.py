@@ -37,10 +37,10 @@ AGREEMENT = 1e-6
 """Largest difference of the tip between block and equilibrium, over the length of the arm."""
 
 MISSED = 5e-5
-"""By how much a margin that was demanded may be missed: as well as margins close to 1 are told."""
+"""Tolerance on a required margin: the accuracy of margins close to 1."""
 
 CERTAIN = 1e-7
-"""By how much a certificate may be missed: the tolerance to which programs are solved."""
+"""Tolerance on a required certificate: that of the nonlinear program."""
 
 
 def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:

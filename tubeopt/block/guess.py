@@ -29,7 +29,7 @@ class InitialEquilibrium(Protocol):
 
     @property
     def robot(self) -> Robot:
-        """Whose it is."""
+        """The robot of the equilibrium."""
 
     @property
     def rotations(self) -> Array:

@@ -269,8 +269,8 @@ def _checked(value: Any) -> Array:
 def recorded(
     function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, labels: str, pieces: Sequence[int] = ()
 ) -> Expression:
-    """An expression of quantities; `labels` say whose it is where it makes no sense. `pieces` are those of every tube
-    where it may speak of them.
+    """An expression of quantities. `labels` name its owner in error messages; `pieces` are the numbers of pieces of the
+    tubes, if it may use them.
 
     Raises:
         InputError: it is no expression, speaks of nothing or of a pose that is not there.

@@ -79,7 +79,7 @@ class HeatingRun(Displayed):
 
     @property
     def shortfall(self) -> float | None:
-        """By how much a reading of the hold lay outside the window at most, K; None where there is nothing to tell."""
+        """Largest distance of a reading from the window during the hold time, K; None without readings."""
         if self.held is None or self.window is None:
             return None
         return max(self.window[0] - self.held[0], self.held[1] - self.window[1], 0.0)

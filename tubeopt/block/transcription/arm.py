@@ -331,7 +331,7 @@ def cumulate(t: Tableau, values: Array) -> Array:
 # --- Whole arm: shape, energy, error of the mesh ----------------------------------------------------------------------
 
 COARSE_STEPS = STEPS // 2
-"""Steps of the shape per piece of the mesh of the rougher integration that tells the error of the STEPS."""
+"""Steps of the shape per piece in the coarser integration, which estimates the error of STEPS."""
 
 EXTRA_POINTS = 3
 """Collocation points by which the check of the mesh is finer than the solution."""
@@ -409,7 +409,7 @@ def _steps(problem: ReducedProblem) -> NDArray[np.intp]:
 
 
 def _finer(mesh: Mesh) -> Tableau:
-    """The quadrature by which that of the mesh is checked."""
+    """Finer quadrature that checks the one of the mesh."""
     return tableau("gauss", mesh.tableau.degree + EXTRA_POINTS)
 
 

@@ -58,7 +58,7 @@ def local(along: Any, torsional_stiffness: Any, detail: int, x: Any) -> Local:
 
     Args:
         along: column, tube by tube: `detail` coefficients of each channel, then low and high.
-        torsional_stiffness: (n,) kt, to which the ease refers.
+        torsional_stiffness: (n,) kt, the reference of the compliance ratios.
     """
     n = along.numel() // (CHANNELS * detail + 2)
     return Local(*_local_function(n, detail).call([along, torsional_stiffness, x]))
