@@ -22,7 +22,7 @@ from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
 from ..files.fields import asking, values
-from ..runs.robot_keys import Posed, RobotPath, said_of
+from ..runs.robot_keys import Posed, RobotPath, rewording_joints
 from ..runs.surroundings_file import Bodies
 from ..show.command_report import Served
 from ..show.reports import report
@@ -125,7 +125,7 @@ def serve(study: ServeEntry, output: Output) -> None:
             "speed_mm_per_s", "turn_rate_deg_per_s", "shift_rate_mm_per_s", "min_margin", "clearance_mm", "objective"
         )
     )
-    with said_of(start=("--rotations-deg", "--translations-mm")):
+    with rewording_joints(start=("--rotations-deg", "--translations-mm")):
         servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options)
     server = RobotServer(
         CrtkRobot(servo, watchdog=study.si("watchdog_s")),

@@ -57,20 +57,20 @@ from .robot_keys import RobotPath
 from .surroundings_file import AnatomyKey, Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
-"""A number for every tube."""
+"""One number per tube."""
 
 
 @dataclass(frozen=True)
 class Ranged:
-    """A key that holds the least and greatest value of a free dimension."""
+    """Key with the range of a free dimension."""
 
     field: str
-    """The dimension."""
+    """Name of the dimension in `Free`."""
     unit: str
     about: str
-    """What is said of it."""
+    """Description for help and documentation."""
     scaled: bool = False
-    """Whether the tubes are scaled by one factor."""
+    """True if one factor scales all tubes."""
 
 
 OF_PIECES = (
@@ -87,17 +87,17 @@ SCALED = ("curvature", "straight_length", "curved_length")
 
 RANGES = {
     **{
-        one.key: Ranged(one.name, unit_of(one.key), "range of this dimension")
-        for one in described(Tube)
-        if one.name in TUBE_FIELDS
+        field.key: Ranged(field.name, unit_of(field.key), "range of this dimension")
+        for field in described(Tube)
+        if field.name in TUBE_FIELDS
     },
     **{f"{name}_factor": Ranged(name, "", "range of one factor for all these tubes", scaled=True) for name in SCALED},
-    **{f"{one.field}_{one.unit}" if one.unit else one.field: one for one in OF_PIECES},
+    **{f"{piece.field}_{piece.unit}" if piece.unit else piece.field: piece for piece in OF_PIECES},
 }
-"""Keys of a free dimension."""
+"""Keys for the range of a free dimension."""
 
 
-@extended({key: (Range | None, Field(None, description=one.about or None)) for key, one in RANGES.items()})
+@extended({key: (Range | None, Field(None, description=free.about or None)) for key, free in RANGES.items()})
 class FreeEntry(Part):
     """One free dimension of some tubes; the value of its key is the allowed range."""
 
@@ -118,20 +118,20 @@ class FreeEntry(Part):
     )
 
     def build(self) -> Free:
-        """The free dimension in SI."""
-        given = [key for key in RANGES if getattr(self, key) is not None]
-        if len(given) != 1:
-            raise ValueError(f"gives {len(given)} ranges; it must give one of {', '.join(RANGES)}")
-        key = given[0]
-        one, (low, high) = RANGES[key], self.si(key)
-        if one.scaled and self.equal:
+        """Free dimension in SI."""
+        keys = [key for key in RANGES if getattr(self, key) is not None]
+        if len(keys) != 1:
+            raise ValueError(f"gives {len(keys)} ranges; it must give one of {', '.join(RANGES)}")
+        key = keys[0]
+        dimension, (low, high) = RANGES[key], self.si(key)
+        if dimension.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is already the same for all its tubes")
         return Free(
-            one.field,
+            dimension.field,
             tuple(i - 1 for i in self.tubes),
             low,
             high,
-            "scaled" if one.scaled else "equal" if self.equal else "each",
+            "scaled" if dimension.scaled else "equal" if self.equal else "each",
             tuple(j - 1 for j in self.pieces),
             self.coefficients,
             self.si("torsion_share"),
@@ -148,12 +148,12 @@ class LengthEntry(Part):
     at_least_mm: Positive | None = Field(None, description="lower bound")
 
     def build(self) -> Length:
-        """The requirement in SI."""
-        least, most = self.si("at_least_mm"), self.si("at_most_mm")
-        if (least is None) == (most is None):
+        """Requirement in SI."""
+        lower, upper = self.si("at_least_mm"), self.si("at_most_mm")
+        if (lower is None) == (upper is None):
             raise ValueError("must give one of at_most_mm and at_least_mm")
         field = "length" if self.length == "overall" else f"{self.length}_length"
-        return Length(field, self.tube - 1, least or most, most is None)
+        return Length(field, self.tube - 1, lower or upper, upper is None)
 
 
 class PoseEntry(Entry):
@@ -173,7 +173,7 @@ class CorridorRequirementEntry(Part):
     deployed: bool = Field(False, description=DEPLOYED)
 
     def build(self) -> Avoid:
-        """The requirement in SI."""
+        """Requirement in SI."""
         return Avoid((super().build(),), deployed=self.deployed)
 
 
@@ -185,15 +185,15 @@ class AvoidEntry(Part):
     deployed: bool = Field(False, description=DEPLOYED)
 
     def build(self) -> Avoid:
-        """The requirement in SI."""
+        """Requirement in SI."""
         return Avoid(self.obstacles, self.si("clearance_mm"), self.deployed)
 
 
-NUMBERS = [(kind, one) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for one in described(kind)]
-"""Requirements that are one number each, and what that is."""
+NUMBERS = [(kind, field) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for field in described(kind)]
+"""Requirements of one number each, with its field."""
 
 
-@extended({one.key: (one.annotation | None, Field(None, description=one.about)) for _, one in NUMBERS})
+@extended({field.key: (field.annotation | None, Field(None, description=field.about)) for _, field in NUMBERS})
 class Requirements(Part):
     """Requirements of a design."""
 
@@ -208,10 +208,11 @@ class Requirements(Part):
     avoid: AvoidEntry | None = None
 
     def build(self) -> tuple[Requirement, ...]:
-        """All requirements in SI; task poses in the order reach, coverage, poses."""
+        """Requirements in SI; task poses in the order reach, coverage, poses."""
         out = _built(self.snap_free, self.snap_free_in_use, self.strain, *self.lengths)
-        given = [(kind, one, getattr(self, one.key)) for kind, one in NUMBERS]
-        out += [kind(one.read(number)) for kind, one, number in given if number is not None]
+        for kind, field in NUMBERS:
+            if (number := getattr(self, field.key)) is not None:
+                out.append(kind(field.read(number)))
         out += [Reach(tuple(target.build() for target in self.reach))] if self.reach else []
         out += _built(self.coverage)
         if self.poses:
@@ -224,8 +225,8 @@ def _built(*entries: Part | None) -> list[Requirement]:
     return [entry.build() for entry in entries if entry is not None]
 
 
-class Designed(Entry):
-    """A robot that is designed: what may change, and what must hold."""
+class DesignedRobot(Entry):
+    """Robot with its free dimensions and requirements."""
 
     name: str = Field("", description="name of the design")
     robot: RobotPath
@@ -235,26 +236,26 @@ class Designed(Entry):
         True, description="require the tube order at translations 0 and at all translations of the task"
     )
 
-    def task_for(self, *aims: Objective) -> DesignTask:
-        """The task in SI; raises InputError where its parts do not fit together."""
+    def task_for(self, *objectives: Objective) -> DesignTask:
+        """Design task in SI; raises InputError if its parts do not fit together."""
         # Design variables are dimensions of nested tubes; eccentric robots have other constraints.
         if not isinstance(self.robot, ConcentricRobot):
             raise InputError("robot must be a concentric robot")
         free = tuple(entry.build() for entry in self.free)
-        return DesignTask(self.robot, free, self.requirements.build(), aims, self.name, self.ordered)
+        return DesignTask(self.robot, free, self.requirements.build(), objectives, self.name, self.ordered)
 
 
-TRIES = ("starts", "seed", "turns")
+MULTISTART = ("starts", "seed", "turns")
 
 
-@asking(optimize_design, *TRIES)
-class Tried(Entry):
-    """How many designs a search begins with."""
+@asking(optimize_design, *MULTISTART)
+class Multistart(Entry):
+    """Number of start designs, and their random seed."""
 
     @property
-    def tries(self) -> dict[str, Any]:
+    def multistart(self) -> dict[str, Any]:
         """Arguments of `optimize_design`, and of the searches over it: starts, seed, turns."""
-        return values(optimize_design, self, *TRIES)
+        return values(optimize_design, self, *MULTISTART)
 
 
 @asking(Tolerances)
@@ -268,30 +269,30 @@ class TolerancesEntry(Part):
 
 @asking(StockTube)
 class StockEntry(Part):
-    """One size."""
+    """Size of a tube in stock."""
 
     material: MaterialChoice = "nitinol"
 
     def build(self) -> StockTube:
-        """The size in SI."""
+        """Size in SI."""
         return StockTube(**values(StockTube, self), material=material_of(self.material))
 
 
 class StockList(Entry):
-    """Sizes of tubes that can be bought, each with its source."""
+    """List of tube sizes in stock, each with its source."""
 
     kind: Literal["tubes"]
     tubes: list[StockEntry] = Field(min_length=1)
 
 
 STOCK_KINDS: dict[str, type[StockList]] = {"tubes": StockList}
-"""What the key `kind` of a stock list may say."""
+"""Kinds of stock lists."""
 
 
 def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
-    """The sizes in a stock list; raises InputError for what makes none: one line for every problem."""
-    found = check_kind(STOCK_KINDS, load_yaml(path, "tubes"), path)
-    sizes = tuple(entry.build() for entry in found.tubes)
+    """Load the sizes of a stock list; raises InputError with one line per problem."""
+    stock = check_kind(STOCK_KINDS, load_yaml(path, "tubes"), path)
+    sizes = tuple(entry.build() for entry in stock.tubes)
     if len({size.name for size in sizes}) < len(sizes):
         raise InputError(f"{path}: a tube name is given twice; every size must have its own name")
     return sizes
@@ -299,63 +300,63 @@ def load_stock(path: str | PathLike[str]) -> tuple[StockTube, ...]:
 
 # --- a region of a patient as the objective ---------------------------------------------------------------------------
 
-# Seconds for all places of one robot, so that a large roadmap cannot take the time of the whole search.
-OF_ONE = 120.0
+# A large roadmap must not use up the time of the whole search.
+REACH_TIME = 120.0
+"""Time limit for all points of one robot, s."""
 
-# Reached places to which plans are made and proved: a sample of them.
-PLANNED = 6
+PLANNED_POINTS = 6
+"""Number of reached points to which plans are made and proved."""
 
-# Seconds for each of these plans.
-OF_A_PLAN = 20.0
+PLAN_TIME = 20.0
+"""Time limit of each of these plans, s."""
 
-# Added to the seed of roadmaps that evaluate a design, so that they differ from those of the search.
-OTHER = 100
+SEED_OFFSET = 100
+"""Added to the seed of the roadmaps that evaluate a design: they must differ from those of the search."""
 
+ReachProblem = TypeVar("ReachProblem", RegionReach, PairReach)
 
-Searched = TypeVar("Searched", RegionReach, PairReach)
+DOUBTFUL_FRACTION = 0.05
+"""Reached fraction below which the cause may be the roadmap, and not the robot."""
 
-# Share of a region below which the roadmap may be the cause, and not the robot.
-HARDLY = 0.05
+POSSIBLE_CAUSES = "it lies out of reach, or the roadmap is too small to decide"
+"""Causes of such a fraction."""
 
-# Possible causes of such a share.
-FEW = "it lies out of reach, or the roadmap is too small to decide"
-
-# Largest number of places.
-MOST = 1000
+MAX_POINTS = 1000
+"""Largest number of points of a region."""
 
 
 @dataclass(frozen=True, eq=False)
 class RegionAnswer(Displayed):
-    """What a design reaches of a region."""
+    """Fraction of a region that a design reaches."""
 
     search: SearchedDesign
-    """How it was found."""
+    """Search that found the design."""
     before: ReachShare
-    """What the robot that was given reaches of places that were not searched with, over larger roadmaps."""
+    """Reached fraction of the given robot, for points that the search did not use and larger roadmaps."""
     after: ReachShare
-    """The same of the design."""
+    """Reached fraction of the design, for the same points."""
     proved: Annotated[int, "number of proved plans"]
     planned: Annotated[int, "number of plans made to these places"]
     base: Frame
-    """Where the plate stands for the design, in the frame of the plate as it was given."""
+    """Base pose of the design, in the frame of the given base plate."""
 
     @property
-    def words(self) -> str:
-        """What is reached, in words: at least, since a larger roadmap may lead to more places."""
-        before, after = (f"at least {100 * one.share:.0f} %" for one in (self.before, self.after))
+    def summary(self) -> str:
+        """Sentence on the reached fractions, which are lower bounds: a larger roadmap may reach more points."""
+        before, after = (f"at least {100 * reached.share:.0f} %" for reached in (self.before, self.after))
         judged = f"of {len(self.after.targets)} places not searched with"
         return f"{self.search.wanted}: {before} before, {after} after, {judged}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """That the roadmap may be too small, where it leads to next to nothing."""
-        if self.after.share > HARDLY:
+        """Remark that the roadmap may be too small, if almost nothing is reached."""
+        if self.after.share > DOUBTFUL_FRACTION:
             return ()
-        return (f"next to nothing of the region was reached; {FEW}: raise objective.points",)
+        return (f"next to nothing of the region was reached; {POSSIBLE_CAUSES}: raise objective.points",)
 
 
 class SearchPart(Entry):
-    """What a search for designs that reach a region says, for one robot or for two."""
+    """Options of a search for designs that reach a region, for one robot or two."""
 
     obstacles: Bodies = Field((), description="further obstacles: a YAML file or a list of bodies")
     clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
@@ -365,8 +366,10 @@ class SearchPart(Entry):
     tolerance_mm: Annotated[Positive, Typical(1e-6, 0.05)] = Field(
         Decimal("0.5"), description="largest distance between the tip and a reached point"
     )
-    places: Annotated[Count, Field(le=MOST)] = Field(12, description="number of points of the region for the search")
-    judged: Annotated[Count, Field(le=MOST)] = Field(
+    places: Annotated[Count, Field(le=MAX_POINTS)] = Field(
+        12, description="number of points of the region for the search"
+    )
+    judged: Annotated[Count, Field(le=MAX_POINTS)] = Field(
         48, description="number of other points of the region to evaluate the result"
     )
     points: Count = Field(200, description="number of roadmap nodes per robot")
@@ -374,36 +377,35 @@ class SearchPart(Entry):
     tilt_deg: NotNegative = Field(Decimal(0), le=45, description="largest tilt of a base plate about its x and y axes")
     seconds: Positive = Field(Decimal(180), description="time limit of the search")
 
-    def chosen(self, target: Array | None, seed: int) -> Array:
-        """(places + judged, 3) places of a target, picked at random; raises ValueError where it has too few, or is
-        none."""
+    def sample_target(self, target: Array | None, seed: int) -> Array:
+        """Draw random voxels of a target, (places + judged, 3), m; raises ValueError if it has too few, or is None."""
         if target is None:
             raise ValueError("has an anatomy without a target; the objective needs a target")
-        wanted = self.places + self.judged
-        if len(target) < wanted:
+        count = self.places + self.judged
+        if len(target) < count:
             raise ValueError(
-                f"has a target of {len(target)} voxels; it must have at least {wanted} (places plus judged)"
+                f"has a target of {len(target)} voxels; it must have at least {count} (places plus judged)"
             )
         # Without replacement: places of the search and of the evaluation are disjoint.
-        return np.asarray(np.random.default_rng(seed).permutation(target)[:wanted])
+        return np.asarray(np.random.default_rng(seed).permutation(target)[:count])
 
     def options(self, seed: int) -> dict[str, Any]:
-        """Fields of `RegionReach` and `PairReach`, SI."""
-        options = PlanOptions(clearance=self.si("clearance_mm"), time_limit=OF_ONE, seed=seed)
+        """Common fields of `RegionReach` and `PairReach`, SI."""
+        options = PlanOptions(clearance=self.si("clearance_mm"), time_limit=REACH_TIME, seed=seed)
         return {"options": options, "count": self.points} | self.in_si(
             "tolerance_mm", "min_margin", "shift_mm", "tilt_deg"
         )
 
-    def judge(self, searched: Searched, chosen: Array) -> Searched:
-        """What tells the share of the other places: over roadmaps twice as large, with other random numbers."""
-        options = replace(searched.options, seed=searched.options.seed + OTHER)
-        # The search fits its designs to its own roadmap and places. Others show what remains elsewhere.
-        return replace(searched, targets=chosen[self.places :], options=options, count=2 * self.points)
+    def evaluation_of(self, searched: ReachProblem, points: Array) -> ReachProblem:
+        """Problem with the remaining points, roadmaps of twice the size and other random numbers."""
+        options = replace(searched.options, seed=searched.options.seed + SEED_OFFSET)
+        # The search fits its designs to its own roadmap and points. Others show what remains elsewhere.
+        return replace(searched, targets=points[self.places :], options=options, count=2 * self.points)
 
 
-def hurried(judge: Searched) -> Searched:
-    """The same with the time that a plan has, not that of a whole region."""
-    return replace(judge, options=replace(judge.options, time_limit=OF_A_PLAN))
+def with_plan_time(evaluation: ReachProblem) -> ReachProblem:
+    """Problem with the time limit of one plan, instead of that of a whole region."""
+    return replace(evaluation, options=replace(evaluation.options, time_limit=PLAN_TIME))
 
 
 class RegionEntry(SearchPart):
@@ -419,29 +421,30 @@ class RegionEntry(SearchPart):
     start_mm: Annotated[list[Number], Field(min_length=1)] = Field(description="translations at the start")
 
     @model_validator(mode="after")
-    def _a_region(self) -> Self:
-        self.chosen(self.anatomy.target, 0)
+    def _has_target(self) -> Self:
+        self.sample_target(self.anatomy.target, 0)
         return self
 
     def reach(self, n: int, seed: int) -> tuple[RegionReach, RegionReach]:
-        """What is searched for with n tubes, and that by which what comes of it is judged."""
+        """Problem of the search for n tubes, and a larger one with other points that evaluates its result."""
         for name, row in (("start_deg", self.start_deg), ("start_mm", self.start_mm)):
             if row is not None and len(row) != n:
                 raise ValueError(f"objective.{name} has {len(row)} numbers; it must be {n} (one per tube)")
-        chosen = self.chosen(self.anatomy.target, seed)
+        points = self.sample_target(self.anatomy.target, seed)
         start = np.array(self.si("start_deg") or np.zeros(n)), np.array(self.si("start_mm"))
         bodies = self.anatomy.bodies + self.obstacles
-        wanted = RegionReach(start, chosen[: self.places], bodies, **self.options(seed))
-        return wanted, self.judge(wanted, chosen)
+        searched = RegionReach(start, points[: self.places], bodies, **self.options(seed))
+        return searched, self.evaluation_of(searched, points)
 
-    def run(self, task: DesignTask, tries: Mapping[str, Any], progress: Progress | None) -> RegionAnswer:
-        """The design, and what it reaches, with the arguments `Tried.tries`; raises as `search_design`."""
-        wanted, other = self.reach(task.robot.n_tubes, tries["seed"])
-        found = search_design(task, wanted, time_limit=self.si("seconds"), progress=progress, **tries)
+    def run(self, task: DesignTask, multistart: Mapping[str, Any], progress: Progress | None) -> RegionAnswer:
+        """Search for the best design, with arguments from `Multistart.multistart`; raises as `search_design`."""
+        searched, evaluation = self.reach(task.robot.n_tubes, multistart["seed"])
+        search = search_design(task, searched, time_limit=self.si("seconds"), progress=progress, **multistart)
         robot = task.robot
         assert isinstance(robot, ConcentricRobot)
         # 0 is the base plate as given.
-        before = other.evaluate(robot, np.zeros(len(other.ranges)))
-        after = other.evaluate(found.value, found.own)
-        proved, planned = hurried(other).plans_proved(found.value, found.own, after, PLANNED)
-        return RegionAnswer(found, before, after, proved, planned, wanted.base(found.own))
+        before = evaluation.evaluate(robot, np.zeros(len(evaluation.ranges)))
+        after = evaluation.evaluate(search.value, search.own)
+        plans = with_plan_time(evaluation).plans_proved(search.value, search.own, after, PLANNED_POINTS)
+        proved, planned = plans
+        return RegionAnswer(search, before, after, proved, planned, searched.base(search.own))

@@ -39,17 +39,17 @@ from ..planning import PairReach, PairShare
 from ..stability import ASSUMING
 from ..typing import Array, Progress
 from .design_parts import (
-    FEW,
-    HARDLY,
-    MOST,
-    Designed,
+    DOUBTFUL_FRACTION,
+    MAX_POINTS,
+    POSSIBLE_CAUSES,
+    DesignedRobot,
+    Multistart,
     RegionAnswer,
     RegionEntry,
     SearchPart,
     TolerancesEntry,
-    Tried,
-    hurried,
     load_stock,
+    with_plan_time,
 )
 from .plan_study import PlacedPart, shared
 from .study_file import Timed
@@ -60,10 +60,10 @@ StockPath = Annotated[
     in_file(load_stock, "a stock list"),
     Field(description="path of the stock list, relative to this file"),
 ]
-"""Sizes of tubes, given as the path of their file."""
+"""Stock of tube sizes, given as the path of its file."""
 
 
-def _aims(value: object) -> str:
+def _objective_form(value: object) -> str:
     if isinstance(value, list):
         return "<several>"
     return "<region>" if isinstance(value, dict) and value.get("kind") == "reach_share" else "<one>"
@@ -73,9 +73,9 @@ Aims = Annotated[
     Annotated[EntryOf[Objective], Tag("<one>")]
     | Annotated[RegionEntry, Tag("<region>")]
     | Annotated[list[EntryOf[Objective]], Field(min_length=1), Tag("<several>")],
-    Discriminator(_aims),
+    Discriminator(_objective_form),
 ]
-"""One objective, several, or the share of a region that is reached."""
+"""One objective, several, or the reached fraction of a region."""
 
 
 class StockStudy(Entry):
@@ -91,23 +91,23 @@ class StockStudy(Entry):
 
 @dataclass(frozen=True, eq=False)
 class DesignAnswer(Displayed):
-    """A design, and what was asked besides, None where it was not."""
+    """Design with the requested analyses; None for those that were not requested."""
 
     solution: DesignSolution
-    """The design."""
+    """Best design."""
     tolerance: Annotated[ToleranceAnalysis | None, "effect of manufacturing tolerances; null unless requested"]
     front: Annotated[ParetoFront | None, key("pareto"), "trade-off between margin and objective; null unless requested"]
     stock: StockChoice | None
-    """The choice from stock."""
+    """Choice of tube sizes from stock."""
     region: Annotated[RegionAnswer | None, "reached fraction of a region; null unless it is the objective"] = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Of the design, and of the search for what it reaches of a region."""
+        """Remarks on the design, and on the search over its reached region."""
         return self.solution.remarks + (() if self.region is None else self.region.remarks)
 
 
-class DesignStudy(Designed, Tried, Timed):
+class DesignStudy(DesignedRobot, Multistart, Timed):
     """The best robot that satisfies a list of requirements."""
 
     doing = "designing"
@@ -135,35 +135,35 @@ class DesignStudy(Designed, Tried, Timed):
                 raise ValueError(
                     "objective reach_share uses a derivative-free search; it does not support stock or a Pareto front"
                 )
-            self.objective.reach(task.robot.n_tubes, self.tries["seed"])
+            self.objective.reach(task.robot.n_tubes, self.multistart["seed"])
         return self
 
     def task(self) -> DesignTask:
-        """The task in SI; raises InputError where its parts do not fit together."""
+        """Design task in SI; raises InputError if its parts do not fit together."""
         objectives = self.objective if isinstance(self.objective, list) else [self.objective]
         return self.task_for(
-            *(Objective("change") if isinstance(one, RegionEntry) else one.build() for one in objectives)
+            *(Objective("change") if isinstance(each, RegionEntry) else each.build() for each in objectives)
         )
 
     def run(self, progress: Progress | None = None) -> DesignAnswer:
-        """The design.
+        """Optimise the design.
 
         Raises:
-            SolveError: no design meets all requirements, or the one found does not keep them.
+            SolveError: no design satisfies all requirements, or the verification of the best one failed.
         """
         task, choice = self.task(), None
         if self.stock is not None:
-            given = self.stock.in_si("clearance_mm", "keep")
-            choice = choose_from_stock(task, self.stock.file, workers=self.workers, progress=progress, **given)
+            options = self.stock.in_si("clearance_mm", "keep")
+            choice = choose_from_stock(task, self.stock.file, workers=self.workers, progress=progress, **options)
             assert choice.best is not None
             # Sizes from stock are fixed; lengths and curvatures are optimised with them.
             task = with_sizes(task, choice.best.sizes)
         region = None
         if isinstance(self.objective, RegionEntry):
-            region = self.objective.run(task, self.tries, progress)
+            region = self.objective.run(task, self.multistart, progress)
             solution = region.search.solution
         else:
-            solution = optimize_design(task, progress=progress, workers=self.workers, **self.tries)
+            solution = optimize_design(task, progress=progress, workers=self.workers, **self.multistart)
         tolerance = None
         if self.tolerances is not None:
             tolerance = tolerance_analysis(
@@ -183,68 +183,68 @@ class DesignStudy(Designed, Tried, Timed):
 
 # --- two robots -------------------------------------------------------------------------------------------------------
 
-PLANNED = 4
-"""Pairs of places of those that are held to which motions of both arms are planned and proved."""
+PLANNED_PAIRS = 4
+"""Number of reached pairs of points to which motions of both arms are planned and proved."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer(Displayed):
-    """Two robots sized together, and what they hold of a region."""
+    """Two robots designed together, with the fraction of pairs of points that both tips reach."""
 
     search: SearchedPair
-    """How they were found."""
+    """Search that found the designs."""
     before: PairShare
-    """What the robots that were given hold of places that were not searched with, over larger roadmaps."""
+    """Reached fraction of the given robots, for points that the search did not use and larger roadmaps."""
     after: PairShare
-    """The same of the designs."""
+    """Reached fraction of the designs, for the same points."""
     proved: Annotated[int, "number of proved plans"]
     planned: Annotated[int, "number of plans of both arms to such pairs"]
     names: tuple[str, str]
-    """What the arms are called."""
+    """Names of the arms."""
     plates: tuple[Frame, Frame]
-    """Where they stand for the designs."""
+    """Base poses of the designs."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Of the designs, each with the name of its arm, and of the search for what they hold."""
-        told = [
-            f"{name}: {words}"
+        """Remarks on the designs, each with the name of its arm, and on the search."""
+        remarks = [
+            f"{name}: {remark}"
             for name, solution in zip(self.names, self.search.solutions, strict=True)
-            for words in solution.remarks
+            for remark in solution.remarks
         ]
-        if min(one.share for one in self.after.reached) <= HARDLY:
-            told.append(f"an arm reached next to nothing by itself; {FEW}: raise points")
-        return tuple(told)
+        if min(arm.share for arm in self.after.reached) <= DOUBTFUL_FRACTION:
+            remarks.append(f"an arm reached next to nothing by itself; {POSSIBLE_CAUSES}: raise points")
+        return tuple(remarks)
 
 
-class PairPart(Designed, PlacedPart):
+class PairPart(DesignedRobot, PlacedPart):
     """One of the two robots: base, start, free dimensions and requirements."""
 
     name: str = Field("", description="name in messages and plots; default the name of the robot")
     base: BasePart = Field(description="base plate in the common frame")
 
     def task(self) -> DesignTask:
-        """What may change of it, and what must hold; raises InputError where that makes no task."""
+        """Design task of the robot; raises InputError if its parts do not fit together."""
         return self.task_for(Objective("change"))
 
 
 class BallPart(Entry):
-    """A ball."""
+    """Ball-shaped region."""
 
     centre_mm: Place = Field(description="centre in the common frame")
     radius_mm: Positive = Field(description="radius of the ball")
 
     def places(self, count: int, seed: int) -> Array:
-        """(count, 3) random places in it, as thick everywhere, m."""
+        """Sample uniformly distributed points (count, 3) in the ball, m."""
         random = np.random.default_rng(seed)
         # Normal components have no preferred direction: scaled to length 1 they are uniform on the sphere.
-        way = random.normal(size=(count, 3))
-        # The share of the volume within r is (r / R)^3; its inverse makes the density uniform.
-        far = self.si("radius_mm") * random.random((count, 1)) ** (1 / 3)
-        return np.asarray(self.si("centre_mm") + far * way / np.linalg.norm(way, axis=1, keepdims=True))
+        direction = random.normal(size=(count, 3))
+        # The fraction of the volume within r is (r / R)^3; its inverse makes the density uniform.
+        r = self.si("radius_mm") * random.random((count, 1)) ** (1 / 3)
+        return np.asarray(self.si("centre_mm") + r * direction / np.linalg.norm(direction, axis=1, keepdims=True))
 
 
-class PairStudy(Timed, SearchPart, Tried):
+class PairStudy(Timed, SearchPart, Multistart):
     """Two robots, designed together to reach as many pairs of points of a region as possible without contact."""
 
     doing = "designing"
@@ -261,10 +261,10 @@ class PairStudy(Timed, SearchPart, Tried):
     clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="smallest allowed distance of both arms from obstacles and from each other"
     )
-    places: Annotated[Whole, Field(ge=2, le=MOST)] = Field(
+    places: Annotated[Whole, Field(ge=2, le=MAX_POINTS)] = Field(
         8, description="number of points of the region for the search"
     )
-    judged: Annotated[Whole, Field(ge=2, le=MOST)] = Field(
+    judged: Annotated[Whole, Field(ge=2, le=MAX_POINTS)] = Field(
         16, description="number of other points of the region to evaluate the result"
     )
     points: Count = Field(80, description="number of roadmap nodes per robot")
@@ -278,52 +278,53 @@ class PairStudy(Timed, SearchPart, Tried):
                 arm.task()
             except InputError as error:
                 raise ValueError(f"arms[{k}]: {error}") from None
-        searched, judge = self.wanted()
-        places = np.concatenate([searched.targets, judge.targets])
+        searched, evaluation = self.reach_problems()
+        places = np.concatenate([searched.targets, evaluation.targets])
         # Some points may lie in an obstacle: they cannot be reached by any design.
         if searched.obstacles and not (nearest_distance(searched.obstacles, places) > 0).any():
             raise ValueError("has a region inside an obstacle: none of its sampled points is free")
-        # Plates that may shift are moved apart by the search.
-        apart = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))
+        # Base plates that may shift are moved apart by the search.
+        distance = float(np.linalg.norm(searched.bases[0].origin - searched.bases[1].origin))
         # At the plates the arms are at least as thick as their outermost tubes.
-        thick = sum(max(tube.outer_diameter for tube in arm.robot.tubes) / 2 for arm in self.arms)
-        if not self.shift_mm and apart < thick + searched.options.clearance:
+        radii = sum(max(tube.outer_diameter for tube in arm.robot.tubes) / 2 for arm in self.arms)
+        if not self.shift_mm and distance < radii + searched.options.clearance:
             raise ValueError(
-                f"has fixed base plates {apart * TO_MM:.3g} mm apart; tubes and clearance "
-                f"need {(thick + searched.options.clearance) * TO_MM:.3g} mm"
+                f"has fixed base plates {distance * TO_MM:.3g} mm apart; tubes and clearance "
+                f"need {(radii + searched.options.clearance) * TO_MM:.3g} mm"
             )
         return self
 
-    def wanted(self) -> tuple[PairReach, PairReach]:
-        """What is searched for, and that by which what comes of it is judged."""
-        around, seed = shared(self.anatomy), self.tries["seed"]
+    def reach_problems(self) -> tuple[PairReach, PairReach]:
+        """Problem of the search, and a larger one with other points that evaluates its result."""
+        around, seed = shared(self.anatomy), self.multistart["seed"]
         if self.region is None:
-            chosen = self.chosen(around.target, seed)
+            points = self.sample_target(around.target, seed)
         else:
-            chosen = self.region.places(self.places + self.judged, seed)
-        one, other = (arm.placed(around).base for arm in self.arms)
+            points = self.region.places(self.places + self.judged, seed)
+        first, second = (arm.placed(around).base for arm in self.arms)
         starts = self.arms[0].start, self.arms[1].start
         bodies = around.bodies + self.obstacles
-        searched = PairReach(starts, (one, other), chosen[: self.places], bodies, **self.options(seed))
-        return searched, self.judge(searched, chosen)
+        searched = PairReach(starts, (first, second), points[: self.places], bodies, **self.options(seed))
+        return searched, self.evaluation_of(searched, points)
 
     def run(self, progress: Progress | None = None) -> PairAnswer:
-        """The designs, and what they hold.
+        """Search for the best pair of designs.
 
         Raises:
-            SolveError: no designs meet all requirements, or those found do not keep them.
+            SolveError: no designs satisfy all requirements, or the verification of the best ones failed.
         """
-        searched, judge = self.wanted()
+        searched, evaluation = self.reach_problems()
         first, second = (arm.task() for arm in self.arms)
-        found = search_pair(
+        search = search_pair(
             (first, second),
             searched,
             progress=progress,
             time_limit=self.si("seconds"),
-            **self.tries,
+            **self.multistart,
         )
-        before = judge.evaluate(first.robot, second.robot, np.zeros(len(judge.ranges)))
-        after = judge.evaluate(*found.value, found.own)
-        proved, planned = hurried(judge).plans_proved(*found.value, found.own, after, PLANNED)
-        one, other = (arm.placed(shared(self.anatomy)).called for arm in self.arms)
-        return PairAnswer(found, before, after, proved, planned, (one, other), searched.plates(found.own))
+        before = evaluation.evaluate(first.robot, second.robot, np.zeros(len(evaluation.ranges)))
+        after = evaluation.evaluate(*search.value, search.own)
+        plans = with_plan_time(evaluation).plans_proved(*search.value, search.own, after, PLANNED_PAIRS)
+        proved, planned = plans
+        name_1, name_2 = (arm.placed(shared(self.anatomy)).called for arm in self.arms)
+        return PairAnswer(search, before, after, proved, planned, (name_1, name_2), searched.plates(search.own))

@@ -39,27 +39,27 @@ DIRECTION = ("direction_x", "direction_y", "direction_z")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """T targets."""
+    """Targets of the tip, one per row."""
 
     position: Array
-    """(T, 3) m."""
+    """Shape (T, 3), m."""
     direction: Array | None
-    """(T, 3), of any length."""
+    """Shape (T, 3), any length."""
     path: str = ""
-    """Of the file."""
+    """Path of the file, for messages."""
 
 
 def load_targets(path: str | PathLike[str]) -> Targets:
-    """The targets in a CSV file with the columns x_mm, y_mm, z_mm and, where the tip shall point, direction_x, ...
+    """Load targets from a CSV file with columns x_mm, y_mm, z_mm and optionally direction_x, direction_y, direction_z.
 
     Raises:
-        InputError: no such file, a column that is unknown or missing, a cell that is no number, a direction without
-            length: one line for each problem.
+        InputError: no such file, an unknown or missing column, a cell that is no number, a direction of length 0; one
+            line per problem.
     """
     table = read_csv(path, (*POSITION, *DIRECTION))
-    given = table.expect(POSITION, together=DIRECTION)
+    has_direction = table.expect(POSITION, together=DIRECTION)
     position = table.numbers(POSITION, MM)
-    direction = table.numbers(DIRECTION, RAD) if given else None
+    direction = table.numbers(DIRECTION, RAD) if has_direction else None
     if direction is not None:
         # Any length is allowed, since only the direction counts, but 0 has none.
         for k in np.flatnonzero(~direction.any(1)):
@@ -78,21 +78,21 @@ class JointsFile(Entry):
 
 
 def load_joints(path: str | PathLike[str], robot: Robot) -> tuple[Array, Array]:
-    """Rotations (n,) rad and translations (n,) m of the model where drives read what a YAML file says.
+    """Load joint readings from a YAML file, as rotations (n,), rad, and translations (n,), m, of the model.
 
     Raises:
-        InputError: no such file, not YAML, an unknown key, not as many numbers as there are tubes.
+        InputError: no such file, not YAML, an unknown key, or not one number per tube.
     """
     joints = check(JointsFile, load_yaml(path), path)
     n = robot.n_tubes
-    given = {key: joints.si(key) for key in JointsFile.model_fields}
+    readings = {key: joints.si(key) for key in JointsFile.model_fields}
     problems = [
         f"{key} has {len(values)} numbers; it must be {n} (one per tube)"
-        for key, values in given.items()
+        for key, values in readings.items()
         if values is not None and len(values) != n
     ]
     refuse(path, problems)
-    return joints_of(robot, *given.values())
+    return joints_of(robot, *readings.values())
 
 
 # --- studies ----------------------------------------------------------------------------------------------------------
@@ -104,43 +104,41 @@ Joints = Annotated[
 
 @dataclass(frozen=True, eq=False)
 class Postures(Displayed):
-    """Answers for one target, best first."""
+    """Inverse solutions for one target."""
 
     robot: Robot
-    """That was asked."""
     solutions: Annotated[tuple[InverseSolution, ...], "the solutions, best first"]
     timed_out: Annotated[bool, "true if the time limit ended the search for all solutions or for their paths"] = False
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One target of a table, and the answer."""
+    """Target of a table, with its solution."""
 
     number: Annotated[float, key("target"), "number of the target, from 1; a fraction for an inserted one"]
-    """7.25 is a quarter of the way from 7 to 8, inserted by `follow`."""
+    """7.25 is inserted at a quarter of the distance from target 7 to target 8, by `follow`."""
     position: Annotated[Array, key("target_mm"), "target position of the tip in the base frame"]
-    """Shape (3,)."""
+    """Shape (3,), m."""
     direction: Annotated[Array | None, key("target_direction"), "target direction of the tip"]
-    """Shape (3,), of any length."""
+    """Shape (3,), any length."""
     solution: InverseSolution | None
-    """The answer, or the closest pose where it is known."""
+    """Solution, or the closest pose if that was requested."""
     problem: Annotated[str, "reason why there is no solution"]
 
     @property
-    def given(self) -> bool:
-        """Whether the target is one of the table."""
-        return self.number == int(self.number)
+    def inserted(self) -> bool:
+        """True if the target is not in the table, but was inserted between two of its targets."""
+        return self.number != int(self.number)
 
 
 @dataclass(frozen=True, eq=False)
 class TargetTable(Displayed):
-    """Answers for a table of targets."""
+    """Inverse solutions for a table of targets."""
 
     robot: Robot
-    """That was asked."""
     rows: Annotated[tuple[Row, ...], key("solutions"), "the solutions, one per target"]
     followed: bool = False
-    """Whether each was looked for near the one before."""
+    """True if each target was solved from the previous one, on the same branch."""
 
 
 @asking(InverseOptions)
@@ -186,8 +184,8 @@ class InverseStudy(Surrounded, Loaded, Study):
 
     @field_validator("obstacles", mode="before")
     @classmethod
-    def _none_around(cls, value: object) -> object:
-        """The key may stand without a value."""
+    def _no_obstacles(cls, value: object) -> object:
+        """Empty list for a key without value."""
         return [] if value is None else value
 
     @model_validator(mode="after")
@@ -201,8 +199,8 @@ class InverseStudy(Surrounded, Loaded, Study):
             raise ValueError(
                 "closest and follow are both given; with follow, the path ends at a target that is out of reach"
             )
-        pointed = self.direction is not None or (self.targets is not None and self.targets.direction is not None)
-        if self.si("direction_weight") is not None and not pointed:
+        directed = self.direction is not None or (self.targets is not None and self.targets.direction is not None)
+        if self.si("direction_weight") is not None and not directed:
             raise ValueError("direction_weight is given without a direction")
         if self.si("objective") == "nearest" and self.start is None and self._reference() is None:
             raise ValueError("objective is nearest; it needs a start or a reference")
@@ -215,51 +213,51 @@ class InverseStudy(Surrounded, Loaded, Study):
             return None
         return joints_of(self.robot, self.si("reference_deg"), self.si("reference_mm"))
 
-    def _common(self) -> dict[str, Any]:
-        given = values(InverseOptions, self) | self.in_si("time_limit_s")
+    def _session_options(self) -> dict[str, Any]:
+        """Arguments of `IkSession`, which `inverse_kinematics` has too."""
         return {
             "start": self.start,
             "min_margin": self.si("min_margin"),
             "obstacles": self.bodies,
-            "options": InverseOptions(**given),
+            "options": InverseOptions(**values(InverseOptions, self), **self.in_si("time_limit_s")),
         }
 
-    def _asked(self) -> dict[str, Any]:
-        """What is asked of every target that is not led to."""
-        return self._common() | {
+    def _options(self) -> dict[str, Any]:
+        """Keyword arguments of `inverse_kinematics`, except direction and load."""
+        return self._session_options() | {
             "reference": self._reference(),
             "on_failure": "closest" if self.closest else "raise",
             "reachable": self.reachable and self.external_load is None,
         }
 
     def run(self, progress: Progress | None = None) -> Postures | TargetTable:
-        """The answers; raises SolveError where a single target has none, and closest is not asked for."""
+        """Solve the targets; raises SolveError if a single target has no solution and `closest` is false."""
         if self.targets is not None:
             return self._table(self.targets, progress)
         if self.target_mm is None:
             raise AssertionError("a study without a target is rejected at construction")
-        position, direction, asked = self.si("target_mm"), self.si("direction"), self._asked()
+        position, direction, options = self.si("target_mm"), self.si("direction"), self._options()
         if self.all:
-            # Started before the search: whether it is over shows if the list may be incomplete.
+            # Started before the search: if it has run out, the list may be incomplete.
             clock = Clock(self.si("time_limit_s"))
-            every = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **asked)
-            return Postures(self.robot, tuple(every), clock.over)
-        found = inverse_kinematics(self.robot, position, direction=direction, load=self.external_load, **asked)
-        return Postures(self.robot, (found,))
+            solutions = inverse_kinematics(self.robot, position, direction=direction, all_solutions=True, **options)
+            return Postures(self.robot, tuple(solutions), clock.over)
+        solution = inverse_kinematics(self.robot, position, direction=direction, load=self.external_load, **options)
+        return Postures(self.robot, (solution,))
 
     def _table(self, targets: Targets, progress: Progress | None) -> TargetTable:
         check_target(self.robot.tubes, f"{targets.path}: {', '.join(POSITION)}", targets.position)
         rows: list[Row] = []
         # The session keeps its equilibrium: the next target is solved on the same branch.
-        session = IkSession(self.robot, **self._common()) if self.follow else None
+        session = IkSession(self.robot, **self._session_options()) if self.follow else None
         for k, position in enumerate(targets.position):
             direction = None if targets.direction is None else targets.direction[k]
             try:
                 if session is not None:
-                    rows += _led(session, k + 1, position, direction)
+                    rows += _rows_to(session, k + 1, position, direction)
                 else:
                     solution = inverse_kinematics(
-                        self.robot, position, direction=direction, load=self.external_load, **self._asked()
+                        self.robot, position, direction=direction, load=self.external_load, **self._options()
                     )
                     rows.append(Row(k + 1, position, direction, solution, ""))
             except SolveError as error:
@@ -267,43 +265,44 @@ class InverseStudy(Surrounded, Loaded, Study):
                 rows.append(Row(k + 1, position, direction, None, str(error)))
             if progress is not None:
                 progress(k + 1, len(targets.position))
-        return TargetTable(self.robot, tuple(_confirmed(self.robot, rows) if self.follow else rows), self.follow)
+        return TargetTable(self.robot, tuple(_with_snaps(self.robot, rows) if self.follow else rows), self.follow)
 
 
-def _led(session: IkSession, number: int, position: Array, direction: Array | None) -> list[Row]:
-    """Rows of the answers that lead to the next target, those before it numbered by their share of the way."""
-    before = session.solution
-    answers = session.solve_path(position, direction=direction)
+def _rows_to(session: IkSession, number: int, position: Array, direction: Array | None) -> list[Row]:
+    """Rows of the next target and of the targets inserted before it, numbered by their fraction of the distance."""
+    previous = session.solution
+    solutions = session.solve_path(position, direction=direction)
     rows = []
-    for k, answer in enumerate(answers[:-1], start=1):
-        share = k / len(answers)  # from the start, to the first target
-        if before is not None:
-            first, whole = before.target_position, float(np.linalg.norm(position - before.target_position))
-            share = float(np.linalg.norm(answer.target_position - first)) / max(whole, 1e-300)
-            # Inserted rows get numbers strictly between two targets, also where the tip stands still.
-            share = min(max(share, 1e-4), 1 - 1e-4)
-        rows.append(Row(round(number - 1 + share, 6), answer.target_position, answer.target_direction, answer, ""))
-    rows.append(Row(number, position, direction, answers[-1], ""))
+    for k, solution in enumerate(solutions[:-1], start=1):
+        fraction = k / len(solutions)  # on the path from the start to the first target
+        if previous is not None:
+            first, distance = previous.target_position, float(np.linalg.norm(position - previous.target_position))
+            fraction = float(np.linalg.norm(solution.target_position - first)) / max(distance, 1e-300)
+            # Inserted rows get numbers strictly between two targets, also if the tip does not move.
+            fraction = min(max(fraction, 1e-4), 1 - 1e-4)
+        target = round(number - 1 + fraction, 6)
+        rows.append(Row(target, solution.target_position, solution.target_direction, solution, ""))
+    rows.append(Row(number, position, direction, solutions[-1], ""))
     return rows
 
 
-def _confirmed(robot: Robot, rows: list[Row]) -> list[Row]:
-    """Rows of answers, followed once more from the first to the last; where the robot snaps, it is said."""
+def _with_snaps(robot: Robot, rows: list[Row]) -> list[Row]:
+    """Rows with the snaps between them, from following all solutions once more from the first to the last."""
     solved = [(k, row.solution) for k, row in enumerate(rows) if row.solution is not None]
     if len(solved) < 2:
         return rows
     # Each step was solved for itself. Following all of them in one run shows snaps between rows.
-    answers = [solution for _, solution in solved]
+    solutions = [solution for _, solution in solved]
     path = follow(
-        robot, [a.rotations for a in answers], [a.translations for a in answers], start=answers[0].equilibrium
+        robot, [s.rotations for s in solutions], [s.translations for s in solutions], start=solutions[0].equilibrium
     )
     out = list(rows)
     for snap in path.snaps:
         k, solution = solved[snap.index + 1]
-        words = f"the robot snaps {100 * snap.fraction:.3g} % of the path from the last row"
-        leaps = f"{solution.jump}, {words}" if solution.jump else words
-        told = replace(solution, jump=leaps, reachable=None, path=None, straight_from_seed=False)
-        out[k] = replace(rows[k], solution=told)
+        sentence = f"the robot snaps {100 * snap.fraction:.3g} % of the path from the last row"
+        jump = f"{solution.jump}, {sentence}" if solution.jump else sentence
+        after_snap = replace(solution, jump=jump, reachable=None, path=None, straight_from_seed=False)
+        out[k] = replace(rows[k], solution=after_snap)
     return out
 
 
@@ -320,9 +319,9 @@ def find_workspace(
 ) -> Findings:
     """Tips at many joint values within a robot's limits.
 
-    With `out` the samples are saved there as they come, and a run that was stopped continues.
+    With `out`, samples are saved during the run, and an interrupted run continues.
     """
     if examined["loss"]:
         require_centred(robot)  # before the samples, which take minutes
-    found = workspace(robot, out=out, progress=progress, **sampling)
-    return examine(found, progress=progress, **examined)
+    samples = workspace(robot, out=out, progress=progress, **sampling)
+    return examine(samples, progress=progress, **examined)

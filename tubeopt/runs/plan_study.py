@@ -1,4 +1,4 @@
-"""Studies of motions: the plan of one robot, of several, and the check of any trajectory."""
+"""Studies of motion: plans of one robot or several, and verification of any trajectory."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from ..planning.tip_path import follow_the_leader, follow_tip_path
 from ..planning.trajectory import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from ..typing import Array, Progress
-from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, said_of
+from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, rewording_joints
 from .study_file import Study, Timed
 from .surroundings_file import BasePart, Bodies, Place, Surrounded, TipPlace
 
@@ -46,7 +46,7 @@ RatesEntry = EntryOf[RateLimits]
 
 
 def check_rates(rates: RatesEntry | None, *robots: Robot) -> None:
-    """Raise ValueError, with the key, for rates of another number of tubes than a robot has."""
+    """Raise ValueError for rates whose number is not that of the robot's tubes."""
     for key, value in rates or ():
         for robot in robots:
             if isinstance(value, list) and len(value) not in (1, robot.n_tubes):
@@ -72,7 +72,7 @@ class EntryPart(Entry):
     places: Annotated[Whole, Field(ge=1, le=16384)] = Field(64, description="number of base poses to check")
 
     def region(self, around: Anatomy) -> EntryRegion:
-        """The region in SI; raises InputError for several, none, or landmarks that there are not."""
+        """Region in SI; raises InputError unless exactly one form is given, or for unknown landmarks."""
         return EntryRegion(
             self.si("radius_mm") or 0.0,
             self.si("box_mm") or (0.0, 0.0, 0.0),
@@ -100,7 +100,7 @@ class CutPart(Entry):
         return self
 
     def plane(self, around: Anatomy) -> Plane:
-        """In the frame of the plate; raises InputError for landmarks that there are not, or that tell no plane."""
+        """Plane in the base frame; raises InputError for unknown or collinear landmarks."""
         if self.at_mm is not None and self.normal is not None:
             return Plane(np.array(self.si("at_mm")), np.array(self.si("normal")))
         a, b, *more = (around.landmark(name) for name in self.through or ())
@@ -109,7 +109,7 @@ class CutPart(Entry):
 
 
 class Aimed(Started):
-    """A robot, from where it begins, and its goal: joint values, or where its tip shall be."""
+    """Robot with its start and its goal: joint values or a pose of the tip."""
 
     goal_deg: OnePerTube | None = Field(None, description="rotations at the goal; default those of the start")
     goal_mm: OnePerTube | None = Field(None, description="translations at the goal; default those of the start")
@@ -126,16 +126,16 @@ class Aimed(Started):
         return self
 
     def goal(self, around: Anatomy) -> tuple[Array, Array] | TipGoal:
-        """Joint values, or the tip's place; raises InputError for a landmark that there is not."""
+        """Joint values, or a pose of the tip; raises InputError for an unknown landmark."""
         if self.tip_mm is not None:
-            place = np.array(self.si("tip_mm"))
+            position = np.array(self.si("tip_mm"))
         elif self.tip_at is not None:
-            place = around.place(self.tip_at)
+            position = around.place(self.tip_at)
         else:
             return joints_of(
                 self.robot, self.si("goal_deg") or self.si("start_deg"), self.si("goal_mm") or self.si("start_mm")
             )
-        return TipGoal(place, None if self.tip_direction is None else np.array(self.si("tip_direction")))
+        return TipGoal(position, None if self.tip_direction is None else np.array(self.si("tip_direction")))
 
 
 @asking(PlanOptions)
@@ -176,8 +176,8 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
     def _one_goal(self) -> Self:
         check_rates(self.rates, self.robot)
         joints = self.goal_deg is not None or self.goal_mm is not None
-        tips = [each for each in (self.tip_mm, self.tip_at, self.tip_path_mm) if each is not None]
-        if joints + len(tips) != 1:
+        tips = sum(goal is not None for goal in (self.tip_mm, self.tip_at, self.tip_path_mm))
+        if joints + tips != 1:
             raise ValueError("one goal must be given: goal_deg and goal_mm, tip_mm, tip_at, or tip_path_mm")
         if self.tip_at is not None:
             if self.anatomy is None:
@@ -201,16 +201,16 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         return self
 
     def run(self, progress: Progress | None = None) -> Trajectory:
-        """The trajectory; raises SolveError where there is none, or none was found in time."""
-        with said_of(start=("start_deg", "start_mm"), goal=("goal_deg", "goal_mm")):
-            plan = self._found(progress)
+        """Plan the trajectory; raises SolveError if there is none, or none was found in time."""
+        with rewording_joints(start=("start_deg", "start_mm"), goal=("goal_deg", "goal_mm")):
+            plan = self._plan(progress)
         if self.cut is None:
             return plan
         plane = self.cut.plane(self.around)
         # The plane was given in the old base frame; the plan chose another one.
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
-    def _found(self, progress: Progress | None) -> Trajectory:
+    def _plan(self, progress: Progress | None) -> Trajectory:
         common: dict[str, Any] = {
             "obstacles": self.bodies,
             "min_margin": self.si("min_margin"),
@@ -222,9 +222,9 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         if isinstance(goal, tuple) and not values(PlanOptions, self).get("modulo_turns"):
             check_within(robot, "goal", *goal)
         if self.tip_path_mm is not None:
-            given = start if self.start_deg is not None or self.start_mm is not None else None
-            asked = self.in_si("tolerance_mm", "spline")
-            return follow_tip_path(robot, self.si("tip_path_mm"), start=given, **asked, **common)
+            has_start = self.start_deg is not None or self.start_mm is not None
+            curve = self.in_si("tolerance_mm", "spline")
+            return follow_tip_path(robot, self.si("tip_path_mm"), start=start if has_start else None, **curve, **common)
         if self.leader:
             return follow_the_leader(robot, goal, begin=self.si("begin_percent"), **common)
         if self.entry is not None:
@@ -232,7 +232,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
             plan = plan_from_region(robot, start, goal, region, count=count, progress=progress, **common)
             if self.anatomy is None or plan.entry is None:
                 return plan
-            # Where the plate stands in the patient, in whom it stood at the base.
+            # The chosen base pose relative to the given one, expressed in the patient.
             return replace(plan, entry=replace(plan.entry, base=self.anatomy.base.inverse.of(plan.entry.frame)))
         return plan_trajectory(robot, start, goal, load=self.external_load, **common)
 
@@ -241,28 +241,28 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
 
 
 class PlacedPart(Started):
-    """One of several robots: where it stands, and from where it begins."""
+    """One of several robots, with base pose and start."""
 
     name: str = Field("", description="name in messages and plots; default the name of the robot")
     base: BasePart | None = Field(None, description="base plate in the common frame")
 
     def placed(self, anatomy: Anatomy) -> PlacedRobot:
-        """The robot where it stands; landmarks are those of an anatomy."""
+        """Robot at its base pose; landmarks come from the anatomy."""
         base = Frame() if self.base is None else self.base.frame(anatomy.landmarks)
         return PlacedRobot(self.robot, base, self.name)
 
 
 def shared(anatomy: Anatomy | None) -> Anatomy:
-    """What is around all arms; raises ValueError where it says where a plate stands, as that of one robot does."""
-    found = Anatomy() if anatomy is None else anatomy
+    """Anatomy around all arms; raises ValueError if it has a base pose, which only one robot can have."""
+    common = Anatomy() if anatomy is None else anatomy
     # Each arm has its own base: one of the anatomy would be a second one.
-    if not (np.array_equal(found.base.axes, np.eye(3)) and np.array_equal(found.base.origin, np.zeros(3))):
+    if not (np.array_equal(common.base.axes, np.eye(3)) and np.array_equal(common.base.origin, np.zeros(3))):
         raise ValueError("anatomy has a base or a registration; give the base of every arm instead")
-    return found
+    return common
 
 
 class ArmPart(Aimed, PlacedPart):
-    """One of the robots and its goal; without a goal it does not move."""
+    """One of several robots, with its goal; without a goal it does not move."""
 
     tip_mm: Place | None = Field(None, description="goal position of the tip in the common frame")
 
@@ -305,7 +305,7 @@ class ArmsStudy(Surrounded, Study):
         return self
 
     def run(self, progress: Progress | None = None) -> ArmsPlan:
-        """The motions; raises SolveError where there are none, or none were found in time."""
+        """Plan the motions; raises SolveError if there are none, or none were found in time."""
         return plan_arms(
             [arm.placed(self.around) for arm in self.arms],
             [arm.start for arm in self.arms],
@@ -321,20 +321,21 @@ class ArmsStudy(Surrounded, Study):
 
 
 @dataclass(frozen=True, eq=False)
-class Checked(Displayed):
-    """A trajectory of whatever origin, and what was found on it."""
+class VerifiedTrajectory(Displayed):
+    """Trajectory from a file, with its proof."""
 
     file: str
-    """That it was read from."""
+    """Path of the trajectory file."""
     joints: TimedJoints
     """Joint values over time."""
     proof: Proof
-    """What was found."""
+    """Bounds and violations over the whole trajectory."""
     obstacles: tuple[Obstacle, ...] = ()
-    """That the arm was to keep away from."""
+    """Obstacles that the clearance refers to."""
 
 
-def _plan_study(path: str | PathLike[str]) -> PlanStudy:
+def load_plan_study(path: str | PathLike[str]) -> PlanStudy:
+    """Load a study of kind plan from a YAML file."""
     return check_kind({"plan": PlanStudy}, load_yaml(path), path)
 
 
@@ -371,7 +372,7 @@ class VerifyStudy(Surrounded, Loaded, Timed):
     tip_mm_per_s: Annotated[Positive | None, Typical(1e-4, 2.0)] = Field(
         None, description="largest tip speed; overrides the rates of the study; default no limit", examples=["V"]
     )
-    study: Annotated[PlanStudy, in_file(_plan_study, "a study of kind plan")] | None = Field(
+    study: Annotated[PlanStudy, in_file(load_plan_study, "a study of kind plan")] | None = Field(
         None,
         description="study of kind plan that supplies margin, obstacles, clearance, force, "
         "load and rates not given here",
@@ -380,37 +381,37 @@ class VerifyStudy(Surrounded, Loaded, Timed):
 
     @model_validator(mode="after")
     def _rates_of_the_robot(self) -> Self:
-        check_rates(self._asked().rates, self.trajectory[1].robot)
+        check_rates(self._requirements().rates, self.trajectory[1].robot)
         return self
 
-    def _asked(self) -> VerifyStudy | PlanStudy:
-        """What is asked: of the plan study where there is one, but for the keys that are given beside it."""
+    def _requirements(self) -> VerifyStudy | PlanStudy:
+        """Study with the requirements: the plan study, if given, with the keys given here in place of its own."""
         if self.study is None:
             return self
-        # What is typed goes before the plan; kind and robot are those of the trajectory.
+        # Kind and robot are those of the trajectory.
         shared = (VerifyStudy.model_fields.keys() & PlanStudy.model_fields) - {"kind", "robot"}
-        given = {key: getattr(self, key) for key in self.model_fields_set & shared}
-        return self.study.model_copy(update={key: value for key, value in given.items() if value is not None})
+        own = {key: getattr(self, key) for key in self.model_fields_set & shared}
+        return self.study.model_copy(update={key: value for key, value in own.items() if value is not None})
 
-    def run(self, progress: Progress | None = None) -> Checked:
-        """What is found on the trajectory; raises SolveError where it cannot be followed."""
-        asked = self._asked()
+    def run(self, progress: Progress | None = None) -> VerifiedTrajectory:
+        """Verify the trajectory; raises SolveError if its equilibria cannot be followed."""
+        required = self._requirements()
         file, joints = self.trajectory
-        rates, tip = None if asked.rates is None else asked.rates.build(), self.si("tip_mm_per_s")
-        if tip is not None:
+        rates, tip_speed = None if required.rates is None else required.rates.build(), self.si("tip_mm_per_s")
+        if tip_speed is not None:
             with undoubted():
-                rates = replace(rates or ANY_RATES, tip=tip)
+                rates = replace(rates or ANY_RATES, tip=tip_speed)
         proof = verify_trajectory(
             joints.robot,
             joints.time,
             joints.rotations,
             joints.translations,
-            start=joints.start(asked.external_load),
-            obstacles=asked.bodies,
-            min_margin=asked.si("min_margin") or 0.0,
-            clearance=asked.si("clearance_mm") or 0.0,
+            start=joints.start(required.external_load),
+            obstacles=required.bodies,
+            min_margin=required.si("min_margin") or 0.0,
+            clearance=required.si("clearance_mm") or 0.0,
             rate_limits=rates,
-            max_force=asked.si("max_tip_force_mN") or 0.0,
-            load=asked.external_load,
+            max_force=required.si("max_tip_force_mN") or 0.0,
+            load=required.external_load,
         )
-        return Checked(file, joints, proof, asked.bodies)
+        return VerifiedTrajectory(file, joints, proof, required.bodies)

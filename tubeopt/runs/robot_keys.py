@@ -1,4 +1,4 @@
-"""Keys that say which robot a study is about, at which joint values, and under which load."""
+"""Keys of a study for its robot, joint values and external load."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RobotPath = Annotated[
     in_file(load_robot, "a robot file", kind=AnyRobot),
     Field(description="path of the robot file, relative to this file, or the name of a built-in robot"),
 ]
-"""A robot, given as the path of its file."""
+"""Robot, given as the path of its file or the name of a built-in robot."""
 
 
 def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
@@ -50,17 +50,17 @@ def _one_per_tube(values: list[Decimal], info: ValidationInfo) -> list[Decimal]:
 
 
 OnePerTube = Annotated[list[Number], AfterValidator(_one_per_tube)]
-"""A number for every tube of the study's robot, inner to outer."""
+"""One number per tube of the study's robot, inner to outer."""
 
 
 HOME = "home (0, or the nearest value that limits and tube order allow)"
-"""What the word means, for helps."""
+"""Meaning of home, for help texts."""
 
 
 SHIFTED = Field(None, description=f"translation of every tube, inner to outer; default {HOME}")
 
 
-def _of_the_robot(tube: int, info: ValidationInfo) -> int:
+def _existing_tube(tube: int, info: ValidationInfo) -> int:
     robot = info.data.get("robot")
     if robot is not None and tube > robot.n_tubes:
         raise ValueError(f"is {tube}; it must be 1 to {robot.n_tubes}")
@@ -68,54 +68,56 @@ def _of_the_robot(tube: int, info: ValidationInfo) -> int:
 
 
 TubeNumber = Annotated[
-    Count, AfterValidator(_of_the_robot), Field(description="number of the tube, 1 for the innermost")
+    Count, AfterValidator(_existing_tube), Field(description="number of the tube, 1 for the innermost")
 ]
-"""One of the tubes of the study's robot."""
+"""Number of a tube of the study's robot."""
 
 
 def check_within(robot: Robot, name: str, rotations: Array, translations: Array) -> None:
-    """Raise InputError for a joint value (n,) beyond the limits of a robot, before anything is solved there."""
-    for kind, unit, by, joint_values, limits in (
+    """Raise InputError for a joint value beyond the limits of a robot, before anything is solved there."""
+    for kind, unit, per_si, joint_values, limits in (
         ("rotation", "deg", math.degrees(1), rotations, robot.limits.rotations),
         ("translation", "mm", TO_MM, translations, robot.limits.translations),
     ):
         for i, (value, (low, high)) in enumerate(zip(joint_values.tolist(), limits, strict=True), start=1):
             # Solving far outside takes long and ends in a less clear message.
-            if not low - SLACK <= value <= high + SLACK:
-                allowed = f"it must be from {low * by:.6g} to {high * by:.6g} {unit}"
-                raise InputError(f"{name} is out of range: {kind} of tube {i} is {value * by:.6g} {unit}; {allowed}")
+            if not low - LIMIT_TOLERANCE <= value <= high + LIMIT_TOLERANCE:
+                allowed = f"it must be from {low * per_si:.6g} to {high * per_si:.6g} {unit}"
+                raise InputError(
+                    f"{name} is out of range: {kind} of tube {i} is {value * per_si:.6g} {unit}; {allowed}"
+                )
 
 
 # With six digits 1 rad is 57.2958 deg in a file, which is 4e-7 rad more.
-SLACK = 1e-6
-"""rad and m, by which a joint value may be beyond its limits: numbers of a file are rounded."""
+LIMIT_TOLERANCE = 1e-6
+"""Rounding of joint values in files, rad and m: a value may exceed its limits by this much."""
 
 OUT_OF_RANGE = re.compile(r"^(\w+) is out of range: (?:(rotation|translation) of tubes? (\d+)[^;]* is )?")
 
 
 @contextmanager
-def said_of(**keys: tuple[str, str]) -> Iterator[None]:
-    """Say by which key joint values came in that are out of range.
+def rewording_joints(**keys: tuple[str, str]) -> Iterator[None]:
+    """Name the key of joint values in an InputError of the library about their range.
 
     Args:
-        keys: what the library calls them -> the keys of their rotations and of their translations.
+        keys: argument of the library -> keys of its rotations and of its translations.
     """
     try:
         yield
     except InputError as error:
-        found = OUT_OF_RANGE.match(str(error))
-        if found is None or found[1] not in keys:
+        match = OUT_OF_RANGE.match(str(error))
+        if match is None or match[1] not in keys:
             raise
-        turns, shifts = keys[found[1]]
-        rest = str(error)[found.end() :]
-        if found[2] is None:  # the order of the tubes
-            raise InputError(f"{shifts} is out of range: {rest}") from None
-        key = turns if found[2] == "rotation" else shifts
-        raise InputError(f"{key}[{int(found[3]) - 1}] is {rest}") from None
+        rotations, translations = keys[match[1]]
+        value_and_range = str(error)[match.end() :]
+        if match[2] is None:  # the order of the tubes
+            raise InputError(f"{translations} is out of range: {value_and_range}") from None
+        key = rotations if match[2] == "rotation" else translations
+        raise InputError(f"{key}[{int(match[3]) - 1}] is {value_and_range}") from None
 
 
 class Posed(Entry):
-    """A robot at joint values: readings, where it has a calibration."""
+    """Robot at joint values, which are readings if it has a calibration."""
 
     robot: RobotPath
     rotations_deg: OnePerTube | None = Field(
@@ -125,32 +127,32 @@ class Posed(Entry):
 
     @property
     def joints(self) -> tuple[Array, Array]:
-        """The model's rotations (n,) rad and translations (n,) m there."""
+        """Rotations (n,), rad, and translations (n,), m, of the model."""
         return joints_of(self.robot, self.si("rotations_deg"), self.si("translations_mm"))
 
 
 Joints = Annotated[tuple[Array, Array], Keys(Posed, "joints")]
-"""Parameter of a question: rotations (n,) rad and translations (n,) m of the model."""
+"""Parameter of a question: rotations (n,), rad, and translations (n,), m, of the model."""
 
 
 class Shifted(Entry):
-    """A robot at translations."""
+    """Robot at translations."""
 
     robot: RobotPath
     translations_mm: OnePerTube | None = SHIFTED
 
     @property
     def translations(self) -> Array:
-        """The model's translations (n,) m."""
+        """Translations (n,), m, of the model."""
         return joints_of(self.robot, None, self.si("translations_mm"))[1]
 
 
 Translations = Annotated[Array, Keys(Shifted, "translations")]
-"""Parameter of a question: translations (n,) m of the model."""
+"""Parameter of a question: translations (n,), m, of the model."""
 
 
 class Started(Entry):
-    """A robot, and from where it begins."""
+    """Robot at the start of a motion."""
 
     robot: RobotPath
     start_deg: OnePerTube | None = Field(
@@ -160,28 +162,31 @@ class Started(Entry):
 
     @property
     def start(self) -> tuple[Array, Array]:
-        """Joint values with which it begins."""
+        """Rotations (n,), rad, and translations (n,), m, of the model at the start."""
         return joints_of(self.robot, self.si("start_deg"), self.si("start_mm"))
 
 
-def joints_of(robot: Robot, turned: Sequence[float] | None, shifted: Sequence[float] | None) -> tuple[Array, Array]:
-    """The model's rotations (n,) rad and translations (n,) m where drives read `turned` (rad) and `shifted` (m).
+def joints_of(
+    robot: Robot, rotation_readings: Sequence[float] | None, translation_readings: Sequence[float] | None
+) -> tuple[Array, Array]:
+    """Convert drive readings to rotations (n,), rad, and translations (n,), m, of the model.
 
-    Readings are the model's values where the robot has no calibration. Without `turned` the drives read 0, or what is
-    nearest in their limits; without `shifted` the carriages are at home.
+    Without a calibration both are equal. Default rotations are 0, or the nearest value within the limits of the drives;
+    default translations are home.
 
     Raises:
         SolveError: carriages yield without end.
     """
-    given = robot.joint_limits
-    low, high = np.array(robot.limits.rotations if given is None else given.rotations).T
+    limits = robot.limits if robot.joint_limits is None else robot.joint_limits
+    low, high = np.array(limits.rotations).T
     # Limits in the file are of readings, so that 0 is clipped as a reading.
-    rotations = np.clip(0.0, low, high) if turned is None else np.array(turned)
-    if shifted is not None:
-        return to_model(robot, rotations, np.array(shifted))
-    own = robot.calibration
+    rotations = np.clip(0.0, low, high) if rotation_readings is None else np.array(rotation_readings)
+    if translation_readings is not None:
+        return to_model(robot, rotations, np.array(translation_readings))
+    calibration = robot.calibration
     # Home translations are values of the model; only rotations are converted.
-    return rotations if own is None else own.to_model(rotations, 0.0)[0], robot.home_translations
+    rotations = rotations if calibration is None else calibration.to_model(rotations, 0.0)[0]
+    return rotations, robot.home_translations
 
 
 # --- loads, in a study or in a file of their own: forces in mN, moments in mN m, lengths in mm ------------------------
@@ -196,7 +201,7 @@ class LoadEntry(Part):
     )
 
     def build(self) -> Load:
-        """The load in SI; raises InputError where it makes no sense."""
+        """Load in SI; raises InputError for a part without force and moment."""
         along: Any = self.distributed_mN_per_m
         stretches = along if along and isinstance(along[0], Part) else []
         points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `asking` adds
@@ -214,7 +219,7 @@ class LoadEntry(Part):
 
 
 def load_entry(path: str | PathLike[str]) -> LoadEntry:
-    """What a load file says; raises InputError with one line for every problem."""
+    """Load a load file; raises InputError with one line per problem."""
     return check(LoadEntry, load_yaml(path), path)
 
 
@@ -227,14 +232,14 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
 
 
 LOAD_KEYS = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
-"""Keys of a load that a study may have beside it."""
+"""Keys of a load that a study may have itself."""
 
 
 @extended(
     {key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in LOAD_KEYS.items()}
 )
 class Loaded(Entry):
-    """A robot that may have a load; the keys of its own replace those of the load."""
+    """Robot with an optional load; keys of the study replace those of its load."""
 
     load: Annotated[
         LoadEntry | None,
@@ -246,7 +251,7 @@ class Loaded(Entry):
 
     @property
     def external_load(self) -> Load | None:
-        """The load, None without one."""
+        """Load of the study; None without one."""
         own = {key: getattr(self, key) for key in LOAD_KEYS if getattr(self, key) is not None}
         if self.load is None and not own:
             return None

@@ -1,4 +1,4 @@
-"""What comes with tubeopt and is typed by its name, as a list."""
+"""List of the built-in files, which are used by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..robots.file import robot_from_dict
 
 @dataclass(frozen=True)
 class ShippedFile(Displayed):
-    """A file that comes with tubeopt."""
+    """Built-in file."""
 
     name: Annotated[str, "name for commands"]
 
@@ -30,19 +30,19 @@ class ShippedFile(Displayed):
 
 @dataclass(frozen=True)
 class ShippedFiles(Displayed):
-    """The files of one folder, or all."""
+    """Built-in files of one folder, or all."""
 
     files: tuple[ShippedFile, ...]
-    """Folder by folder, in the order of their names."""
+    """Sorted by folder and name."""
 
 
 def shipped_folders() -> tuple[str, ...]:
-    """The folders of files that come with tubeopt."""
+    """Names of the folders of built-in files."""
     return tuple(sorted({path.parent.name for path in shipped().values()}))
 
 
 def shipped_files(folder: str = "*") -> ShippedFiles:
-    """The files in a folder of those that come with tubeopt, by default in all."""
+    """Built-in files of a folder; of all folders by default."""
     listed = sorted(shipped(folder).values(), key=lambda path: path.relative_to(FOLDER))
     return ShippedFiles(tuple(map(_described, listed)))
 

@@ -56,13 +56,13 @@ from .study_file import Arguments, Options, Timed, question, reworded
 
 @dataclass(frozen=True, eq=False)
 class Equilibria(Displayed):
-    """All equilibria of a robot at given joint values, the lowest energy first."""
+    """All equilibria of a robot at given joint values, lowest energy first."""
 
     robot: Robot
     rotations: Array
-    """(n,) rad"""
+    """Shape (n,), rad."""
     translations: Array
-    """(n,) m"""
+    """Shape (n,), m."""
     equilibria: Annotated[
         tuple[Equilibrium, ...], "all equilibria, the lowest energy first; without an energy the largest margin first"
     ]
@@ -75,18 +75,17 @@ def equilibria(robot: RobotPath, joints: Joints, load: ExternalLoad) -> Equilibr
 
 
 @dataclass(frozen=True, eq=False)
-class Way(Displayed):
-    """What happens on a straight way of joint values: the first snap, or the equilibrium at the end without one."""
+class StraightMotion(Displayed):
+    """First snap on a straight joint path, or the equilibrium at its end."""
 
     robot: Robot
-    """That moves."""
     start: tuple[Array, Array]
-    """Rotations (n,) rad and translations (n,) m."""
+    """Rotations (n,), rad, and translations (n,), m."""
     end: tuple[Array, Array]
-    """The same there."""
+    """Rotations (n,), rad, and translations (n,), m."""
     snap: Annotated[Snap | None, "the snap; null without one"]
     arrived: Annotated[Equilibrium | None, "equilibrium at the end of a path without a snap"]
-    """None where it snaps before."""
+    """None if the robot snaps."""
 
 
 WaypointsPath = Annotated[
@@ -123,16 +122,16 @@ class SnapStudy(Loaded, Timed):
             raise ValueError("start and end are the same joint values; give other values for to_deg or to_mm")
         return self
 
-    def run(self, progress: Progress | None = None) -> Way:
-        """The snap; raises SolveError where there is no stable equilibrium to start from or to land on."""
+    def run(self, progress: Progress | None = None) -> StraightMotion:
+        """Search for the first snap; raises SolveError without a stable equilibrium before or after it."""
         start, end = self._ends()
         load = self.external_load
         snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
-            return Way(self.robot, start, end, snap, None)
+            return StraightMotion(self.robot, start, end, snap, None)
         # Equilibria are not unique: the one at the end depends on the path.
         motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
-        return Way(self.robot, start, end, None, motion.equilibria[-1])
+        return StraightMotion(self.robot, start, end, None, motion.equilibria[-1])
 
 
 Shaken = Annotated[bool, Field(description="ignore the friction of the robot file, as if vibration released it")]
@@ -152,16 +151,15 @@ def follow_path(
 
 @dataclass(frozen=True, eq=False)
 class Certification(Displayed):
-    """The verdict on a robot."""
+    """Assessment of whether a robot can snap."""
 
     robot: Robot
-    """On which it is."""
     verdict: SnapAssessment
-    """At the translations of the least certificate in `box` where a box was asked for."""
+    """Assessment at the given translations, or at those with the smallest certificate in `box`."""
     box: Annotated[WorstCertificate | None, "the searched box of translations"]
     """None unless requested."""
     robot_file: str = "ROBOT.yaml"
-    """What the commands that repeat it name."""
+    """Name of the robot in the printed commands that repeat the result."""
     force: Annotated[float | None, key("max_tip_force_mN"), "largest force on the tip, in any direction"] = None
     """None unless requested."""
     forced: Annotated[
@@ -172,14 +170,14 @@ class Certification(Displayed):
 
     @property
     def finding(self) -> Finding:
-        """The verdict in a word, under the force too where one is asked for: nothing is proved then but by `forced`."""
+        """Finding of the verdict, under the force if one is given: only a positive `forced` proves anything then."""
         if self.forced is None or self.forced > ROUNDING or self.verdict.finding is not Finding.SNAP_FREE:
             return self.verdict.finding
         return Finding.OPEN
 
 
 class CertifyStudy(Timed):
-    """Whether a robot can snap at any rotation, at given translations or anywhere in a box of them."""
+    """Proof that a robot cannot snap at any rotation, at given translations or anywhere in a box of them."""
 
     doing = "searching for snaps"
     assuming = f"Results are valid {ASSUMING}."
@@ -202,7 +200,7 @@ class CertifyStudy(Timed):
     )
 
     def model_post_init(self, context: Any) -> None:
-        """Keep where the robot is, unless a sweep has read it before."""
+        """Store the path of the robot file; a sweep passes a robot without one."""
         self._robot_file = (context or {}).get("files", {}).get("robot", self._robot_file)
 
     @model_validator(mode="after")
@@ -213,23 +211,20 @@ class CertifyStudy(Timed):
 
     @property
     def over_box(self) -> bool:
-        """Whether the question is about a box of translations."""
+        """True if the certificate is searched over a box of translations."""
         return self.box or self.lower_mm is not None or self.upper_mm is not None
 
     def run(self, progress: Progress | None = None) -> Certification:
-        """The verdict; raises SolveError where `assess_snapping` does."""
+        """Assess snapping; raises SolveError as `assess_snapping`."""
         worst = self._worst() if self.over_box else None
-        # Over a box, the verdict is at the least certificate that the search found.
+        # Over a box, the assessment is at the smallest certificate that the search found.
         shift = self._shift("translations_mm") if worst is None else worst.certificate.translations
-        found = Certification(
-            self.robot, assess_snapping(self.robot, shift, progress=progress), worst, self._robot_file
-        )
-        if self.max_tip_force_mN is None:
-            return found
-        force = self.si("max_tip_force_mN")
-        shift = found.verdict.certificate.translations
-        with reworded({r"^max_force\b": "max_tip_force_mN"}):
-            return replace(found, force=force, forced=snap_free_certificate(self.robot, shift, max_force=force))
+        verdict = assess_snapping(self.robot, shift, progress=progress)
+        force, forced = self.si("max_tip_force_mN"), None
+        if force is not None:
+            with reworded({r"^max_force\b": "max_tip_force_mN"}):
+                forced = snap_free_certificate(self.robot, verdict.certificate.translations, max_force=force)
+        return Certification(self.robot, verdict, worst, self._robot_file, force, forced)
 
     def _shift(self, key: str) -> Array:
         return joints_of(self.robot, None, self.si(key))[1]
@@ -243,16 +238,16 @@ class CertifyStudy(Timed):
 
 def _two_tubes(tubes: list[int], info: ValidationInfo) -> list[int]:
     robot = info.data.get("robot")
-    most = "n" if robot is None else robot.n_tubes
+    last = "n" if robot is None else robot.n_tubes
     unknown = robot is not None and not all(1 <= tube <= robot.n_tubes for tube in tubes)
     if len(tubes) != 2 or tubes[0] == tubes[-1] or unknown:
-        raise ValueError(f"is {tubes}; it must be two different tubes from 1 to {most}")
+        raise ValueError(f"is {tubes}; it must be two different tubes from 1 to {last}")
     return tubes
 
 
 @dataclass(frozen=True, eq=False)
 class RobotMap(Displayed):
-    """A stability map, and the robot that it is of."""
+    """Stability map of a robot."""
 
     robot: Robot
     translations: Annotated[Array, unit("mm"), form(".9g"), "translations"]
@@ -278,30 +273,30 @@ def map_stability(
 ) -> RobotMap:
     """The margin and the snap boundary over two rotations."""
     first, second = tubes
-    found = stability_map(robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
-    return RobotMap(robot, translations, found)
+    stability = stability_map(robot, translations, tubes=(first - 1, second - 1), progress=progress, **options)
+    return RobotMap(robot, translations, stability)
 
 
 # --- load limits ------------------------------------------------------------------------------------------------------
 
-# The unit of the report: with a load of 1 mN the load factor is the force in mN.
-PUSH = 1e-3
-"""N that a robot whose stroke force is asked pushes with, so that times are mN."""
+# With a load of 1 mN the load factor of the report is the force in mN.
+UNIT_FORCE = 1e-3
+"""Axial load of which a stroke force is a multiple, N."""
 
-
-SEARCHED = (10.0, 100.0, 1000.0)
-"""Largest load factors that are searched one after the other; the first is the largest axial force too, N."""
+# Most robots lose stability below a factor of 10; each search stops at its bound.
+SEARCH_BOUNDS = (10.0, 100.0, 1000.0)
+"""Largest load factors of successive searches; the first one is also the largest axial force, N."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bearing(Displayed):
-    """How much of a load a robot bears at given joint values."""
+class LoadLimitResult(Displayed):
+    """Load limit of a robot at given joint values."""
 
     robot: Robot
     rotations: Array
-    """(n,) rad"""
+    """Shape (n,), rad."""
     translations: Array
-    """(n,) m"""
+    """Shape (n,), m."""
     load: Load
     limit: Annotated[LoadLimit | None, "the load limit; null if stability is not lost"]
     up_to: Annotated[float, "largest load factor searched"]
@@ -329,36 +324,36 @@ class LoadLimitStudy(Posed, Loaded, Timed):
     )
 
     @model_validator(mode="after")
-    def _pushed(self) -> Self:
-        given = self.external_load
-        if given is None and not self.axial:
+    def _has_load(self) -> Self:
+        load = self.external_load
+        if load is None and not self.axial:
             raise ValueError("no load is given; give tip_force_mN, tip_moment_mN_m, gravity_m_per_s2 or load, or axial")
-        if given is not None and given == Load(frame=given.frame):
+        if load is not None and load == Load(frame=load.frame):
             raise ValueError("the load is 0; it must not be 0")
-        if given is not None and self.axial:
+        if load is not None and self.axial:
             raise ValueError("axial and a load are both given; give one of them")
         return self
 
-    def run(self, progress: Progress | None = None) -> Bearing:
-        """The limit; raises SolveError where there is no stable equilibrium without load, or the branch is lost."""
+    def run(self, progress: Progress | None = None) -> LoadLimitResult:
+        """Find the load limit; raises SolveError without a stable unloaded equilibrium, or if the branch is lost."""
         rotations, translations = self.joints
         load, up_to = self.external_load, self.si("up_to")
         start = None
         if self.from_deg is not None:
-            way = [joints_of(self.robot, self.si("from_deg"), self.si("translations_mm"))[0], rotations]
-            start = follow(self.robot, way, [translations, translations]).equilibria[-1]
+            path = [joints_of(self.robot, self.si("from_deg"), self.si("translations_mm"))[0], rotations]
+            start = follow(self.robot, path, [translations, translations]).equilibria[-1]
         if load is not None:
-            found, reached = None, 0.0
-            for reached in SEARCHED if up_to is None else (up_to,):
-                found = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=reached)
-                if found is not None:
+            limit, bound = None, 0.0
+            for bound in SEARCH_BOUNDS if up_to is None else (up_to,):
+                limit = find_load_limit(self.robot, rotations, translations, load, equilibrium=start, up_to=bound)
+                if limit is not None:
                     break
-            return Bearing(self.robot, rotations, translations, load, found, reached)
-        # The direction of the push is that of the tip without load.
+            return LoadLimitResult(self.robot, rotations, translations, load, limit, bound)
+        # The force is directed against the tip of the unloaded robot.
         start = start or forward_kinematics(self.robot, rotations, translations)
-        up_to = SEARCHED[0] if up_to is None else up_to
-        found = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
-        x, y, z = (-PUSH * start.tip_rotation[:, 2]).tolist()
-        # Found in N; the report has factors of a load of 1 mN.
-        limit = None if found is None else replace(found, factor=found.factor / PUSH)
-        return Bearing(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / PUSH)
+        up_to = SEARCH_BOUNDS[0] if up_to is None else up_to
+        stroke = find_stroke_force(self.robot, rotations, translations, equilibrium=start, up_to=up_to)
+        x, y, z = (-UNIT_FORCE * start.tip_rotation[:, 2]).tolist()
+        # `find_stroke_force` returns N; the report has multiples of the unit force.
+        limit = None if stroke is None else replace(stroke, factor=stroke.factor / UNIT_FORCE)
+        return LoadLimitResult(self.robot, rotations, translations, Load((x, y, z)), limit, up_to / UNIT_FORCE)

@@ -1,4 +1,4 @@
-"""Studies as YAML: a question about a robot, with everything that it takes to answer it.
+"""Studies as YAML: a question about a robot, with all its inputs.
 
 A new kind of study is a function and a row of `STUDY_KINDS`. Its keys are the parameters of the function:
 
@@ -42,44 +42,45 @@ from ..typing import Progress
 
 
 class Study(Entry):
-    """What all kinds of study have in common."""
+    """Base of all kinds of study."""
 
     doing: ClassVar[str] = "running the study"
-    """What is told while its answer is computed."""
+    """Label of the progress bar."""
 
     keeps: ClassVar[str] = ""
-    """What `run_in` has saved into {out} where it is interrupted."""
+    """Message on interruption: what `run_in` has saved in {out} by then."""
 
     either: ClassVar[tuple[frozenset[str], ...]] = ()
-    """Sets of keys of which a study has one: a flag in one of them stands for the keys of the others too."""
+    """Alternative sets of keys: a flag of one set replaces the keys of the other sets in a study file."""
 
     assuming: ClassVar[str] = ""
-    """A sentence on what its answer is said under."""
+    """Sentence on the assumptions of the answer, for the help."""
 
     kind: str
 
     def run(self, progress: Progress | None = None) -> Any:
-        """The answer to the question that the study asks; a kind of study has this or `run_in` of its own."""
+        """Answer of the study. A kind of study overrides this or `run_in`."""
         return self.run_in(None, progress)
 
     def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer of a command."""
+        """Answer for a command."""
         return self.run_in(out, progress)
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer, as `run` gives it; what can be kept of it on the way is kept in `out`, to go on from there."""
-        if progress is not None and getattr(self, "workers", 1) == 1:  # a bar is a thread: processes come first
+        """Answer of `run`. Intermediate results are saved in `out`, and a later run continues from them."""
+        # The bar is a thread, and processes must be forked before it starts.
+        if progress is not None and getattr(self, "workers", 1) == 1:
             progress(0, 0)
         return self.run(progress)
 
 
 class Timed(Study):
-    """A study whose answer takes long: its time limit."""
+    """Study with a time limit."""
 
     time_limit_s: Positive = Field(Decimal(int(LONG_TIME_LIMIT)), description="time limit of the command")
 
     def ask(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer, as `run_in` gives it, within the time limit.
+        """Answer of `run_in` within the time limit.
 
         Raises:
             TimeLimitError: it is reached before there is an answer.
@@ -96,18 +97,18 @@ class Timed(Study):
 
 @dataclass(frozen=True)
 class Keys:
-    """Mark of a parameter of a question that several keys make: those of an entry, of which it is an attribute."""
+    """Mark of a parameter that is an attribute of an entry: the keys of the entry become keys of the study."""
 
     entry: type[Entry]
     attribute: str
 
-    def of(self, study: Any) -> Any:
-        """The argument."""
+    def read(self, study: Any) -> Any:
+        """Value of the argument in a study."""
         return getattr(study, self.attribute)
 
 
 class Arguments:
-    """Mark of a parameter of a question: arguments of a function of the library, each of which is a key.
+    """Mark of a parameter that collects arguments of a library function; each of them becomes a key.
 
     Name, unit, range, default and help of the key are those of the function's parameter.
     """
@@ -115,8 +116,8 @@ class Arguments:
     def __init__(self, function: Callable[..., Any], *names: str) -> None:
         self.function, self.names = function, names
 
-    def of(self, study: Any) -> dict[str, Any]:
-        """The arguments by name, SI."""
+    def read(self, study: Any) -> dict[str, Any]:
+        """Arguments by name, SI."""
         return values(self.function, study, *self.names)
 
 
@@ -124,12 +125,12 @@ Options = dict[str, Any]
 """Type of a parameter with the mark `Arguments`."""
 
 PASSED_BY_COMMAND = ("progress", "out")
-"""Parameters of a question that are no keys."""
+"""Parameters of a question that the command sets; they are no keys."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """A function whose parameters are the keys of a study: what `question` makes of it."""
+    """Function whose parameters are the keys of a study, as `question` returns it."""
 
     function: Callable[..., Any]
     doing: str
@@ -138,7 +139,7 @@ class Question:
     keeps: str
 
     def study(self, kind: str) -> type[Study]:
-        """The model of a study of this kind; its name is that of the kind."""
+        """Model of a study of this kind, named after the kind."""
         # The order of the parameters is that of the flags in the help, and of the keys in docs/files.md.
         keys: dict[str, Any] = {"kind": (Literal[kind], ...)}
         bases, readers = list[type[Entry]](), dict[str, Callable[[Any], Any]]()
@@ -155,7 +156,7 @@ class Question:
                 keys |= keys_of(mark.function, mark.names)
             else:
                 keys[name] = (part.annotation, ... if part.default is part.empty else part.default)
-            readers[name] = attrgetter(name) if mark is None else mark.of
+            readers[name] = attrgetter(name) if mark is None else mark.read
         # The name of the model is its heading in docs/files.md, and links there must not change with the function.
         title = "".join(map(str.title, kind.split("_"))) + "Study"
         document = (self.function.__doc__ or "").partition("\n\n")[0]
@@ -168,20 +169,20 @@ class Question:
 
 
 class Answered(Study):
-    """A study that a function answers."""
+    """Study that is answered by a function."""
 
     function: ClassVar[Callable[..., Any]]
     readers: ClassVar[Mapping[str, Callable[[Any], Any]]]
-    """Parameters of the function -> their values in a study."""
+    """Readers of the parameters: name -> function that reads the value from a study."""
     by_command: ClassVar[tuple[str, ...]]
-    """Further parameters."""
+    """Parameters from `PASSED_BY_COMMAND` that the function takes."""
 
     def run(self, progress: Progress | None = None) -> Any:
-        """The answer."""
+        """Return value of the function; nothing is saved."""
         return self._answer(None, progress)
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> Any:
-        """The answer; a function that saves parts of it takes `out`."""
+        """Return value of the function, which saves intermediate results if it has a parameter `out`."""
         return self._answer(out, progress) if "out" in self.by_command else super().run_in(out, progress)
 
     def _answer(self, out: Path | None, progress: Progress | None) -> Any:
@@ -193,7 +194,7 @@ class Answered(Study):
 def question(
     doing: str, *, timed: bool = True, assuming: str = "", keeps: str = ""
 ) -> Callable[[Callable[..., Any]], Question]:
-    """Make a kind of study of a function; `doing`, `assuming` and `keeps` are those of `Study`.
+    """Decorate a function as a kind of study; `doing`, `assuming` and `keeps` are those of `Study`.
 
     A parameter is a key of its name, or has the mark `Keys` or `Arguments`. The first paragraph of the docstring
     describes the study. With `timed` there is the key time_limit_s.
@@ -202,31 +203,31 @@ def question(
 
 
 class Kinds(UserDict[str, Any]):
-    """Kinds of a file -> the entry that reads it, from "module.name" of this package: imported when it is needed."""
+    """Kinds of a file -> the model that reads it, as "module.name" of this package, imported on first use."""
 
     def __getitem__(self, kind: str) -> Any:
-        # A command imports only the study that it asks: start-up is faster.
+        # A command imports only its own study: start-up is faster.
         module, name = self.data[kind].split(".")
-        found = getattr(importlib.import_module(f".{module}", __package__), name)
-        return _study(found, kind) if isinstance(found, Question) else found
+        study = getattr(importlib.import_module(f".{module}", __package__), name)
+        return _study(study, kind) if isinstance(study, Question) else study
 
 
 @functools.lru_cache(maxsize=256)
-def _study(asked: Question, kind: str) -> type[Study]:
-    return asked.study(kind)
+def _study(question: Question, kind: str) -> type[Study]:
+    return question.study(kind)
 
 
 @contextmanager
-def reworded(words: Mapping[str, str]) -> Iterator[None]:
-    """Say an InputError of the library in the words of a study: pattern -> what replaces it.
+def reworded(replacements: Mapping[str, str]) -> Iterator[None]:
+    """Replace names of arguments in an InputError of the library by keys of the study: pattern -> replacement.
 
-    A function names its arguments, and a user knows keys: `{r"^max_force\b": "max_tip_force_mN"}`.
+    Example: `{r"^max_force\b": "max_tip_force_mN"}`.
     """
     try:
         yield
     except InputError as error:
         text = str(error)
-        for pattern, replacement in words.items():
+        for pattern, replacement in replacements.items():
             text = re.sub(pattern, replacement, text)
         # Without a match the original error keeps its traceback.
         if text == str(error):
@@ -264,15 +265,15 @@ STUDY_KINDS = Kinds(
         "fabrication": "heating_study.FabricationStudy",
     }
 )
-"""What the key `kind` of a study file may say."""
+"""Kinds of study files."""
 
 
 @typed
 def load_study(path: str | PathLike[str]) -> Study:
-    """The study in a YAML file, or of this name, its robot loaded; call its `run` for the answer.
+    """Load a study by path or built-in name, with its robot. Its method `run` returns the answer.
 
     Raises:
-        InputError: no such file or name, not YAML, or keys or values that make no study: one line for every problem.
+        InputError: no such file or name, not YAML, or invalid keys or values; one line per problem.
 
     Examples:
         >>> import tubeopt

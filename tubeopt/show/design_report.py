@@ -236,7 +236,7 @@ class DesignReport(Report[DesignAnswer]):
         """The objectives, then the answer in short."""
         s, region = self.answer.solution, self.answer.region
         given = [shown(one, s.objectives[key_of(one)]) for one in s.task.objectives]
-        return [("objective", words) for words in (given if region is None else [region.words])] + super().rows()
+        return [("objective", words) for words in (given if region is None else [region.summary])] + super().rows()
 
     def below(self) -> list[RenderableType]:
         """Dimensions, what binds, checks."""

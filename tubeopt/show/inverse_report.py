@@ -181,7 +181,7 @@ TARGETS = described(
 
 
 def _given(a: TargetTable) -> list[Row]:
-    return [r for r in a.rows if r.given]
+    return [r for r in a.rows if not r.inserted]
 
 
 def _reached(a: TargetTable) -> list[InverseSolution]:

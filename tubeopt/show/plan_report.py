@@ -22,7 +22,7 @@ from ..files.units import TO_MM
 from ..planning import ArmsPlan, Entry, PairProof, Proof, Trajectory
 from ..planning.trajectory import save_joint_trajectory, save_trajectory
 from ..robots.file import save_robot
-from ..runs.plan_study import Checked
+from ..runs.plan_study import VerifiedTrajectory
 from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
 from ..typing import Array
@@ -279,7 +279,7 @@ def _pose(base: Frame) -> str:
     return "# SPACE=RAS\n" + "".join(" ".join(f"{number:.12g}" for number in row) + "\n" for row in rows)
 
 
-CHECKED: tuple[Quantity[Checked], ...] = (
+CHECKED: tuple[Quantity[VerifiedTrajectory], ...] = (
     Quantity("robot", "name of the robot", lambda a: a.joints.robot.name),
     Quantity("duration_s", "duration of the motion", lambda a: a.joints.time[-1] - a.joints.time[0]),
     Quantity("samples", "number of samples", lambda a: len(a.joints.time)),
@@ -287,7 +287,7 @@ CHECKED: tuple[Quantity[Checked], ...] = (
 )
 
 
-class CheckedReport(Report[Checked]):
+class CheckedReport(Report[VerifiedTrajectory]):
     command = "verify"
     quantities = CHECKED
     file = "verify.json"

@@ -56,14 +56,14 @@ MODULES = {
     ),
     "plan_report": (
         "Trajectory",
-        "Checked",
+        "VerifiedTrajectory",
         "ArmsPlan",
     ),
     "snap_report": (
-        "Bearing",
+        "LoadLimitResult",
         "ForceRecord",
         "Equilibria",
-        "Way",
+        "StraightMotion",
         "Path",
         "RobotMap",
     ),

@@ -19,7 +19,7 @@ from ..files.units import DEG, TO_MILLI, TO_MM, in_unit
 from ..robots.file import joint_cells, joint_columns
 from ..robots.load import Load
 from ..robots.order import ends_inside, out_of_order
-from ..runs.stability_studies import Bearing, Equilibria, RobotMap, Way
+from ..runs.stability_studies import Equilibria, LoadLimitResult, RobotMap, StraightMotion
 from ..stability import LoadLimit, Snap
 from ..typing import Array
 from ..validation import ForceEstimate, ForceRecord
@@ -76,7 +76,7 @@ SNAP = described(
 )
 
 WAY = described(
-    Way,
+    StraightMotion,
     Quantity("robot", "name of the robot", lambda w: w.robot.name),
     Quantity("from_deg", "rotations at the start", lambda w: w.start[0]),
     Quantity("from_mm", "translations at the start", lambda w: w.start[1]),
@@ -85,8 +85,8 @@ WAY = described(
     Quantity("answer", "result, as text", lambda w: way_sentence(w)),
     line("from", "rotations {from_deg:.9g} deg, translations {from_mm:.9g} mm"),
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
-    of_field(Way, "snap", of=SNAP),
-    of_field(Way, "arrived", label="tip at the end", words="{arrived[tip_position_mm]:.4f} mm", of=STATE),
+    of_field(StraightMotion, "snap", of=SNAP),
+    of_field(StraightMotion, "arrived", label="tip at the end", words="{arrived[tip_position_mm]:.4f} mm", of=STATE),
 )  # fmt: skip
 
 PATH = described(
@@ -130,7 +130,7 @@ def _rubbed(m: stability.Path) -> str | None:
     return f"took {last.heat * TO_MILLI:.3f} mJ; tubes stick at {100 * last.sticking.mean():.0f} % of where they rub"
 
 
-def way_sentence(w: Way) -> str:
+def way_sentence(w: StraightMotion) -> str:
     """What happens on the way."""
     if w.snap is not None:
         return (
@@ -168,7 +168,7 @@ class EquilibriaReport(Report[Equilibria]):
         return Group(Text(f"{head}, translations {millimetres(a.translations)}"), grid(columns, cells))
 
 
-class WayReport(Report[Way]):
+class WayReport(Report[StraightMotion]):
     command = "snap"
     quantities = WAY
     file = "snap.json"
@@ -337,12 +337,12 @@ def _margin_after(limit: LoadLimit) -> str | None:
 
 
 BEARING = described(
-    Bearing,
+    LoadLimitResult,
     Quantity("robot", "name of the robot", lambda a: a.robot.name),
     *JOINTS,
     Quantity("load", "the load, as text", lambda a: load_in_words(a.load), label="load", words="{load}"),
     "up_to",
-    of_field(Bearing, "limit", of=LIMIT),
+    of_field(LoadLimitResult, "limit", of=LIMIT),
 )  # fmt: skip
 
 
@@ -356,7 +356,7 @@ def _size(load: Load, factor: float) -> str:
     return f"{' and '.join(parts)} at the tip ({times})" if alone and parts else times
 
 
-class BearingReport(Report[Bearing]):
+class BearingReport(Report[LoadLimitResult]):
     command = "load-limit"
     quantities = BEARING
     file = "load_limit.json"

@@ -22,7 +22,7 @@ from ...files.files import atomic_write
 from ...files.units import TO_MM
 from ...inverse.arm_surface import ArmSurface
 from ...planning import ArmsPlan, Trajectory
-from ...runs.plan_study import Checked
+from ...runs.plan_study import VerifiedTrajectory
 from ...typing import Array
 from ..page import tube_colour
 from ..quantities import load_in_words
@@ -79,7 +79,7 @@ def plot_trajectory(
 
 
 @picture
-def plot_checked(checked: Checked) -> Figure:
+def plot_checked(checked: VerifiedTrajectory) -> Figure:
     """Picture of a trajectory that was checked: the swept arm with the way of its tip, joint values, and the margin as
     far as it was followed, with the place of a snap."""
     joints, proof = checked.joints, checked.proof
@@ -132,7 +132,7 @@ def animate_trajectory(
     return save_film(path, f"{t.robot.name or 'robot'}: {number(float(t.time[-1]), 1)} s", len(rows), draw)
 
 
-def _followed(checked: Checked) -> tuple[Array, list[Equilibrium]]:
+def _followed(checked: VerifiedTrajectory) -> tuple[Array, list[Equilibrium]]:
     """Instants (k,), s, and the equilibria there, from the first sample to where the proof ends, which is the last."""
     joints, proof = checked.joints, checked.proof
     first, last = float(joints.time[0]), float(joints.time[-1])
