@@ -1,4 +1,4 @@
-"""The whole branch of equilibria while joints turn, through its folds: the S-curve."""
+"""Branch of equilibria through its folds while joints turn: the S-curve, by pseudo-arclength continuation."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from .folds import fold
 
 @dataclass(frozen=True, eq=False)
 class Branch(Displayed):
-    """A curve of equilibria, P points in order along it, stable and unstable."""
+    """Curve of equilibria, P points in order along it, stable and unstable."""
 
     fraction: Array
-    """(P,) fractions of the path from start to end."""
+    """(P,) fraction of the path from start to end."""
     rotations: Array
     """(P, n) joint values, rad."""
     tip_rotations: Array
     """(P, n) rotations of the tubes at the tip, rad."""
     margin: Array
-    """(P,) margins."""
+    """(P,) margin, negative between two folds."""
     folds: tuple[Equilibrium, ...]
     """Equilibria where the curve turns back, where a robot that follows it snaps."""
 
 
-# A step turns no point by more than twice the first step, so that this is at least tens of turns of a tube.
-MOST_POINTS = 4000
-"""Maximum number of points of a branch that is traced through its folds."""
+# A step turns a point by at most twice the first step: with the default this is at least tens of turns of a tube.
+MAX_POINTS = 4000
+"""Maximum number of points of a branch."""
 
 
 @typed
@@ -58,9 +58,10 @@ def trace_branch(
     step: float = 0.06,
     time_limit: float = TIME_LIMIT,
 ) -> Branch:
-    """The branch of equilibria from rotations `start`, through folds, until it leaves the path to `end` on either side.
+    """Trace the branch of equilibria from rotations `start` through folds until it leaves the path to `end`.
 
-    Pseudo-arclength continuation (Keller 1977) in the rotations along the arm and the fraction of the path.
+    Pseudo-arclength continuation (Keller 1977) in the rotations along the arm and the fraction of the path. The branch
+    may leave the path at either end.
 
     Args:
         start, end: (n,) rotations, rad; translations (n,) m, default home.
@@ -101,81 +102,88 @@ def trace_branch(
     )
 
 
-System = Callable[[Array], tuple[Array, Array]]
-"""Residual (U,) and its Jacobian (U, U + 1) at unknowns z and t (U + 1,), t measured in radians of the joint that turns
-most, so that both kinds of unknowns have one size."""
+def _continue(family: Family, start: PlainPoint, first_step: float) -> tuple[list[PlainPoint], list[PlainPoint]]:
+    """Points on the branch, and those at folds, from t = 0 until t leaves [0, 1].
 
-
-def _continue(family: Family, start: PlainPoint, first: float) -> tuple[list[PlainPoint], list[PlainPoint]]:
-    """Points, and those at folds, from t = 0 until t leaves [0, 1]."""
+    Unknowns are (x, t scale), with t measured in radians of the joint that turns most, so that all have one size.
+    """
     path, known = family.path, start.member
     n, scale, factor = path.robot.n_tubes, float(np.abs(path.end - path.start).max()), known.problem.factor
 
     def member(t: float) -> Unloaded:
         return replace(known, rotations=path.start[:n] + t * (path.end - path.start)[:n])
 
-    def point(t: float, x: Array) -> PlainPoint:
-        return Point.at(member(t), x, t)
+    def system(unknowns: Array) -> tuple[Array, Array]:
+        """Residual (U,) and its Jacobian (U, U + 1); the column of t is a central difference."""
+        t, x = unknowns[-1] / scale, unknowns[:-1]
+        state, after, before = (member(at).at(x) for at in (t, t + 1e-6, t - 1e-6))
+        return state.gradient, np.column_stack([state.hessian, (after.gradient - before.gradient) / (2e-6 * scale)])
 
-    def system(x: Array) -> tuple[Array, Array]:
-        t = x[-1] / scale
-        here, ahead, behind = (member(at).at(x[:-1]) for at in (t, t + 1e-6, t - 1e-6))
-        return here.gradient, np.column_stack([here.hessian, (ahead.gradient - behind.gradient) / (2e-6 * scale)])
+    def largest_turn(step: Array) -> float:
+        return float(np.abs(factor @ step[:-1]).max(initial=0.0))
 
-    t, x, step = 0.0, np.append(start.state.x, 0.0), first
-    tangent = _tangent(system(x)[1], np.append(np.zeros(len(x) - 1), 1.0))
+    unknowns, step = np.append(start.state.x, 0.0), first_step
+    tangent = _tangent(system(unknowns)[1], np.append(np.zeros(len(unknowns) - 1), 1.0))
     points, folds = [start], list[PlainPoint]()
-    while len(points) < MOST_POINTS:
-        turn = max(float(np.abs(factor @ tangent[:-1]).max(initial=0.0)), abs(float(tangent[-1])))
-        trial = _correct(system, factor, x, tangent * (step / turn))
-        if trial is None:
+    while len(points) < MAX_POINTS:
+        turn = max(largest_turn(tangent), abs(float(tangent[-1])))
+        corrected = _correct(system, largest_turn, unknowns, tangent * (step / turn))
+        if corrected is None:
             step /= 2
             if step < 1e-8:
-                raise SolveError(f"the branch was lost at {100 * t:.3f} % of the path")
+                raise SolveError(f"the branch was lost at {100 * unknowns[-1] / scale:.3f} % of the path")
             continue
-        ahead, easy = trial
-        t_new, following = float(ahead[-1]) / scale, _tangent(system(ahead)[1], tangent)
-        there = point(t_new, ahead[:-1])
-        if following[-1] * tangent[-1] < 0:
-            turning = fold(family, there)
+        unknowns, easily = corrected
+        t, next_tangent = float(unknowns[-1]) / scale, _tangent(system(unknowns)[1], tangent)
+        point = Point.at(member(t), unknowns[:-1], t)
+        # At a fold the branch turns back: t begins to fall along it, or to rise again.
+        if next_tangent[-1] * tangent[-1] < 0:
+            turning = fold(family, point)
             if turning is not None:
                 folds.append(turning.point)
                 points.append(turning.point)
-        if not 0.0 <= t_new <= 1.0:
-            points.append(_last(family, points[-1], there))
+        if not 0.0 <= t <= 1.0:
+            points.append(_at_end(family, points[-1], point))
             break
-        t, x, tangent = t_new, ahead, following
-        points.append(there)
-        step = min(2 * first, step * (1.5 if easy else 1.0))
+        tangent = next_tangent
+        points.append(point)
+        step = min(2 * first_step, step * (1.5 if easily else 1.0))
     return points, folds
 
 
-def _last(family: Family, inside: PlainPoint, outside: PlainPoint) -> PlainPoint:
-    """The point of the branch where it crosses the end of the path, between two points of it."""
+def _at_end(family: Family, inside: PlainPoint, outside: PlainPoint) -> PlainPoint:
+    """Point where the branch crosses the end of the path, between two points of it."""
     t = 0.0 if outside.t < 0 else 1.0
     fraction = (t - inside.t) / (outside.t - inside.t)
-    there = replace(inside.member, rotations=family.path.at(t)[0])
-    result = there.solve(inside.state.x + fraction * (outside.state.x - inside.state.x))
-    return Point.of(there, result, t) if result.converged else inside
+    member = replace(inside.member, rotations=family.path.at(t)[0])
+    result = member.solve(inside.state.x + fraction * (outside.state.x - inside.state.x))
+    return Point.of(member, result, t) if result.converged else inside
 
 
-def _tangent(jacobian: Array, like: Array) -> Array:
-    """Unit vector (U + 1,) along the branch, on the side of `like`."""
-    tangent: Array = np.linalg.solve(np.vstack([jacobian, like]), np.append(np.zeros(len(jacobian)), 1.0))
+def _tangent(jacobian: Array, previous: Array) -> Array:
+    """Unit vector (U + 1,) along the branch, in the direction of the tangent before."""
+    tangent: Array = np.linalg.solve(np.vstack([jacobian, previous]), np.append(np.zeros(len(jacobian)), 1.0))
     return tangent / np.linalg.norm(tangent)
 
 
-def _correct(system: System, factor: Array, x: Array, step: Array) -> tuple[Array, bool] | None:
-    """Newton back to the branch in the plane across a step, and whether that is easy; None where it does not converge
-    quickly."""
-    direction, x, last = step / np.linalg.norm(step), x + step, np.inf
+def _correct(
+    system: Callable[[Array], tuple[Array, Array]],
+    largest_turn: Callable[[Array], float],
+    unknowns: Array,
+    step: Array,
+) -> tuple[Array, bool] | None:
+    """Point of the branch in the plane across a step, by Newton's method, and whether that took few iterations.
+
+    None where it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
+    """
+    direction, x, last = step / np.linalg.norm(step), unknowns + step, np.inf
     for iteration in range(7):
         residual, jacobian = system(x)
         change = np.linalg.solve(np.vstack([jacobian, direction]), -np.append(residual, 0.0))
-        size = float(np.abs(factor @ change[:-1]).max(initial=0.0))
-        if size > 0.5 * last or size > 0.3:
+        turn = largest_turn(change)
+        if turn > 0.5 * last or turn > 0.3:
             return None
-        x, last = x + change, size
-        if size < 1e-9:
+        x, last = x + change, turn
+        if turn < 1e-9:
             return x, iteration <= 2
     return None

@@ -1,4 +1,9 @@
-"""Where a stable branch of equilibria ends, exactly, and where a robot lands that follows it: downhill in energy."""
+"""Ends of a stable branch of equilibria, and the equilibrium in which a robot lands that follows it.
+
+A stable branch ends in a fold, which `turning_point` solves for as a root of the bordered determinant, or becomes
+unstable at a bifurcation, a root of the margin on the branch. From there the robot follows the gradient flow of its
+potential energy (`fall`).
+"""
 
 from __future__ import annotations
 
@@ -16,24 +21,25 @@ from ..solvers.settings import LEAST_STIFFNESS
 from ..typing import Array, Delegate
 
 NEUTRAL = 1e-9
-"""A margin within this of 0 may be that of a minimum that is free to turn, as a buckled round column about its axis."""
+"""Margin below 0 that a minimum may have by round-off: a buckled round column turns freely about its axis, margin 0."""
 
 
-# Newton's method with differences converges linearly at worst: from 1e-4 rad to 1e-9 rad takes about five steps.
+# Newton's method with differenced derivatives converges linearly at worst; from 1e-4 rad to 1e-9 rad it takes about
+# five steps.
 FOLD_ITERATIONS = 25
 """Maximum number of Newton iterations to a fold."""
 
 # A central difference of the Hessian has the error h^2 of truncation and 1e-15 / h of round-off: at most 1e-8 in all.
 FOLD_DIFFERENCE = 1e-4
-"""Step of the differences along the softest direction, as a turn (rad) of a tube or of the arm."""
+"""Step of the differences along the softest direction, as a rotation (rad) of a tube or of the arm."""
 
-# A step that fails is divided by three down to `SHORTEST_STEP`, so that the end is much closer than this. A fold
-# farther away belongs to another branch.
+# Continuation divides a failed step by three down to `SHORTEST_STEP`, so that the end of the branch is much closer than
+# this. A fold farther away belongs to another branch.
 WIDEST = 1e-3
-"""Largest distance, in t, between the last stable point that was found and the one where stability is lost."""
+"""Largest distance, in t, between the last stable point and the end of its branch."""
 
-# The push is small against the hysteresis, and its energy, of the order of the cube at a fold, still far above
-# round-off.
+# Small against the hysteresis of a snap; at a fold the energy falls only with the cube of the push, which is still far
+# above round-off.
 NUDGE = 1e-2
 """Push (rad) along the softest direction that starts a fall."""
 
@@ -52,13 +58,16 @@ class Equations(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Turning:
-    """Where a branch turns back: t, unknowns x (U,) there, the direction (U,) without stiffness, and Newton's steps."""
+class TurningPoint:
+    """Point at which a branch turns back."""
 
     t: float
     x: Array
+    """(U,) unknowns."""
     direction: Array
+    """(U,) null vector of the Jacobian."""
     steps: int
+    """Newton iterations."""
 
 
 def turning_point(
@@ -67,154 +76,153 @@ def turning_point(
     t: float,
     x: Array,
     border: Array,
-) -> Turning | None:
-    """Newton on g(x, t) = 0 and sigma(x, t) = 0, the bordered determinant [H p; p' 0] [v; sigma] = [0; 1] that vanishes
-    where H is singular (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria,
-    2000), from close by; None where it does not converge.
+) -> TurningPoint | None:
+    """Solve g(x, t) = 0 and sigma(x, t) = 0 by Newton's method from close by; None where it does not converge.
 
-    Slopes of H and by t are differences, which shape the steps, not the result; by t to one side where there are no
-    equations at the other.
+    sigma is the bordered determinant, [H p; p' 0] [v; sigma] = [0; 1], which vanishes exactly where H is singular, and
+    whose matrix is regular there (Griewank, Reddien 1984; Govaerts, Numerical Methods for Bifurcations of Dynamical
+    Equilibria, 2000). The derivatives of H and by t are differences: they shape the steps, not the result.
 
     Args:
         at: the equations in x at t; None where they are of another structure.
         turn: of a step in x, rad.   border: p (U,), the softest direction.
     """
-    begin, size = t, len(x)
+    start, size = t, len(x)
     for iteration in range(1, FOLD_ITERATIONS + 1):
-        here = at(t)
-        if here is None:
+        equations = at(t)
+        if equations is None:
             return None
-        state, by = here(x), 1e-6 * max(1.0, abs(t))
-        # To one side there may be no equations of the same structure, as at the end of a path: then the difference is
-        # one-sided. It only shapes the steps.
-        sides = [(place, there(x)) for place in (t - by, t + by) if (there := at(place)) is not None]
+        state, dt = equations(x), 1e-6 * max(1.0, abs(t))
+        # At the end of a path, equations of the same structure may exist on one side only: a one-sided difference.
+        sides = [(t_side, side(x)) for t_side in (t - dt, t + dt) if (side := at(t_side)) is not None]
         if not sides:
             return None
-        (first, one), (second, other) = [*sides, (t, state)][:2]
+        (t_low, low), (t_high, high) = [*sides, (t, state)][:2]
         try:
             bordered = np.block([[state.hessian, border[:, None]], [border, np.zeros(1)]])
             unit = np.append(np.zeros(size), 1.0)
-            left, right = np.linalg.solve(bordered.T, unit)[:-1], np.linalg.solve(bordered, unit)
+            # sigma' = -w' H' v with the solutions v and w of the bordered system and of its transpose.
+            w, right = np.linalg.solve(bordered.T, unit)[:-1], np.linalg.solve(bordered, unit)
             v, sigma = right[:-1], right[-1]
-            push = FOLD_DIFFERENCE / turn(v)
-            along = (here(x + push * v).hessian - here(x - push * v).hessian) / (2 * push)
-            pull = (other.gradient - one.gradient) / (second - first)
-            stiffer = (other.hessian - one.hessian) @ v / (second - first)
-            matrix = np.block([[state.hessian, pull[:, None]], [-left @ along, -left @ stiffer]])
+            h = FOLD_DIFFERENCE / turn(v)
+            hessian_v = (equations(x + h * v).hessian - equations(x - h * v).hessian) / (2 * h)
+            gradient_t = (high.gradient - low.gradient) / (t_high - t_low)
+            hessian_t_v = (high.hessian - low.hessian) @ v / (t_high - t_low)
+            matrix = np.block([[state.hessian, gradient_t[:, None]], [-w @ hessian_v, -w @ hessian_t_v]])
             step = np.linalg.solve(matrix, -np.append(state.gradient, sigma))
         except np.linalg.LinAlgError:
             return None
-        turned = turn(step[:-1])
+        largest_turn = turn(step[:-1])
         x, t = x + step[:-1], t + float(step[-1])
-        # The fold that is searched is close; such a step leads to another one, or to none.
-        if not np.isfinite(turned) or turned > np.pi / 2 or abs(t - begin) > 0.5:
+        # The fold is close: a step this long leads to another one, or to none.
+        if not np.isfinite(largest_turn) or largest_turn > np.pi / 2 or abs(t - start) > 0.5:
             return None
-        if turned < 1e-9:
-            return Turning(t, x, v, iteration)
+        if largest_turn < 1e-9:
+            return TurningPoint(t, x, v, iteration)
     return None
 
 
 @dataclass(frozen=True, eq=False)
 class Loss:
-    """Where a stable branch is lost: the equilibrium there, "fold", "bifurcation" or "flutter", and the softest
-    direction."""
+    """End of a stable branch."""
 
     point: Place
+    """Equilibrium at which stability is lost, with margin 0."""
     kind: str
+    """"fold", "bifurcation" or "flutter"."""
     direction: Array
+    """(U,) softest direction."""
 
     t = Delegate[float]("point")
 
 
 def branch_end(family: Family, last: Place, goal: float) -> Loss | None:
-    """Where the branch is lost of which `last` is the last stable point that was found; None where nothing is found."""
+    """End of the stable branch just beyond its last stable point found; None where there is neither kind close by.
+
+    The sign of the slope at `last` predicts the kind that is tried first (see `bifurcates`).
+    """
     far = min(goal, last.t + WIDEST * max(1.0, abs(last.t)))
     if bifurcates(family, last):
         return bifurcation(family, last, goal) or fold_ahead(family, last, far)
     return fold_ahead(family, last, far) or bifurcation(family, last, goal)
 
 
-def _equations(family: Family, known: Member[Any]) -> Callable[[float], Callable[[Array], Any] | None]:
-    """The equations at t with the unknowns of a known problem."""
-
-    def at(t: float) -> Callable[[Array], Any] | None:
-        there = family.like(known, t)
-        return None if there is None else there.at
-
-    return at
-
-
 def fold_ahead(family: Family, last: Place, far: float) -> Loss | None:
-    """The fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
+    """Fold close ahead of a point of a stable branch, up to t = `far`; None where none is found."""
     result = fold(family, last)
     return result if result is not None and last.t - 1e-6 * max(1.0, abs(last.t)) <= result.t <= far else None
 
 
 def fold(family: Family, point: Place) -> Loss | None:
-    """The fold of a branch close to a point of it; None where it is not found."""
+    """Fold of a branch close to a point of it; None where Newton's method does not converge to one."""
     known = point.member
+
+    def equations(t: float) -> Callable[[Array], Any] | None:
+        member = family.like(known, t)
+        return None if member is None else member.at
 
     def turn(step: Array) -> float:
         return float(known.turn(point.state, step))
 
-    result = turning_point(_equations(family, known), turn, point.t, point.state.x, point.softest)
-    there = None if result is None else family.like(known, result.t)
-    if result is None or there is None:
+    result = turning_point(equations, turn, point.t, point.state.x, point.softest)
+    member = None if result is None else family.like(known, result.t)
+    if result is None or member is None:
         return None
-    state = there.at(result.x)
-    return Loss(Point(result.t, there, state, there.margin(state), result.steps), "fold", result.direction)
+    state = member.at(result.x)
+    return Loss(Point(result.t, member, state, member.margin(state), result.steps), "fold", result.direction)
 
 
 def bifurcation(family: Family, point: Place, goal: float) -> Loss | None:
-    """The root of the margin on the branch of `point`, which goes on beyond it; None where it does not."""
+    """Root of the margin on the branch of `point`, which continues beyond it; None where it does not continue."""
 
-    def at(t: float) -> Place | None:
-        there = family.member(t)
-        result = there.solve(there.carried(point))
-        return Point.of(there, result, t) if result.converged else None
+    def solved(t: float) -> Place | None:
+        member = family.member(t)
+        result = member.solve(member.carried(point))
+        return Point.of(member, result, t) if result.converged else None
 
     # Short distances first: beyond a bifurcation Newton's method finds the old branch only from close by.
-    ahead = 1e-7
-    while ahead < WIDEST:
-        t = min(goal, point.t + ahead * max(1.0, abs(goal)))
-        beyond = at(t)
+    distance = 1e-7
+    while distance < WIDEST:
+        t = min(goal, point.t + distance * max(1.0, abs(goal)))
+        beyond = solved(t)
         if beyond is None:
             return None
         if beyond.margin < 0:
-            solution = _root(at, point.t, t)
-            if solution is None:
+            root = _margin_root(solved, point.t, t)
+            if root is None:
                 return None
-            kind = "flutter" if solution.member.flutters(solution.state) else "bifurcation"
-            return Loss(solution, kind, solution.softest)
+            kind = "flutter" if root.member.flutters(root.state) else "bifurcation"
+            return Loss(root, kind, root.softest)
         if t == goal:
             return None
-        ahead *= 10
+        distance *= 10
     return None
 
 
-def _root(at: Callable[[float], Place | None], low: float, high: float) -> Place | None:
+def _margin_root(solved: Callable[[float], Place | None], low: float, high: float) -> Place | None:
+    """Point between t = `low` and `high` at which the margin vanishes."""
+
     def margin(t: float) -> float:
-        point = at(t)
+        point = solved(t)
         return float("nan") if point is None else point.margin
 
     if not margin(low) > 0:
-        return at(low)
+        return solved(low)
     try:
-        result = at(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
+        root = solved(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
     except ValueError:
         return None
-    # Where the margin jumps, there are two branches, not a root on one.
-    return result if result is not None and abs(result.margin) <= LEAST_STIFFNESS else None
+    # Where the margin jumps, the two ends lie on two branches, and there is no root on either.
+    return root if root is not None and abs(root.margin) <= LEAST_STIFFNESS else None
 
 
 def fall(lost: Place, direction: Array) -> Place | None:
-    """The minimum to which potential energy falls from a point after a push along `direction` (U,), at its joint values
-    and load: to the side that leads down, or to both if both do, of which the one that ends lower is taken. None where
-    that leads to no stable equilibrium.
+    """Equilibrium to which potential energy falls from a point after a push along `direction` (U,); None without one.
 
-    Energy falls on the path of steepest descent in the norm of the torsional and bending energy. Of tubes off the
-    centreline that energy leaves out that they are stretched: it only chooses between sides. Under loads without an
-    energy the path is that of tubes of a viscous material, x' = -g; of two sides it is the first.
+    Joint values and load stay. Of the two signs of the direction the one that leads down is taken; if both do, the one
+    that ends lower. The path is that of steepest descent in the norm of the torsional and bending energy. For tubes off
+    the centreline this norm leaves out that they are stretched, which affects only the choice between the two sides.
+    Under loads without an energy the path is that of viscous tubes, x' = -g, to the first of two sides.
     """
     member, x = lost.member, lost.state.x
     push = NUDGE / member.turn(lost.state, direction) * direction
@@ -226,23 +234,23 @@ def fall(lost: Place, direction: Array) -> Place | None:
 
     ends = [slide(member, start) for start in downhill(x, push, uphill)]
     points = [Point.of(member, end, lost.t) for end in ends if end.converged]
-    rests = [point for point in points if point.margin > -NEUTRAL]
-    # Of two that are alike, as beside a bifurcation, the first.
-    lowest = min((rest.state.potential for rest in rests), default=0.0)
-    return next((rest for rest in rests if not rest.state.potential > lowest + 1e-12), None)
+    minima = [point for point in points if point.margin > -NEUTRAL]
+    # Next to a symmetric bifurcation both sides have the same energy to round-off: the first is taken.
+    lowest = min((point.state.potential for point in minima), default=0.0)
+    return next((point for point in minima if not point.state.potential > lowest + 1e-12), None)
 
 
 def slide(member: Member[Any], x: Array) -> NewtonResult[Any]:
-    """The gradient flow of the potential energy from x (U,) to the minimum where it ends."""
-    begin = member.at(x)
-    round_off = 1e-13 * member.round_off(begin)
+    """Follow the gradient flow of the potential energy from x (U,) to the minimum at which it ends."""
+    start = member.at(x)
+    round_off = 1e-13 * member.round_off(start)
 
     def step(state: Any, time: float) -> tuple[Array, float, bool]:
         change, not_convex = member.downhill(state, time)
         return change, member.turn(state, change), not_convex
 
     def moved(state: Any, change: Array) -> Any:
-        there = member.at(state.x + change)
-        return None if member.descends and there.potential > state.potential + round_off else there
+        result = member.at(state.x + change)
+        return None if member.descends and result.potential > state.potential + round_off else result
 
-    return flow(begin, step, moved, lambda state: member.solve(state.x, iterations=4))
+    return flow(start, step, moved, lambda state: member.solve(state.x, iterations=4))
