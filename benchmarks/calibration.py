@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, Friction, Tube
 from tubeopt.equilibrium.friction import sweep
-from tubeopt.stability.friction_path import rubbing_start
+from tubeopt.stability.friction_path import start_with_friction
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, compare_effects, fit
 from tubeopt.validation.effects import EFFECTS, Setup
@@ -125,7 +125,7 @@ def followed(setup: Setup, table: Array) -> Array:
     robot, n = setup.robot(ROBOT), ROBOT.n_tubes
     if not setup.friction.any():
         return solve_poses(robot, table[:, :n], table[:, n:], np.zeros(1)).position[:, 0]
-    held = rubbing_start(robot, table[0], Friction(tuple(setup.friction.tolist()), refinement=FINE))
+    held = start_with_friction(robot, table[0], Friction(tuple(setup.friction.tolist()), refinement=FINE))
     found = sweep(robot, held, np.vstack([table[:1], table]), np.zeros(1))
     if found is None or len(found.margin) < len(table):
         raise SystemExit("the truth cannot be followed: there is no compiled kernel, or the robot snaps on the path")

@@ -15,7 +15,7 @@ from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.settings import LARGEST_SHIFT, LARGEST_TURN
-from tubeopt.stability.friction_path import rubbing_start
+from tubeopt.stability.friction_path import start_with_friction
 from tubeopt.typing import Array
 from tubeopt.validation import model as posing
 from tubeopt.validation.model import Poses
@@ -76,7 +76,7 @@ def test_laws_of_friction_hold_in_the_kernel() -> None:
     rub = Friction(0.012, refinement=-1)
     time = np.arange(60) / 10.0
     rows = joints(3 * time, 3 * time[-1]) * [1, 1, 0, 0]
-    held = rubbing_start(robot(), rows[0], rub)
+    held = start_with_friction(robot(), rows[0], rub)
     fronts, worst = 0, 0.0
     for k in range(1, len(rows)):
         found = sweep(robot(), held, rows[k - 1 : k + 1], np.zeros(1))
@@ -102,4 +102,4 @@ def test_laws_of_friction_hold_in_the_kernel() -> None:
 def test_what_the_kernel_leaves_to_python() -> None:
     rows = np.zeros((3, 4))
     for rub in (Friction(0.01, ends=1e-5), Friction(0.01, sliding=True)):
-        assert sweep(robot(), rubbing_start(robot(), rows[0], rub), rows, np.zeros(1)) is None
+        assert sweep(robot(), start_with_friction(robot(), rows[0], rub), rows, np.zeros(1)) is None

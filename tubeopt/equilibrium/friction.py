@@ -106,7 +106,7 @@ def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction
     return make_contact(assembly, friction, loading)
 
 
-def check_rubbing(robot: Robot, friction: Friction) -> None:
+def validate_friction(robot: Robot, friction: Friction) -> None:
     """Raise InputError for a robot or a friction of which there is no motion with friction."""
     check_friction(friction, robot.n_tubes)
     if isinstance(robot, (EccentricRobot, SegmentedEccentricRobot)):

@@ -1,5 +1,4 @@
-"""Quasi-static motion along a path of joint values, with its history: where the robot snaps, and where it lands; the
-first snap on a straight path."""
+"""Quasi-static motion through waypoints of joint values, with every snap; the first snap on a straight path."""
 
 from __future__ import annotations
 
@@ -28,20 +27,20 @@ from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, StatusEnum
-from .friction_path import rubbing_legs
-from .motion import Event, Snap, family_between, leg, motion
+from .friction_path import segments_with_friction
+from .motion import Event, Snap, family_between, motion, segment
 
 T = TypeVar("T")
 
-BETWEEN = 4
+STEPS = 4
 """Steps of a dense path from one waypoint to the next."""
 
-TO_A_SNAP = 16
-"""Steps of a dense path from a waypoint to the snap after it, where the margin falls like a root."""
+STEPS_TO_SNAP = 16
+"""Steps of a dense path from a waypoint to the snap after it, where the margin falls like a square root."""
 
 
 class PathStatus(StatusEnum):
-    """What a robot did on its path; every value reads as a sentence."""
+    """Outcome of a motion, as a sentence."""
 
     SMOOTH = "the robot reached all waypoints without a snap"
     SNAPPED = "the robot reached all waypoints, with snaps"
@@ -49,18 +48,18 @@ class PathStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class PathStatistics:
-    """What a motion took."""
+    """Effort of a motion."""
 
     waypoints: int
-    """That the robot came to."""
+    """Number of waypoints reached."""
     snaps: int
-    """Between the waypoints."""
+    """Number of snaps between them."""
     iterations: int
-    """Of Newton's method that their equilibria took."""
+    """Newton iterations of the equilibria at the waypoints."""
 
 
 class HeldEquilibria(Sequence[Equilibrium]):
-    """Equilibria with friction at T waypoints, each of which is put together when it is first asked for."""
+    """Equilibria with friction at T waypoints; each is computed from its state on first access."""
 
     def __init__(self, robot: Robot, states: Sequence[FrictionEquilibrium | Callable[[], FrictionEquilibrium]]) -> None:
         self._robot, self._states = robot, tuple(states)
@@ -85,27 +84,29 @@ class HeldEquilibria(Sequence[Equilibrium]):
 
 
 class Stretch(NamedTuple):
-    """Part of a path from one snap to the next."""
+    """Part of a path between two snaps."""
 
     at: Array
     """(P,) values at its points, such as the number of the waypoint."""
     equilibria: Sequence[Equilibrium]
-    """(P,) equilibria there; at a snap the one that is lost, or the one after it."""
+    """(P,) equilibria at its points. The last is the one lost in the next snap, the first the one after a snap."""
 
 
 @dataclass(frozen=True, eq=False)
 class Path(Displayed):
-    """Motion of a robot along a path: one stable equilibrium per waypoint, and the snaps between them."""
+    """Quasi-static motion: one stable equilibrium per waypoint, and the snaps between them."""
 
     equilibria: Sequence[Equilibrium]
-    """(T,) at the waypoints."""
+    """(T,) stable equilibria at the waypoints."""
     snaps: Annotated[tuple[Snap, ...], "snaps along the path"]
-    """In order."""
+    """Snaps in order along the path."""
 
     @cached_property
     def dense(self) -> tuple[Stretch, ...]:
-        """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints. With
-        friction it has no points between the waypoints, since their states depend on the history."""
+        """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints.
+
+        With friction there are none between the waypoints, since their states depend on the history.
+        """
         parts = stretches(self, np.arange(1.0, len(self.equilibria) + 1))
         if self.equilibria[0].friction is not None:
             return parts
@@ -113,12 +114,12 @@ class Path(Displayed):
 
     @property
     def value(self) -> Array:
-        """(T, 3) the tips at the waypoints, m."""
+        """(T, 3) tip positions at the waypoints, m."""
         return np.array([each.tip_position for each in self.equilibria])
 
     @property
     def status(self) -> PathStatus:
-        """Whether the robot snapped, as a sentence."""
+        """Outcome, with or without snaps, as a sentence."""
         return PathStatus.SNAPPED if self.snaps else PathStatus.SMOOTH
 
     @property
@@ -129,44 +130,45 @@ class Path(Displayed):
 
 
 def place_of(snap: Snap, values: Array) -> float:
-    """Value at a snap of a quantity with values (T,) at the waypoints, interpolated."""
+    """Interpolated value at a snap of a quantity with values (T,) at the waypoints."""
     return float(values[snap.index] + snap.fraction * (values[snap.index + 1] - values[snap.index]))
 
 
 def stretches(path: Path, values: Array) -> tuple[Stretch, ...]:
     """Parts of a path between its snaps, over values (T,) at the waypoints."""
     out: list[Stretch] = []
-    where, what, done = [float(values[0])], [path.equilibria[0]], 1
+    start, first, waypoint = float(values[0]), path.equilibria[0], 1
     for snap in path.snaps:
-        until = snap.index + 1
-        here = place_of(snap, values)
-        at = np.array([*where, *values[done:until].tolist(), here])
-        out.append(Stretch(at, [*what, *path.equilibria[done:until], snap.before]))
-        where, what, done = [here], [snap.after], max(done, until)
-    out.append(Stretch(np.array([*where, *values[done:].tolist()]), [*what, *path.equilibria[done:]]))
+        stop = snap.index + 1
+        at_snap = place_of(snap, values)
+        at = np.array([start, *values[waypoint:stop].tolist(), at_snap])
+        out.append(Stretch(at, [first, *path.equilibria[waypoint:stop], snap.before]))
+        start, first, waypoint = at_snap, snap.after, max(waypoint, stop)
+    out.append(Stretch(np.array([start, *values[waypoint:].tolist()]), [first, *path.equilibria[waypoint:]]))
     return tuple(out)
 
 
 def _refined(part: Stretch, *, ends_in_snap: bool) -> Stretch:
-    """A stretch with equilibria between its points, on straight joint paths, each started from the one before.
+    """Stretch with equilibria between its points, on straight joint paths, each started from the one before.
 
-    Points that the solver does not reach, next to a fold, are left out.
+    Points next to a fold that the solver does not reach are left out.
     """
     at, equilibria = [float(part.at[0])], [part.equilibria[0]]
     for (first, start), (last, end) in pairwise(zip(part.at.tolist(), part.equilibria, strict=True)):
         to_fold = ends_in_snap and end is part.equilibria[-1]
-        steps = TO_A_SNAP if to_fold else BETWEEN
+        steps = STEPS_TO_SNAP if to_fold else STEPS
         fraction = np.arange(1, steps) / steps
-        fraction = 1 - (1 - fraction) ** 2 if to_fold else fraction  # the margin falls fastest next to the snap
+        # With t = 1 - x^2 the margin, a square root of the distance to the snap, falls linearly in x.
+        fraction = 1 - (1 - fraction) ** 2 if to_fold else fraction
         guess = start
-        for x in fraction.tolist():
-            turns = start.rotations + x * (end.rotations - start.rotations)
-            shifts = start.translations + x * (end.translations - start.translations)
+        for t in fraction.tolist():
+            rotations = start.rotations + t * (end.rotations - start.rotations)
+            translations = start.translations + t * (end.translations - start.translations)
             try:
-                guess = forward_kinematics(start.robot, turns, shifts, start=guess, load=start.load)
+                guess = forward_kinematics(start.robot, rotations, translations, start=guess, load=start.load)
             except SolveError:
                 break
-            at.append(first + x * (last - first))
+            at.append(first + t * (last - first))
             equilibria.append(guess)
         at.append(last)
         equilibria.append(end)
@@ -187,7 +189,7 @@ def follow(
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Path:
-    """Quasi-static motion of a robot through waypoints of joint values, along straight lines between them.
+    """Quasi-static motion of a robot through waypoints of joint values, along straight joint paths between them.
 
     Args:
         rotations, translations: (T, n) rad and m; translations default to home.
@@ -214,41 +216,40 @@ def follow(
     """
     joints = np.concatenate(checked_waypoints(robot, rotations, translations), axis=1)
     if friction is not None and not friction.trivial:
-        states, snaps = _collected(rubbing_legs(robot, joints, friction, start, load), progress)
+        states, snaps = _collect(segments_with_friction(robot, joints, friction, start, load), progress)
         return Path(HeldEquilibria(robot, states), snaps)
-    equilibria, snaps = _collected(_legs(robot, joints, load, start), progress)
+
+    def segments() -> Iterator[tuple[Equilibrium, list[Snap]]]:
+        equilibrium = _start(robot, joints[0], load, start)
+        yield equilibrium, []
+        for k, (waypoint, next_waypoint) in enumerate(pairwise(joints)):
+            equilibrium, snaps = segment(family_between(robot, waypoint, next_waypoint, load), equilibrium, k)
+            yield equilibrium, snaps
+
+    equilibria, snaps = _collect(segments(), progress)
     return Path(tuple(equilibria), snaps)
 
 
-def _collected(
-    legs: Iterable[tuple[T, list[Snap]]], progress: Callable[[int], object] | None
+def _collect(
+    segments: Iterable[tuple[T, list[Snap]]], progress: Callable[[int], object] | None
 ) -> tuple[list[T], tuple[Snap, ...]]:
-    """What is told of every waypoint, and all snaps on the path."""
-    reached, snaps = list[T](), list[Snap]()
-    for k, (there, result) in enumerate(legs):
-        reached.append(there)
-        snaps += result
+    """State at every waypoint, and all snaps; `segments` has each state with the snaps on the segment to it."""
+    states, snaps = list[T](), list[Snap]()
+    for k, (state, snaps_before) in enumerate(segments):
+        states.append(state)
+        snaps += snaps_before
         if progress is not None and k:
             progress(k)
-    return reached, tuple(snaps)
-
-
-def _legs(
-    robot: Robot, joints: Array, load: Load | None, start: Equilibrium | None
-) -> Iterator[tuple[Equilibrium, list[Snap]]]:
-    """Equilibria at the waypoints `joints` (T, 2 n), each with the snaps on the path to it."""
-    pose = _start(robot, joints[0], load, start)
-    yield pose, []
-    for k, (here, there) in enumerate(pairwise(joints)):
-        pose, snaps = leg(family_between(robot, here, there, load), pose, k)
-        yield pose, snaps
+    return states, tuple(snaps)
 
 
 def _start(
     robot: Robot, joint: Array, load: Load | None, start: Equilibrium | None, name: str = "start"
 ) -> Equilibrium:
-    """The stable equilibrium at a waypoint under a load; `start`, which messages call `name`, is loaded first, then
-    moved there."""
+    """Stable equilibrium at a waypoint (2n,) under a load, on the branch of `start`, which messages call `name`.
+
+    The load on `start` changes first, then the robot moves to the waypoint. Snaps on both are ignored.
+    """
     first = start if start is not None else forward_kinematics(robot, *np.split(joint, 2), load=load)
     if not first.stable:
         raise InputError(f"{name} has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
@@ -257,21 +258,25 @@ def _start(
     refuse_friction(first)
     if load is not None and first.load != load:
         first = under_load(first, load)
-    own = np.concatenate([first.rotations, first.translations])
-    if np.allclose(own, joint, rtol=0, atol=1e-12):
+    current = np.concatenate([first.rotations, first.translations])
+    if np.allclose(current, joint, rtol=0, atol=1e-12):
         return first
-    return leg(family_between(robot, own, joint, load), first, 0)[0]
+    return segment(family_between(robot, current, joint, load), first, 0)[0]
 
 
 def checked_waypoints(robot: Robot, rotations: ArrayLike, translations: ArrayLike | None) -> tuple[Array, Array]:
-    """Rotations and translations (T, n) of waypoints, T at least 1; raises InputError where they are none."""
+    """Rotations and translations (T, n) of waypoints, T at least 1.
+
+    Raises:
+        InputError: wrong shapes, no waypoint, or a tube out of its actuator.
+    """
     alpha, shift = joint_arrays(robot, rotations, translations)
     if not len(alpha):
         raise InputError("rotations has no rows; it must have one per waypoint")
     changed = np.append(True, (np.diff(shift, axis=0) != 0).any(1))
-    # Of tubes that all move by themselves only how far each is pushed is limited: the farthest tell of all.
-    alone = all(len(tubes) == 1 for tubes in robot.moving_together)
-    for row in shift[np.unique(shift.argmax(0)) if alone else changed]:
+    # Tubes with a carriage each have only an upper limit each: the rows with the largest translations suffice.
+    independent = all(len(tubes) == 1 for tubes in robot.moving_together)
+    for row in shift[np.unique(shift.argmax(0)) if independent else changed]:
         robot.assembly(row)
     return alpha, shift
 
@@ -291,9 +296,9 @@ def find_snap(
     load: Load | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> Snap | None:
-    """The first snap on the straight path from `start` to `end`, or None if the branch reaches the end.
+    """First snap on the straight path from `start` to `end`, or None if the branch reaches the end.
 
-    The branch is followed to its end; the fold there is the root of a bordered determinant.
+    Continuation to the end of the branch; the fold there is solved as a root of the bordered determinant.
 
     Args:
         start, end: (rotations, translations), each (n,), rad and m; translations may be None for home.
@@ -316,21 +321,16 @@ def find_snap(
         214.222
     """
     family = family_between(robot, _joint(robot, "start", start), _joint(robot, "end", end), load)
-    steps = motion(family, _first(robot, family, equilibrium))
+    if equilibrium is not None:
+        current = np.concatenate([equilibrium.rotations, equilibrium.translations])
+        if np.abs(current - family.path.start).max() > 1e-9:
+            raise InputError("equilibrium is at other joint values than start; they must be the same")
+    steps = motion(family, _start(robot, family.path.start, load, equilibrium, "equilibrium"))
     return next((step.snap(0) for step in steps if isinstance(step, Event)), None)
 
 
-def _first(robot: Robot, family: Family, equilibrium: Equilibrium | None) -> Equilibrium:
-    """The stable equilibrium at the start of a family, on the branch of an equilibrium if one is given."""
-    start = family.path.start
-    if equilibrium is not None:
-        own = np.concatenate([equilibrium.rotations, equilibrium.translations])
-        if np.abs(own - start).max() > 1e-9:
-            raise InputError("equilibrium is at other joint values than start; they must be the same")
-    return _start(robot, start, family.load, equilibrium, "equilibrium")
-
-
 def _joint(robot: Robot, name: str, value: Configuration) -> Array:
+    """(2n,) joint values of the argument `name`, checked."""
     try:
         rotations, translations = value
     except (TypeError, ValueError):
@@ -345,16 +345,15 @@ def _joint(robot: Robot, name: str, value: Configuration) -> Array:
 
 @small
 def push(equilibrium: Equilibrium, load: Load) -> Path:
-    """What a robot does while the load on it turns evenly into another one: the equilibria at both ends, and the snaps
-    between, at fractions of the path.
+    """Quasi-static change of the load, linear from the current one to another: both equilibria, and the snaps between.
 
     Args:
         equilibrium: stable, with or without a load.
-        load: the new one; `Load()` takes the old one off.
+        load: the new load; `Load()` for none.
 
     Raises:
         InputError: an unstable equilibrium; loads in different frames.
-        SolveError: descent from where the branch is lost finds no stable equilibrium.
+        SolveError: descent from the end of a branch finds no stable equilibrium.
     """
     robot, before = equilibrium.robot, equilibrium.load or Load()
     if not equilibrium.stable:
@@ -363,7 +362,7 @@ def push(equilibrium: Equilibrium, load: Load) -> Path:
     try:
         return Path((equilibrium, forward_kinematics(robot, alpha, shift, load=load, start=equilibrium)), ())
     except SolveError:
-        here = np.concatenate([alpha, shift])
-    family = Family(JointPath(robot, here, here, LOADED_DISCRETISATION), load, before)
-    end, snaps = leg(family, equilibrium, 0)
+        joint = np.concatenate([alpha, shift])
+    family = Family(JointPath(robot, joint, joint, LOADED_DISCRETISATION), load, before)
+    end, snaps = segment(family, equilibrium, 0)
     return Path((equilibrium, end), tuple(snaps))

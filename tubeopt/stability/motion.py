@@ -1,4 +1,4 @@
-"""Quasi-static motion along a family of problems, joints or load alike: where the robot snaps, and where it lands."""
+"""Quasi-static motion along a family of problems, joints or load alike, with its snaps."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from .folds import PAST, Loss, branch_end, fall, fold_ahead
 
 
 class SnapStatus(StatusEnum):
-    """How a snap ends; it reads as a sentence. One that does not land is no Snap, but raises SolveError."""
+    """End of a snap, as a sentence; a snap that reaches no equilibrium raises SolveError instead."""
 
     LANDED = "the robot snapped to another equilibrium"
 
 
 @dataclass(frozen=True, eq=False)
 class Snap(Displayed):
-    """One snap: the vanishing equilibrium and the one after it."""
+    """Snap: an equilibrium vanishes, and the robot jumps to another one."""
 
     _brief = ("fraction", "rotations", "translations", "tip_jump", "energy_released")
 
     index: int
     """Index of the waypoint before it."""
     fraction: Annotated[float, "fraction of the path to the snap"]
-    """The path is that to the next waypoint."""
+    """0 at the waypoint `index`, 1 at the next one."""
     before: Annotated[Equilibrium, "equilibrium that is lost"]
     """Its margin is 0, at the joint values of the snap."""
     after: Annotated[Equilibrium, "equilibrium after the snap"]
@@ -48,7 +48,7 @@ class Snap(Displayed):
 
     @property
     def energy_released(self) -> float:
-        """J; NaN under a load without an energy."""
+        """Energy released by tubes and load, J; NaN under a load without an energy."""
         return self.before.potential - self.after.potential
 
     @property
@@ -63,7 +63,7 @@ class Snap(Displayed):
 
     @property
     def status(self) -> SnapStatus:
-        """Result, as a sentence."""
+        """End of the snap, as a sentence."""
         return SnapStatus.LANDED
 
     @property
@@ -72,108 +72,117 @@ class Snap(Displayed):
         return self.before.statistics
 
 
-# Beside a bifurcation the new branch is reached within `PAST` of the path, where it is about 0.01 rad away. The
-# smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller turn cannot be told from no snap.
+# Next to a bifurcation the new branch is reached within `PAST` of the path, where it is about 0.01 rad away. The
+# smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller jump cannot be told from no snap.
 SMOOTH_TURN = 0.05
-"""Largest turn (rad) of a point by which the robot changes to a neighbouring branch at a bifurcation without a snap."""
+"""Largest rotation (rad) of a point by which a robot changes smoothly to a neighbouring branch at a bifurcation."""
 
-LEAST_TURN = 1e-3
-"""Turn (rad) above which the equilibrium where the robot lands differs from the one that it left."""
+MIN_JUMP = 1e-3
+"""Rotation (rad) of a point above which the equilibrium after a fall differs from the one that was lost."""
 
+# A fold close ahead of the point where the kernel declines is the reason, and `fold_ahead` finds it. Otherwise a few
+# steps of the general continuation pass the difficult part.
+HANDOVER = 0.1
+"""Distance (rad) that the general continuation goes before the kernel is tried again."""
 
-TAKEN_OVER, CLOSE = 0.1, 0.02
-"""How far (rad) the general follower goes before the kernel is asked again; and how close to where the kernel declines
-a fold lies that is the reason."""
+FOLD_RANGE = 0.02
+"""Distance (rad) ahead of the point where the kernel declines in which a fold is searched first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A snap of a family: the equilibrium that is lost, and the one in which the robot has landed."""
+    """Snap of a family of problems."""
 
     lost: Place
+    """Point at which the branch ends."""
     landed: Place
+    """Stable point in which the robot lands."""
 
     @cached_property
     def before(self) -> Equilibrium:
-        """That is lost."""
+        """Equilibrium that vanishes."""
         return to_equilibrium(self.lost, "fold")
 
     @cached_property
     def after(self) -> Equilibrium:
-        """In which the robot lands."""
+        """Equilibrium in which the robot lands."""
         return to_equilibrium(self.landed, "energy descent")
 
     def snap(self, index: int) -> Snap:
-        """That after the waypoint `index`."""
+        """Snap between the waypoint `index` and the next one."""
         return Snap(index, self.lost.t, self.before, self.after)
 
 
 def family_between(robot: Robot, start: Array, end: Array, load: Load | None) -> Family:
-    """Joint values (2n,) that go straight to others, under a load that stays or none."""
+    """Problems on a straight path between joint values (2n,), under a constant load or none."""
     if load is None:
         return Family(JointPath(robot, start, end))
     return Family(JointPath(robot, start, end, LOADED_DISCRETISATION), load, load)
 
 
 def motion(family: Family, origin: Equilibrium) -> Iterator[Milestone | Event]:
-    """Equilibria of the motion from a stable one at t = 0, the last at t = 1; an event wherever the robot snaps.
+    """Follow a stable equilibrium from t = 0 to t = 1; yields equilibria, and an event wherever the robot snaps.
 
-    Joints that move along a path and a load that turns into another one are followed alike: by the compiled kernel
-    where it is at ease, else by the general follower, until the branch has ended in a snap or is at ease again.
+    Joint paths and changes of the load alike. The compiled kernel follows the branch (`along`) until it declines a
+    step. Then the general continuation takes over, until the branch has ended in a snap or `HANDOVER` is behind.
     """
-    here, scale = Milestone(0.0, origin), max(family.span(), CLOSE)
-    # The kernel makes an energy least.
+    last, scale = Milestone(0.0, origin), max(family.span(), FOLD_RANGE)
+    # The kernel minimises an energy.
     kernel = kernel_of(family.path.robot) if all(load is None or load.has_energy for load in family.loads) else None
-    while here.t < 1.0:
+    while last.t < 1.0:
         if kernel is not None:
-            for step in along(family, here):
-                yield step
-                here = step
-            if here.t >= 1.0:
+            for milestone in along(family, last):
+                yield milestone
+                last = milestone
+            if last.t >= 1.0:
                 return
-        start, far, ahead = _point_of(family, here), 1.0, None
+        start = replace(point_of(last.pose, None if family.load is None else Load()), t=last.t)
+        far, ahead = 1.0, None
         if kernel is not None:
-            far = min(1.0, here.t + TAKEN_OVER / scale)
-            ahead = fold_ahead(family, start, min(1.0, here.t + CLOSE / scale))
-        result = _slowly(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)
+            far = min(1.0, last.t + HANDOVER / scale)
+            ahead = fold_ahead(family, start, min(1.0, last.t + FOLD_RANGE / scale))
+        result = _continue(family, start, far) if ahead is None else leave(family, start, ahead, 1.0)
         if isinstance(result, Event):
             yield result
-            here = Milestone(result.landed.t, result.after)
+            last = Milestone(result.landed.t, result.after)
         else:
-            here = Milestone(result.t, to_equilibrium(result, "the path"))
-        yield here
+            last = Milestone(result.t, to_equilibrium(result, "the path"))
+        yield last
 
 
-def _point_of(family: Family, here: Milestone) -> Place:
-    """An equilibrium as a solved point of a family."""
-    return replace(point_of(here.pose, None if family.load is None else Load()), t=here.t)
-
-
-def _slowly(family: Family, start: Place, far: float) -> Place | Event:
-    """Where the general follower comes from a stable point: to t = `far` or beyond, or to the next snap."""
-    here, shortest = start, SHORTEST_STEP
-    while here.t < far:
-        goal = next(t for t in family.path.events() if t > here.t)
-        for point in follow(family, here, goal, shortest=shortest):
-            here = point
-            if here.t >= far:
-                return here
-        if here.t >= goal:
+def _continue(family: Family, start: Place, far: float) -> Place | Event:
+    """Stable point at t = `far` or beyond by general continuation, or the first snap on the path to it."""
+    point, shortest = start, SHORTEST_STEP
+    while point.t < far:
+        # Breakpoints change places at the events of the path: continuation goes from one to the next.
+        goal = next(t for t in family.path.events() if t > point.t)
+        for step in follow(family, point, goal, shortest=shortest):
+            point = step
+            if point.t >= far:
+                return point
+        if point.t >= goal:
             continue
-        loss = branch_end(family, here, goal)
+        loss = branch_end(family, point, goal)
         if loss is None and shortest > SHARPEST_STEP:
+            # Sharp bends of a branch look like its end until the steps are much shorter.
             shortest = SHARPEST_STEP
             continue
-        result, shortest = leave(family, here, loss, goal), SHORTEST_STEP
+        result, shortest = leave(family, point, loss, goal), SHORTEST_STEP
         if isinstance(result, Event):
             return result
-        here = result
-    return here
+        point = result
+    return point
 
 
 def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place | Event:
-    """What happens after the last stable point, where the branch is lost: a snap, or a smooth change to a neighbouring
-    branch."""
+    """Snap at the end of a branch with the last stable point `last`, or a point on the branch that continues it.
+
+    Three cases: the fall from the end goes far (a snap); a neighbouring branch takes over within `SMOOTH_TURN` (a
+    smooth bifurcation); or nothing stable is near the end, but the fall from just beyond it goes far (a snap).
+
+    Raises:
+        SolveError: the robot flutters, or no stable equilibrium is reached.
+    """
     lost, direction = (last, last.softest) if loss is None else (loss.point, loss.direction)
     if lost.member.flutters(lost.state):
         raise SolveError(
@@ -181,13 +190,13 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
             "about the equilibrium grow, and their final equilibrium is unknown"
         )
     landed = fall(lost, direction)
-    turn = 0.0 if landed is None else landed.member.moved(lost, landed.state)
+    jump = 0.0 if landed is None else landed.member.moved(lost, landed.state)
     t = min(goal, lost.t + PAST)
-    beyond = step_to(family, t, last) if turn <= SMOOTH_TURN else None
-    # Without equilibria beyond a fold even a small turn is a snap.
-    if landed is not None and beyond is None and turn > LEAST_TURN:
+    beyond = step_to(family, t, last) if jump <= SMOOTH_TURN else None
+    # Where the branch does not continue beyond its end, even a small jump is a snap.
+    if landed is not None and beyond is None and jump > MIN_JUMP:
         return Event(lost, landed)
-    # A branch that crosses the stable one takes over: beyond the crossing it is the nearest minimum.
+    # Where it continues but is unstable, the branch that crosses it takes over: the nearest minimum beyond.
     side = None if beyond is None else fall(beyond, beyond.softest)
     if beyond is None or side is None:
         raise SolveError(
@@ -198,12 +207,12 @@ def leave(family: Family, last: Place, loss: Loss | None, goal: float) -> Place 
     return side
 
 
-def leg(family: Family, origin: Equilibrium, index: int) -> tuple[Equilibrium, list[Snap]]:
-    """The end of a motion from a stable equilibrium, and the snaps on it, which lie behind the waypoint `index`."""
-    here, snaps = origin, list[Snap]()
+def segment(family: Family, origin: Equilibrium, index: int) -> tuple[Equilibrium, list[Snap]]:
+    """Equilibrium at the end of a motion from a stable one, and the snaps on it, all after the waypoint `index`."""
+    last, snaps = origin, list[Snap]()
     for step in motion(family, origin):
         if isinstance(step, Event):
             snaps.append(step.snap(index))
         else:
-            here = step.pose
-    return here, snaps
+            last = step.pose
+    return last, snaps

@@ -23,7 +23,7 @@ from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.order import last_tube
 from ..robots.robot import Robot
 from ..solvers.compiled.rubbing import Rubbed
-from ..stability.friction_path import rubbing_leg, rubbing_start
+from ..stability.friction_path import segment_with_friction, start_with_friction
 from ..typing import Array, Index, Mask
 from .effects import Setup
 from .measurements import Measurements, Timeline, middles_of
@@ -121,7 +121,7 @@ def rubbed_poses(
     for run in runs:
         table, done = np.hstack([alpha[run], shift[run]]), 0
         try:
-            held = rubbing_start(robot, table[0], coarse)
+            held = start_with_friction(robot, table[0], coarse)
             seen.put(run[0], held)
             done = 1
             while done < len(run):
@@ -131,7 +131,7 @@ def rubbed_poses(
                     seen.put_many(run[done : done + count], shift, many)
                     held, done = swept(robot, held, table[done - 1 :], many, count), done + count
                 if done < len(run):  # where the kernel gives up, a step with more care
-                    held, _ = rubbing_leg(robot, held, table[done])
+                    held, _ = segment_with_friction(robot, held, table[done])
                     seen.put(run[done], held)
                     done += 1
         except (InputError, SolveError) as error:
