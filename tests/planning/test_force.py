@@ -27,7 +27,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.parameters import as_pieces
 from tubeopt.equilibrium.problem import loaded_problem
 from tubeopt.stability.certificate import bundle_of
-from tubeopt.stability.deflection import most_borne, under_any_force
+from tubeopt.stability.deflection import max_section_force, under_any_force
 from tubeopt.typing import Array
 
 FINE = ConcentricRobot((Tube(1e-3, 0.7e-3, 0.05, 0.08, 10.0), Tube(1.6e-3, 1.2e-3, 0.03, 0.05, 8.0)))
@@ -116,7 +116,7 @@ def test_no_cross_section_bears_more_than_the_bound() -> None:
     points = (0.03, (0.0, 0.02, 0.0)), (0.07, (0.01, 0.0, -0.03))
     some = Load((0.01, 0.0, 0.02), gravity=(0.0, 0.0, -9.81), points=points, distributed=((0.01, 0.2, (0.1, 0, 0)),))
     way = np.array([[-0.03, -0.02], [-0.01, 0.0]])
-    bound = most_borne(FINE, way, some)
+    bound = max_section_force(FINE, way, some)
     s = np.linspace(0.0, 0.07, 7001)
     weight = np.zeros((len(s), 3))
     for tube, end in zip(FINE.tubes, (0.07, 0.05), strict=True):
@@ -129,18 +129,18 @@ def test_no_cross_section_bears_more_than_the_bound() -> None:
     assert np.linalg.norm(borne, axis=1).max() <= bound <= 2.5 * np.linalg.norm(borne, axis=1).max()
     # To one side all forces add up, and so does their bound.
     along = Load((0.02, 0, 0), points=((0.02, (0.01, 0, 0)),), distributed=(0.3, 0, 0))
-    assert most_borne(FINE, way, along) == pytest.approx(0.02 + 0.01 + 0.3 * 0.07, rel=1e-12)
+    assert max_section_force(FINE, way, along) == pytest.approx(0.02 + 0.01 + 0.3 * 0.07, rel=1e-12)
     part = Load(distributed=((0.01, 0.2, (0.1, 0, 0)),))
-    assert most_borne(FINE, way, part) == pytest.approx(0.1 * (0.07 - 0.01), rel=1e-12)
+    assert max_section_force(FINE, way, part) == pytest.approx(0.1 * (0.07 - 0.01), rel=1e-12)
     hanging = sum(
         9.81 * np.pi / 4 * (t.outer_diameter**2 - t.inner_diameter**2) * t.material.thermal.density * end
         for t, end in zip(FINE.tubes, (0.07, 0.05), strict=True)
     )
-    assert most_borne(FINE, way, Load(gravity=(0.0, -9.81, 0.0))) == pytest.approx(hanging, rel=1e-12)
+    assert max_section_force(FINE, way, Load(gravity=(0.0, -9.81, 0.0))) == pytest.approx(hanging, rel=1e-12)
     with pytest.raises(InputError, match="of a function are no bound"):
-        most_borne(FINE, way, Load(distributed=lambda s: (s, 0.0, 0.0)))
+        max_section_force(FINE, way, Load(distributed=lambda s: (s, 0.0, 0.0)))
     with pytest.raises(InputError, match="nothing bounds the margin under further forces"):
-        most_borne(FINE, way, Load(moment=(0.01, 0, 0)))
+        max_section_force(FINE, way, Load(moment=(0.01, 0, 0)))
 
 
 def test_a_further_force_is_bounded_as_the_sum_with_what_is_borne() -> None:
@@ -196,7 +196,7 @@ def test_tubes_of_pieces_keep_what_is_shown_under_any_force() -> None:
         s = np.linspace(1e-6, arm.total_length - 1e-6, 400)
         there, k = arm.cross_sections(s, s), np.searchsorted(bundle.start, s) - 1
         assert (there.stiffness.sum(1) >= bundle.stiffness[k] * (1 - 1e-12)).all()
-        assert (there.moment <= bundle.pull[k] * (1 + 1e-12)).all()
+        assert (there.moment <= bundle.natural_moment[k] * (1 + 1e-12)).all()
         assert (there.torsional_stiffness >= bundle.torsional * (1 - 1e-12)).all()
     bound, box = under_any_force(robot, low, force), under_any_force(robot, [low, high], force)
     assert 0 < box.margin < bound.margin < snap_free_certificate(robot, low)

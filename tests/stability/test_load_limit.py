@@ -189,7 +189,7 @@ def in_parts(bundle: Bundle, count: int) -> Bundle:
         start=np.concatenate([[0.0], np.cumsum(length)[:-1]]),
         length=length,
         stiffness=np.repeat(bundle.stiffness, count),
-        pull=np.repeat(bundle.pull, count, axis=0),
+        natural_moment=np.repeat(bundle.natural_moment, count, axis=0),
     )
 
 
@@ -197,8 +197,8 @@ def test_certificate_does_not_depend_on_parts_of_sections() -> None:
     for robot, force in ((slender(0.4), 0.01), (THESIS, 0.02), (THESIS, 1.0)):
         bundle = bundle_of(robot, np.zeros(3))
         for pairs in (True, False):
-            whole = bundle.softened(force, pairs=pairs)
-            assert in_parts(bundle, 3).softened(force, pairs=pairs) == pytest.approx(whole, rel=1e-12)
+            whole = bundle.softening(force, pairs=pairs)
+            assert in_parts(bundle, 3).softening(force, pairs=pairs) == pytest.approx(whole, rel=1e-12)
 
 
 def test_certificate_is_below_every_loaded_margin() -> None:
@@ -224,9 +224,10 @@ def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     fine = in_parts(bundle, 24)
     # Y and the integral of r, linear on each cell: a lower bound of the eigenvalue.
     n, count, h = 3, len(fine.length), fine.length
-    slope = fine.pull / fine.stiffness[:, None]
+    moment = fine.natural_moment
+    slope = moment / fine.stiffness[:, None]
     lever = fine.total_length - fine.start - h / 2
-    pairs = np.einsum("ki,kj->kij", fine.pull, fine.pull) / fine.stiffness[:, None, None] * (1 - np.eye(n))
+    pairs = np.einsum("ki,kj->kij", moment, moment) / fine.stiffness[:, None, None] * (1 - np.eye(n))
     coupling = pairs + np.einsum("ki,ij->kij", pairs.sum(2) + force * lever[:, None] * slope, np.eye(n))
     fields = np.zeros((n + 1, count, (n + 1) * count))
     for i in range(n + 1):
@@ -253,8 +254,8 @@ def test_eigenvalue_of_the_certificate_is_that_of_a_fine_ritz_method() -> None:
     loss = np.einsum("k,kij,ika,jkb->ab", h, coupling, y, y)
     loss += 1.5 * force * np.einsum("k,ka,kb->ab", h, phi, phi)
     ritz = float(eigh(loss, full, eigvals_only=True)[-1])
-    assert ritz == pytest.approx(bundle.softened(force, pairs=True), rel=2e-3)
-    assert ritz < bundle.softened(force, pairs=True)
+    assert ritz == pytest.approx(bundle.softening(force, pairs=True), rel=2e-3)
+    assert ritz < bundle.softening(force, pairs=True)
 
 
 def test_what_makes_no_sense_says_so() -> None:

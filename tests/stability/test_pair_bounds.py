@@ -19,11 +19,11 @@ from tubeopt.stability.pair import (
     Pair,
     _differences,
     farthest_fold,
-    greatest_bend,
     least_margin_of_pair,
     margins,
     pair_fold,
     pair_of,
+    quotient_curvature_bound,
 )
 from tubeopt.typing import Array
 
@@ -46,15 +46,15 @@ def test_no_margin_of_a_pair_bends_more_than_the_bound(coupling: float, reach: f
     slope = 1 / (1 - turn * np.cos(d))
     bend = coupling * root**2 * (-np.cos(d) * slope**2 + np.sin(d) * turn * np.sin(d) * slope**3)
     most = float(np.abs(bend).max())
-    assert most <= greatest_bend(pair) * (1 + 1e-12)
+    assert most <= quotient_curvature_bound(pair) * (1 + 1e-12)
     if not reach:
-        assert most == pytest.approx(greatest_bend(pair), rel=1e-9)
+        assert most == pytest.approx(quotient_curvature_bound(pair), rel=1e-9)
 
 
 def test_the_least_margin_between_samples_is_bounded_by_the_second_derivative() -> None:
     """mu = 1 + c cos(x + psi), which bends by c at its least value 1 - c, wherever the samples lie."""
     for lag in np.linspace(0, 2 * np.pi / 32, 201):
-        pair = replace(lever(0.3, 0.0, 1.7), lag=np.array([lag]))
+        pair = replace(lever(0.3, 0.0, 1.7), psi=np.array([lag]))
         least = 1 - 0.3 * 1.7**2
         found = least_margin_of_pair(pair)
         assert found.bound <= least + 1e-12
@@ -73,7 +73,7 @@ def test_a_stable_pair_snaps_within_the_farthest_turn(lead: float) -> None:
 
 
 def test_a_strong_pair_is_solved_for_each_tip_alone() -> None:
-    """D = x + 0.99 sin D, whose iteration has not settled after 60 passes: Newton's method does the rest, on both
+    """D = x + 0.99 sin D, whose iteration has not converged after 60 passes: Newton's method does the rest, on both
     sides of the aligned pose."""
     pair = lever(0.396, 2.5, 0.6)
     for x in np.linspace(-0.01, 0.01, 11):
@@ -106,7 +106,7 @@ def test_the_bound_of_the_bend_of_a_margin_sums_what_lies_nearer_to_the_tip() ->
         first.append(1 + sum(turn[j] * first[j] for j in range(i)))
         second.append(sum(turn[j] * (first[j] ** 2 + second[j]) for j in range(i)))
     each = [c * r**2 * np.hypot(p**2, q) for c, r, p, q in zip(coupling, np.diag(root), first, second, strict=True)]
-    assert greatest_bend(pair) == pytest.approx(max(each))
+    assert quotient_curvature_bound(pair) == pytest.approx(max(each))
     x, step = np.linspace(0, 2 * np.pi, 400), 1e-3
     d = [_differences(pair, x + k * step) for k in (-1, 0, 1)]
     assert (np.abs(d[2] - d[0]).max(0) / (2 * step) <= np.array(first) * (1 + 1e-6)).all()

@@ -50,7 +50,7 @@ def test_what_bends_and_twists_an_arm_is_summed_as_by_brute_force() -> None:
     def kappa(s: float) -> float:
         x = (np.arange(40000) + 0.5) / 40000 * s
         section = np.searchsorted(bundle.start + bundle.length, x).clip(0, len(bundle.start) - 1)
-        slope = bundle.pull[section] / bundle.stiffness[section, None]
+        slope = bundle.natural_moment[section] / bundle.stiffness[section, None]
         step = s / len(x)
         moment = np.cumsum((((s - x)[:, None] * slope)[::-1]), axis=0)[::-1] * step
         inside = (s - x) ** 2 / bundle.stiffness[section] + (moment**2 / bundle.torsional).sum(1)
@@ -196,7 +196,7 @@ def test_a_bundle_for_a_box_of_translations_is_as_soft_and_as_curved_as_any_arm_
         softest = np.minimum(softest, np.where(there.any(1), there @ kb, np.inf))
         pulls = np.maximum(pulls, (there & (begin < places[:, None])) * kb * kappa)
     assert bundle.stiffness == pytest.approx(softest)
-    assert bundle.pull == pytest.approx(pulls)
+    assert bundle.natural_moment == pytest.approx(pulls)
 
 
 @pytest.mark.parametrize(("tubes", "force"), [(2, 0.05), (2, 0.5), (3, 0.002)])
@@ -205,10 +205,9 @@ def test_a_force_leaves_the_larger_of_two_bounds(tubes: int, force: float) -> No
     robot = nested((0.03, 0.05, 12.0), (0.02, 0.05, 12.0), (0.01, 0.05, 12.0))
     robot = ConcentricRobot(robot.tubes[3 - tubes :])
     unloaded, bundle = snap_free_certificate(robot), bundle_of(robot, np.zeros(tubes))
-    together, apart = (
-        ritz(force, (bundle.length, bundle.stiffness, bundle.pull), (bundle.torsional, bundle.transmission), pairs)
-        for pairs in ((1, 1), (0, 0))
-    )
+    sections = (bundle.length, bundle.stiffness, bundle.natural_moment)
+    torsion = (bundle.torsional, bundle.transmission)
+    together, apart = (ritz(force, sections, torsion, pairs) for pairs in ((1, 1), (0, 0)))
     assert (1 - together > unloaded - apart) == (tubes == 2)
     assert 1 - together < unloaded
     assert snap_free_certificate(robot, max_force=force) == pytest.approx(max(1 - together, unloaded - apart), abs=1e-8)

@@ -1,4 +1,4 @@
-"""Elastic energy over two tip angles: its stationary points are the equilibria."""
+"""Elastic energy as a function of two tip angles; its stationary points are the equilibria."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from .equilibria import find_equilibria
 
 @dataclass(frozen=True, eq=False)
 class EnergyMap(Displayed):
-    """Least elastic energy with the tips of two tubes held at given angles; its stationary points are equilibria."""
+    """Smallest elastic energy with the tips of two tubes fixed at given angles."""
 
     tubes: tuple[int, int]
-    """Tubes of the two axes, from 0; their tips are fixed."""
+    """Tubes with fixed tips, from 0."""
     first: Array
     """(N,) tip angles of the first of `tubes`, rad."""
     second: Array
-    """(N,) of the second."""
+    """(N,) tip angles of the second of `tubes`, rad."""
     energy: Array
-    """(N, N), rows by `first`, J."""
+    """(N, N) energy, J; row i at `first[i]`."""
     equilibria: tuple[Equilibrium, ...]
-    """All equilibria."""
+    """All equilibria at these joint values: the stationary points."""
 
 
 @typed
@@ -52,10 +52,10 @@ def energy_map(
     window: ArrayLike | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> EnergyMap:
-    """Energy over the tip angles of two tubes at given joint values.
+    """Energy as a function of the tip angles of two tubes at fixed joint values.
 
-    All other unknowns (torsion inside, tips of other tubes) minimise the energy; the minimum is followed from point to
-    point.
+    All other unknowns (torsion inside, tips of other tubes) minimise the energy. Each minimisation starts from the
+    minimum of the point before.
 
     Args:
         tubes: the two tubes with fixed tips, from 0.   samples: points per axis.
@@ -81,27 +81,28 @@ def energy_map(
             raise InputError(f"tubes is {tubes}; each must be a tube, from 0, that is coupled to another one")
     if tubes[0] == tubes[1]:
         raise InputError(f"tubes is {tubes}; they must be two different tubes")
-    result = find_equilibria(robot, alpha, shift)
-    tips = np.array([e.tip_rotations for e in result])[:, list(tubes)]
+    equilibria = find_equilibria(robot, alpha, shift)
+    tips = np.array([e.tip_rotations for e in equilibria])[:, list(tubes)]
     first, second = (np.linspace(low, high, samples) for low, high in _window(tips, window))
-    holds = [_hold(problem, tube) for tube in tubes]
-    # Held is the elastic rotation; what natural twist adds to it is known.
+    tip_maps = [_tip_map(problem, tube) for tube in tubes]
+    # Fixed is the elastic rotation; natural twist adds a known angle.
     ends = np.maximum(problem.assembly.end, 0.0)[list(tubes)]
-    wound = problem.assembly.wound(ends)[[0, 1], list(tubes)]
-    base = alpha[list(tubes)] + wound
+    natural_twist = problem.assembly.wound(ends)[[0, 1], list(tubes)]
+    base = alpha[list(tubes)] + natural_twist
     energy = np.empty((samples, samples))
-    row = np.zeros(problem.size)
+    row_start = np.zeros(problem.size)
     for i in range(samples):
-        z = row
+        z = row_start
         for j in range(samples):
-            z, energy[i, j] = _held_minimum(problem, alpha, z, holds, (first[i] - base[0], second[j] - base[1]))
+            minimum = _minimum_with_fixed_tips(problem, alpha, z, tip_maps, (first[i] - base[0], second[j] - base[1]))
+            z, energy[i, j] = minimum.z, minimum.energy
             if j == 0:
-                row = z
-    return EnergyMap(tubes, first, second, energy, tuple(result))
+                row_start = z
+    return EnergyMap(tubes, first, second, energy, tuple(equilibria))
 
 
 def _window(tips: Array, window: ArrayLike | None) -> Array:
-    """(2, 2) ranges of two tip angles: as given, or around `tips` (k, 2)."""
+    """(2, 2) ranges of two tip angles: those of the argument `window`, or around `tips` (k, 2)."""
     if window is not None:
         ranges = finite_array("window", window, 2)
         if ranges.shape != (2, 2) or not np.isfinite(ranges).all() or not (ranges[:, 0] < ranges[:, 1]).all():
@@ -112,21 +113,29 @@ def _window(tips: Array, window: ArrayLike | None) -> Array:
     return np.column_stack([low - reach, high + reach])
 
 
-def _hold(problem: ReducedProblem, tube: int) -> tuple[Array, float]:
-    """The tip angle of a tube given z: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
+class _TipMap(NamedTuple):
+    """Tip angle of a tube: alpha + a . z + d zeta, with zeta a further coordinate of unit stiffness.
 
-    (a, d) is the next row of the Cholesky factor when the tube's end joins the collocation points.
+    (a, d) is the next row of the Cholesky factor of the compliance when the tube's end joins the collocation points.
     """
-    # theta(end) responds to the moment at a point by how soft the tube is up to there, which the integral has exactly.
-    inside, ends = problem.softness
-    places = np.append(problem.mesh.start, problem.assembly.total_length)
-    whole = ends[int(np.abs(places - problem.assembly.end[tube]).argmin()), tube]
+
+    a: Array
+    """(U,) row."""
+    d: float
+    """Diagonal entry."""
+
+
+def _tip_map(problem: ReducedProblem, tube: int) -> _TipMap:
+    # theta(end) responds to the moment at a point by the compliance up to there, which the integral has exactly.
+    inside, at_ends = problem.softness
+    breakpoints = np.append(problem.mesh.start, problem.assembly.total_length)
+    compliance = at_ends[int(np.abs(breakpoints - problem.assembly.end[tube]).argmin()), tube]
     a = row_of(problem, tube, inside[:, tube])
-    return a, float(np.sqrt(max(whole - a @ a, 1e-30)))
+    return _TipMap(a, float(np.sqrt(max(compliance - a @ a, 1e-30))))
 
 
-class _Held(NamedTuple):
-    """Unknowns, and the energy with both tips held."""
+class _FixedTips(NamedTuple):
+    """Energy with both tips fixed, and its derivatives, at unknowns z."""
 
     z: Array
     energy: float
@@ -134,26 +143,26 @@ class _Held(NamedTuple):
     hessian: Array
 
 
-def _held_minimum(
+def _minimum_with_fixed_tips(
     problem: ReducedProblem,
     rotations: Array,
     z: Array,
-    holds: Sequence[tuple[Array, float]],
+    tip_maps: Sequence[_TipMap],
     twists: tuple[float, float],
-) -> tuple[Array, float]:
-    """Where the energy is least with both tips held, z (U,), and that energy."""
+) -> _FixedTips:
+    """Minimum of the energy with both tips fixed at `twists` relative to their joints, from z (U,)."""
 
-    def held(at: Array) -> _Held:
-        state = evaluate(problem, rotations, at)
+    def evaluated(z: Array) -> _FixedTips:
+        state = evaluate(problem, rotations, z)
         energy, gradient, hessian = state.energy, state.gradient, state.hessian
-        for (a, d), twist in zip(holds, twists, strict=True):
-            zeta = (twist - float(a @ at)) / d
+        for (a, d), twist in zip(tip_maps, twists, strict=True):
+            # zeta is determined by z: its energy zeta^2 / 2 is added.
+            zeta = (twist - float(a @ z)) / d
             energy += zeta**2 / 2
             gradient = gradient - a * (zeta / d)
             hessian = hessian + np.outer(a, a) / d**2
-        return _Held(at, energy, gradient, hessian)
+        return _FixedTips(z, energy, gradient, hessian)
 
-    end = damped_newton(held(z), lambda here, step: held(here.z + step), lambda _, step: torsional_turn(problem, step))[
-        0
-    ]
-    return end.z, end.energy
+    return damped_newton(
+        evaluated(z), lambda state, step: evaluated(state.z + step), lambda _, step: torsional_turn(problem, step)
+    )[0]

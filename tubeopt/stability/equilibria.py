@@ -1,7 +1,7 @@
-"""Every equilibrium at given joint values, stable and unstable.
+"""All equilibria at given joint values, stable and unstable.
 
-Without a load, tubes are searched group by group over their tip angles. Under a load the search starts from many arms.
-In both cases the topological degree of the set must be 1.
+Without a load the map from tip angles to joint rotations is inverted, one group of interacting tubes after the other.
+Under a load Newton's method starts from many arms. In both cases the topological degree of the set must be 1.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from ..equilibrium.member import Loaded, LoadedPoint, Member, Place, PlainPoint,
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
 from ..errors import Settings, SolveError
-from ..robots.assembly import Assembly
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
@@ -52,13 +51,13 @@ class EquilibriaSearch(Settings):
 
 DEFAULT_EQUILIBRIA_SEARCH = EquilibriaSearch()
 
-# The certificate is a sum of products of round-off 1e-9 at most; a certificate below this may be one of 0.
+# The round-off of a certificate is at most 1e-9: below 1e-6 the true one may be 0.
 CERTAIN = 1e-6
 """Certificate above which there is one equilibrium and nothing is searched."""
 
-# Their couplings vary between the points of the mesh, where the certificate samples them.
+# The certificate samples their couplings at the points of the mesh.
 CERTAIN_OF_PIECES = 1e-3
-"""The same for tubes made of pieces."""
+"""Certificate above which tubes made of pieces have one equilibrium."""
 
 SAME = 1e-5
 """Largest difference (rad) of all rotations between equal equilibria: Newton's method ends with 1e-12."""
@@ -66,62 +65,65 @@ SAME = 1e-5
 
 # --- Groups of tubes that act on one another --------------------------------------------------------------------------
 
-# Two tubes act on each other where both are curved. A tube that is straight in a section only shares the stiffness of
-# the section, and its torque t is constant there: on the centreline it does not notice the others at all. Off the
-# centreline they change its length, theta' = g t / kt, and so the transmission to its own curved part,
+# Two tubes act on each other where both are curved. A tube that is straight in a section only adds its stiffness to
+# the section, and its torque t is constant there: on the centreline the others have no effect on it. Off the centreline
+# they change its length, theta' = g t / kt, and so the transmission to its own curved part,
 #
 #     alpha_i = theta_i - t_i (|beta_i| + int g_i ds) / kt_i,
 #
-# with the integral over everything between the plate and where its group begins. A tube is curved to its end, so that
-# a group lies beyond all those that it passes through: the equations are block triangular, from the base to the tip.
+# with the integral from the plate to the start of its group. A tube is curved up to its end, so that a group lies
+# beyond all those that it passes through: the equations are block triangular, from the base to the tip.
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Tubes that act on one another, and what is integrated to shoot them.
-
-    Attributes:
-        tubes: (k,) which of the n tubes.
-        bundle: these, and behind them a straight tube for each place that has none of them. Each place has the
-            stiffness of all tubes there. The transmissions are those of the robot on the centreline.
-        seat: (n,) tube of the bundle at whose place each tube of the robot lies.
-    """
+    """Tubes that act on one another, with the bundle that is integrated from their tips to the plate."""
 
     tubes: Index
+    """(k,) numbers of the tubes among the n of the robot."""
     bundle: Bundle
+    """These tubes first, then a straight tube at each offset that has none of them.
+
+    Each offset has the stiffness of all tubes there. Transmissions are those on the centreline.
+    """
     seat: Index
+    """(n,) tube of the bundle at the offset of each tube of the robot."""
 
 
 @lru_cache(maxsize=32)
 def groups_of(problem: ReducedProblem) -> list[Group]:
     """Groups of tubes, base to tip.
 
-    On the centreline a single tube is none: its torsion is 0. Off it a single curved one still bends the others.
+    A single concentric tube is no group: its torsion is 0. A single curved eccentric tube is one, since it bends the
+    others.
     """
     assembly = problem.assembly
     curved = assembly.curved
     together = (curved[:, :, None] & curved[:, None, :]).any(0)
     label = scipy.sparse.csgraph.connected_components(together, directed=False)[1]
     groups = [np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)]
-    least = 1 if assembly.eccentric else 2
+    min_tubes = 1 if assembly.eccentric else 2
     sections = [np.flatnonzero(curved[:, tubes].any(1)) for tubes in groups]
-    order = sorted((where[0], k) for k, where in enumerate(sections) if len(where) and len(groups[k]) >= least)
+    order = sorted((ks[0], k) for k, ks in enumerate(sections) if len(ks) and len(groups[k]) >= min_tubes)
     return [_group(problem, groups[k], sections[k]) for _, k in order]
 
 
 def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
+    """Group of `tubes` that are curved in `sections`."""
     assembly, mesh = problem.assembly, problem.mesh
-    place = _places(assembly)
-    others = [int(np.argmax(place == p)) for p in np.setdiff1d(place, place[tubes])]
-    members = np.concatenate([tubes, np.array(others, dtype=np.intp)])
-    seat = np.array([int(np.argmax(place[members] == p)) for p in place])
-    # Between two curved pieces of a tube a straight one only hands on the torque, but that it does.
+    position = assembly.offset * np.exp(1j * assembly.offset_angle)
+    rounded = np.round(np.stack([position.real, position.imag], axis=1), 12)
+    offset = np.asarray(np.unique(rounded + 0.0, axis=0, return_inverse=True)[1]).ravel()
+    fillers = [int(np.argmax(offset == k)) for k in np.setdiff1d(offset, offset[tubes])]
+    members = np.concatenate([tubes, np.array(fillers, dtype=np.intp)])
+    seat = np.array([int(np.argmax(offset[members] == k)) for k in offset])
+    # From the first to the last curved section: a straight piece between them transmits the torque.
     pieces = np.flatnonzero((mesh.section >= sections[0]) & (mesh.section <= sections[-1]))
-    every = [part[pieces] for part in sections_of(problem)]
-    torsion, stiffness, moment, *phase = (part[..., members] for part in every)
+    all_tubes = [part[pieces] for part in sections_of(problem)]
+    torsion, stiffness, moment, *phase = (part[..., members] for part in all_tubes)
     stiffness[..., len(tubes) :] = moment[..., len(tubes) :] = 0.0
     for i in np.setdiff1d(np.arange(assembly.n_tubes), tubes):
-        stiffness[..., seat[i]] += every[1][..., i]
+        stiffness[..., seat[i]] += all_tubes[1][..., i]
     bundle = Bundle(
         length=mesh.length[pieces],
         bent=mesh.collocated[pieces],
@@ -133,65 +135,60 @@ def _group(problem: ReducedProblem, tubes: Index, sections: Index) -> Group:
     return Group(tubes, bundle, seat)
 
 
-def _places(assembly: Assembly) -> Index:
-    """(n,) number of the place beside the centreline at which each tube lies."""
-    spot = assembly.offset * np.exp(1j * assembly.offset_angle)
-    rounded = np.round(np.stack([spot.real, spot.imag], axis=1), 12)
-    return np.asarray(np.unique(rounded + 0.0, axis=0, return_inverse=True)[1]).ravel()
+# --- Tip angles of a group for its joint rotations --------------------------------------------------------------------
 
-
-# --- Tip angles of a group that lead to given joint rotations ---------------------------------------------------------
-
-# Newton's method starts wherever a table of the map from tips to joints says a solution may lie. The table is read on
-# ever finer grids until the set no longer changes and its topological degree, the sum of the signs of
-# det(d alpha / d theta_tip), is 1, as it must be: alpha - theta_tip is bounded, so that the map deforms into the
-# identity. For more than three tubes there is no table, and the starts are a Sobol sequence.
+# The map from tip angles to joint rotations is inverted by Newton's method, from every cell of a grid in which a table
+# of the map admits a solution. Finer grids follow until the set no longer changes and its topological degree, the sum
+# of the signs of det(d alpha / d theta_tip), is 1, as it must be: alpha - theta_tip is bounded, so that the map deforms
+# into the identity. For more than three tubes there is no table, and the starts are a Sobol sequence.
 #
-# There is one table for all joint rotations and transmissions. What the torsion adds on the path from the tips to the
-# base, theta(0) - theta_tip and t(0), is a periodic, analytic function of the tip angles: its Fourier series converges
-# geometrically, so that a grid fine enough for the series to end stands for every finer one. On the centreline it is a
-# function of the angles relative to the last tube's; off it the common angle is one more, in which the function is
-# smooth, so that few points are enough.
+# One table serves all joint rotations and transmissions. theta(0) - theta_tip and t(0) are periodic, analytic functions
+# of the tip angles: their Fourier series converge geometrically, so that a grid that resolves the series has all values
+# in between. On the centreline they depend on the angles relative to the last tube's; off it also on the common angle,
+# but smoothly, so that few points are enough.
 
 TURN = 2 * np.pi
 
-RELATIVE, COMMON = 32, 6
-"""Points per turn of the coarsest table: in the angles relative to the last tube's, and in its own."""
+RELATIVE = 32
+"""Points per turn of the coarsest table in the angles relative to the last tube's."""
 
-MOST_POINTS = 250_000
-"""Points beyond which a table is not refined."""
+COMMON = 6
+"""Points per turn of the coarsest table in the angle of the last tube."""
 
+MAX_POINTS = 250_000
+"""Number of points beyond which a table is not refined."""
+
+# The amplitudes decay geometrically: those that the table lacks sum up to about the power 3/2 of this.
 TAIL = 0.05
-"""Sum of the Fourier amplitudes (rad) beyond two thirds of those that a table has. They decay geometrically: what the
-table lacks is about its power 3/2."""
+"""Largest sum of the Fourier amplitudes (rad) in the upper third of the frequencies of a table."""
 
-DOUBT = 2e-3
-"""What a table may be off, in turns of a joint."""
+TABLE_ERROR = 2e-3
+"""Error of a table, in turns of a joint."""
 
 TABLE_STEPS = 2
 """Integration steps per piece for a table, and on the path to a solution: errors near 1e-4 rad."""
 
-# A cell may hold a solution where the function passes a whole number of turns between its corners. With few cells the
-# bound of what it bends in between is large, so that finer grids solve less often from more cells. A third grid is
-# needed near folds only, where the set still changes from the first to the second.
+# A cell may contain a solution where the function passes a whole number of turns between its corners. On a coarse grid
+# the bound on its second differences is large, so that more cells have to be solved. A third grid is needed near folds
+# only, where the set still changes from the first to the second.
 GRIDS = ((1024, 4096, 16384), (160, 320, 640), (80, 120, 180))
 """Points per turn of the successive grids for one, two and three relative tip angles."""
 
 FIRST_STARTS = 1024
-"""Points of the Sobol sequence in the first round where there is no table; every round has twice those before."""
+"""Points of the Sobol sequence in the first round where there is no table; doubled in every round."""
 
-HANDED_OVER = 1e-3
-"""Error of the joints (rad) to which the rough integration solves: ten times its own error."""
+COARSE_TOLERANCE = 1e-3
+"""Residual (rad) at which Newton's method on the coarse integration ends: ten times the error of the integration."""
 
 CLOSE = 1e-2
-"""Residual (rad) of the best point that is accepted where Newton's method does not converge, as close to a fold."""
+"""Residual (rad) up to which a point without convergence is kept: next to a fold Newton's method stalls."""
 
 SOLVED = 1e-8
-"""Error of the joints (rad) at which the fine integration has solved; its own error is 1e-6 rad."""
+"""Residual (rad) at which Newton's method on the fine integration ends; the error of the integration is 1e-6 rad."""
 
 # Next to a fold the Jacobian is nearly singular: a free step may lead anywhere.
 LONGEST_TIP_STEP = 0.5
-"""Largest change (rad) of a tip angle in one step."""
+"""Largest change (rad) of a tip angle in one Newton step."""
 
 SAME_TIPS = 1e-4
 """Difference (rad) below which tip angles on the same side of a fold are equal."""
@@ -199,43 +196,49 @@ SAME_TIPS = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """theta(0) - theta_tip and torque at 0 of k tubes, each (*size, k), over a turn of each angle of a grid: k - 1
-    angles relative to the last tube's, and off the centreline the last tube's."""
+    """Map from tip angles to the plate for k tubes, over one turn of each of d angles.
+
+    The angles are the k - 1 relative to the last tube's, and off the centreline also the last tube's.
+    """
 
     size: tuple[int, ...]
-    turned: Array
+    """(d,) points per turn of each angle."""
+    twist: Array
+    """(*size, k) theta(0) - theta_tip, rad."""
     torque: Array
+    """(*size, k) torque at the plate, N m."""
 
 
 @lru_cache(maxsize=16)
 def table_of(bundle: Bundle, k: int) -> Table:
-    """The table of the first k tubes of a bundle, refined until its Fourier series ends."""
+    """Table of the first k tubes of a bundle, refined until its Fourier series is resolved."""
     size = (RELATIVE,) * (k - 1) + ((COMMON,) if bundle.place else ())
     while True:
-        table = _tabulate(bundle, k, size)
-        tails = _tails(table.turned - bundle.transmission[:k] * table.torque)
+        tips = _tips(_grid(size), k).reshape(-1, k)
+        shot = shoot(bundle, tips, steps=TABLE_STEPS)
+        twist = shot.rotations + bundle.transmission[:k] * shot.torque - tips
+        table = Table(size, twist.reshape(*size, k), shot.torque.reshape(*size, k))
+        tails = _tails(table.twist - bundle.transmission[:k] * table.torque)
         finer = tuple(2 * n if tail > TAIL else n for n, tail in zip(size, tails, strict=True))
-        if finer == size or np.prod(finer) > MOST_POINTS:
+        if finer == size or np.prod(finer) > MAX_POINTS:
             return table
         size = finer
 
 
-def _tabulate(bundle: Bundle, k: int, size: tuple[int, ...]) -> Table:
-    tips = _tips(np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in size], indexing="ij"), axis=-1), k)
-    shot = shoot(bundle, tips.reshape(-1, k), steps=TABLE_STEPS)
-    turned = shot.rotations + bundle.transmission[:k] * shot.torque - tips.reshape(-1, k)
-    return Table(size, turned.reshape(*size, k), shot.torque.reshape(*size, k))
+def _grid(size: tuple[int, ...]) -> Array:
+    """(*size, d) angles of a grid over one turn of each of d angles."""
+    return np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in size], indexing="ij"), axis=-1)
 
 
 def _tips(angles: Array, k: int) -> Array:
-    """Tip angles (..., k) of the angles (..., d) of a table."""
+    """(..., k) tip angles at angles (..., d) of a table."""
     tips = np.zeros((*angles.shape[:-1], k))
     tips[..., :-1] = angles[..., : k - 1]
     return tips + angles[..., k - 1 :] if angles.shape[-1] == k else tips
 
 
 def _tails(values: Array) -> list[float]:
-    """Sum of the Fourier amplitudes of the highest frequencies along each axis but the last, at worst."""
+    """Sum of the Fourier amplitudes in the upper third of the frequencies along each axis, for the worst component."""
     dimension = values.ndim - 1
     axes = tuple(range(dimension))
     amplitude = np.abs(np.fft.fftn(values, axes=axes)) / np.prod(values.shape[:-1])
@@ -248,177 +251,175 @@ def _tails(values: Array) -> list[float]:
 
 
 def starts(table: Table, transmission: Array, target: Array, size: int) -> Array:
-    """Tip angles (B, k) in the middle of every cell of a grid that may lead to the wanted joints (k,).
+    """(B, k) tip angles in the middle of every cell of a grid that may contain a solution for the joints `target` (k,).
 
-    It has at least `size` points per turn of the relative angles.
+    The grid has at least `size` points per turn of the relative angles.
     """
     k, dimension = len(target), len(table.size)
-    values = table.turned - transmission * table.torque
+    values = table.twist - transmission * table.torque
     sizes = tuple(max(2 * n, size if axis < k - 1 else 0) for axis, n in enumerate(table.size))
     for axis, n in enumerate(sizes):
-        values = _resampled(values, n, axis)
-    angles = np.stack(np.meshgrid(*[np.arange(n) * TURN / n for n in sizes], indexing="ij"), axis=-1)
-    gap = _tips(angles, k) + values - target
-    # Relative to the last tube, then that itself where it counts: continuous along the grid, in turns.
-    parts = [(gap[..., i] - gap[..., -1]) / TURN for i in range(k - 1)] + [gap[..., -1] / TURN] * (dimension == k)
-    hit = np.logical_and.reduce([_may_be_whole(part, axis) for axis, part in enumerate(parts)])
-    chosen = angles[hit] + TURN / 2 / np.array(sizes)
-    tips = _tips(chosen, k)
+        # The values of the Fourier series on the finer grid, as by `scipy.signal.resample`, whose import takes longer
+        # than the search.
+        spectrum, coarse = np.moveaxis(np.fft.rfft(values, axis=axis), axis, 0), values.shape[axis]
+        if coarse % 2 == 0:
+            spectrum[coarse // 2] /= 2  # the amplitude of the highest frequency belongs to both signs
+        values = np.fft.irfft(np.moveaxis(spectrum, 0, axis), n, axis=axis) * (n / coarse)
+    angles = _grid(sizes)
+    residual = _tips(angles, k) + values - target
+    # Continuous along the grid: relative to the last tube, and that of the last tube where the common angle matters.
+    parts = [residual[..., i] - residual[..., -1] for i in range(k - 1)] + [residual[..., -1]] * (dimension == k)
+    admitted = np.logical_and.reduce([_may_be_whole(part / TURN, axis) for axis, part in enumerate(parts)])
+    tips = _tips(angles[admitted] + TURN / 2 / np.array(sizes), k)
     return tips if dimension == k else tips + target[-1]
 
 
-def _resampled(values: Array, size: int, axis: int) -> Array:
-    """Values on a finer grid of a period along an axis, by their Fourier series: as `scipy.signal.resample`, but
-    without its package, whose import takes longer than all that is asked of a table."""
-    spectrum, old = np.moveaxis(np.fft.rfft(values, axis=axis), axis, 0), values.shape[axis]
-    if old % 2 == 0:
-        spectrum[old // 2] /= 2  # the highest frequency stands for both of its signs
-    return np.asarray(np.fft.irfft(np.moveaxis(spectrum, 0, axis), size, axis=axis) * (size / old))
+def _may_be_whole(values: Array, rising_axis: int) -> NDArray[np.bool_]:
+    """Cells of a grid in which a function (in turns) may be a whole number; it rises by 1 along one axis per turn.
 
-
-def _may_be_whole(values: Array, own: int) -> NDArray[np.bool_]:
-    """Cells of a grid in which a function (in turns), which grows by one along its `own` axis, may be a whole number.
-
-    Inside a cell it stays between its corners but for what it bends: by twice what its second differences tell.
+    Inside a cell it lies between the values at the corners, widened by twice the bound from its second differences.
     """
+
+    def shifted(values: Array, axis: int) -> Array:
+        out = np.roll(values, -1, axis=axis)
+        if axis == rising_axis:
+            out[(slice(None),) * axis + (-1,)] += 1.0
+        return out
+
     low = high = values
-    bend = np.zeros_like(values)
+    curvature = np.zeros_like(values)
     for axis in range(values.ndim):
-        ahead = [_next(part, axis, axis == own) for part in (low, high)]
-        low, high = np.minimum(low, ahead[0]), np.maximum(high, ahead[1])
-        step = _next(values, axis, axis == own) - values
+        low, high = np.minimum(low, shifted(low, axis)), np.maximum(high, shifted(high, axis))
+        step = shifted(values, axis) - values
         second = np.abs(step - np.roll(step, 1, axis=axis))
-        bend += np.maximum(second, np.roll(second, -1, axis=axis)) / 4
-    # Of the corners, that with most bend.
+        curvature += np.maximum(second, np.roll(second, -1, axis=axis)) / 4
     for axis in range(values.ndim):
-        bend = np.maximum(bend, np.roll(bend, -1, axis=axis))
-    slack = bend + DOUBT
-    return np.asarray(np.floor(high + slack) >= np.ceil(low - slack))
-
-
-def _next(values: Array, axis: int, own: bool) -> Array:
-    """Values one point on along an axis, continued past a turn."""
-    out = np.roll(values, -1, axis=axis)
-    if own:
-        out[(slice(None),) * axis + (-1,)] += 1.0
-    return out
+        curvature = np.maximum(curvature, np.roll(curvature, -1, axis=axis))
+    width = curvature + TABLE_ERROR
+    return np.asarray(np.floor(high + width) >= np.ceil(low - width))
 
 
 @dataclass(frozen=True, eq=False)
 class Preimage:
-    """Tip angles (S, k) that lead to given joints, the signs (S,) of det(d alpha / d theta_tip) there, and the length
-    (S, m) of every tube of the bundle, m; `settled`: whether the search ended because nothing was missing."""
+    """Tip angles of all solutions for the joint rotations of k tubes."""
 
     tips: Array
+    """(S, k) tip angles, rad."""
     sign: Array
+    """(S,) signs of det(d alpha / d theta_tip)."""
     travel: Array
-    settled: bool
+    """(S, m) length of every tube of the bundle, m."""
+    complete: bool
+    """Whether the last grid added nothing and the degree is 1."""
 
 
 def preimage(
     bundle: Bundle, transmission: Array, rotations: Array, most_starts: int = DEFAULT_EQUILIBRIA_SEARCH.most_starts
 ) -> Preimage:
-    """Tip angles that lead to joint rotations (k,) of the first k tubes of a bundle, the others being straight, if its
-    transmissions were (n,) `transmission`, 1/(N m)."""
+    """Tip angles for joint rotations (k,) of the first k tubes of a bundle, with transmissions (n,), 1/(N m).
+
+    All other tubes of the bundle are straight.
+    """
     part = replace(bundle, transmission=transmission)
-    result = _finish(part, rotations, rotations[None] if len(rotations) == 1 else np.zeros((0, len(rotations))))
     if len(rotations) == 1:
-        # Nothing turns a single tube.
-        return result
-    for near in _tip_starts(bundle, transmission, rotations, most_starts):
+        # The torsion of a single tube is 0.
+        return _finish(part, rotations, rotations[None])
+    result = _finish(part, rotations, np.zeros((0, len(rotations))))
+    for guesses in _tip_starts(bundle, transmission, rotations, most_starts):
         before = len(result.tips)
-        result = _finish(part, rotations, np.concatenate([result.tips, _approach(part, rotations, near)]))
+        result = _finish(part, rotations, np.concatenate([result.tips, _approach(part, rotations, guesses)]))
         if len(result.tips) == before and result.sign.sum() == 1:
             return result
-    return replace(result, settled=False)
+    return replace(result, complete=False)
 
 
-def _tip_starts(bundle: Bundle, transmission: Array, target: Array, most: int) -> Iterator[Array]:
-    """Tip angles (B, k) from which to solve, from ever finer grids."""
+def _tip_starts(bundle: Bundle, transmission: Array, target: Array, max_starts: int) -> Iterator[Array]:
+    """(B, k) tip angles to solve from, from ever finer grids."""
     k = len(target)
     if k <= 3:
         table = table_of(bundle, k)
         for size in GRIDS[len(table.size) - 1]:
             yield starts(table, transmission[:k], target, size)
         return
-    # Twice as many each time, for as long as a new solution or the degree says that some are missing.
     count = FIRST_STARTS
-    while count <= most:
+    while count <= max_starts:
         tips = np.pad(sobol(k - 1, count, count.bit_length() - 1) * TURN, ((0, 0), (0, 1)))
-        reached = shoot(replace(bundle, transmission=transmission), tips, steps=TABLE_STEPS).rotations
-        yield tips + (target - reached)[:, -1:]
+        joints = shoot(replace(bundle, transmission=transmission), tips, steps=TABLE_STEPS).rotations
+        # Turning all tubes alike makes the last joint exact.
+        yield tips + (target - joints)[:, -1:]
         count *= 2
 
 
 def _newton(
-    bundle: Bundle, target: Array, tips: Array, steps: int, iterations: int, enough: float
+    bundle: Bundle, target: Array, tips: Array, steps: int, iterations: int, tolerance: float
 ) -> tuple[Array, Array]:
-    """Tip angles (B, k) of Newton's method where they left the least gap, and this gap (B,).
+    """(B, k) tip angles with the smallest residual of Newton's method, and this residual (B,), rad, up to full turns.
 
     Args:
-        steps: of the integration per piece.   iterations: maximum number.   enough: gap that ends them, rad.
+        steps: integration steps per piece.   iterations: maximum number.   tolerance: residual, rad.
     """
-    best, least = tips.copy(), np.full(len(tips), np.inf)
-    going, here = np.arange(len(tips)), tips
+    best, smallest = tips.copy(), np.full(len(tips), np.inf)
+    active, x = np.arange(len(tips)), tips
     for _ in range(iterations):
-        if not len(going):
+        if not len(active):
             break
-        shot = shoot(bundle, here, steps=steps, slopes=True)
-        gap = shot.rotations - target
-        gap -= TURN * np.round(gap / TURN)
-        size = np.abs(gap).max(1)
-        better = size < least[going]
-        best[going[better]], least[going[better]] = here[better], size[better]
-        left = size > enough
-        going, here, gap, slope = going[left], here[left], gap[left], shot.by_tip[left]
-        step = np.linalg.solve(slope + 1e-12 * np.eye(tips.shape[1]), -gap[:, :, None])[:, :, 0]
+        shot = shoot(bundle, x, steps=steps, slopes=True)
+        residual = shot.rotations - target
+        residual -= TURN * np.round(residual / TURN)
+        size = np.abs(residual).max(1)
+        better = size < smallest[active]
+        best[active[better]], smallest[active[better]] = x[better], size[better]
+        unsolved = size > tolerance
+        active, x, residual, jacobian = active[unsolved], x[unsolved], residual[unsolved], shot.by_tip[unsolved]
+        step = np.linalg.solve(jacobian + 1e-12 * np.eye(tips.shape[1]), -residual[:, :, None])[:, :, 0]
         change = np.abs(step).max(1, initial=0.0)
-        here = here + step * np.minimum(1.0, LONGEST_TIP_STEP / np.maximum(change, 1e-12))[:, None]
-    return best, least
+        x = x + step * np.minimum(1.0, LONGEST_TIP_STEP / np.maximum(change, 1e-12))[:, None]
+    return best, smallest
 
 
 def _approach(bundle: Bundle, target: Array, starts: Array) -> Array:
-    """Starts that got close, by rough integration, without doubles."""
+    """Tip angles close to solutions, on the coarse integration, without duplicates."""
     tips = starts
-    # Most starts have met after a few steps.
+    # After three steps most starts coincide; only distinct ones are continued.
     for iterations in (3, 10):
-        tips, gap = _newton(bundle, target, tips, TABLE_STEPS, iterations, HANDED_OVER)
+        tips, residual = _newton(bundle, target, tips, TABLE_STEPS, iterations, COARSE_TOLERANCE)
         tips = tips % TURN
         first = np.unique(np.round(tips / CLOSE), axis=0, return_index=True)[1]
-        tips, gap = tips[first], gap[first]
-    return np.asarray(tips[gap < CLOSE])
+        tips, residual = tips[first], residual[first]
+    return np.asarray(tips[residual < CLOSE])
 
 
 def _finish(bundle: Bundle, target: Array, starts: Array) -> Preimage:
-    """Tip angles that starts lead to, unwound so that their joints are the wanted ones without whole turns."""
-    tips, gap = _newton(bundle, target, starts, STEPS, 12, SOLVED)
-    tips = tips[gap < SOLVED]
+    """Distinct solutions from starts close to them; tip angles such that the joints have no full turns too many."""
+    tips, residual = _newton(bundle, target, starts, STEPS, 12, SOLVED)
+    tips = tips[residual < SOLVED]
     if not len(tips):
         return Preimage(tips, np.zeros(0), np.zeros((0, bundle.n_tubes)), True)
     shot = shoot(bundle, tips, slopes=True)
     tips = tips - TURN * np.round((shot.rotations - target) / TURN)
     sign = np.sign(np.linalg.det(shot.by_tip))
-    kept: list[int] = []
+    distinct: list[int] = []
     for i in range(len(tips)):
-        near = np.abs(tips[kept] - tips[i]).max(1, initial=0.0) < SAME_TIPS
-        if not (near & (sign[kept] == sign[i])).any():
-            kept.append(i)
-    return Preimage(tips[kept], sign[kept], shot.travel[kept], True)
+        near = np.abs(tips[distinct] - tips[i]).max(1, initial=0.0) < SAME_TIPS
+        # Next to a fold two solutions are close together, but differ in sign.
+        if not (near & (sign[distinct] == sign[i])).any():
+            distinct.append(i)
+    return Preimage(tips[distinct], sign[distinct], shot.travel[distinct], True)
 
 
 # --- Under a load -----------------------------------------------------------------------------------------------------
 
-# The equations are x - f(x) = 0 in whitened rotations and bending. What tubes and load make of them, f, is bounded: by
-# moments of precurvature, forces times the length of the arm, and moments, whether there is an energy or not. So no
-# equilibrium of x - s f(x), 0 <= s <= 1, is farther away than the bound, and the degree is that of x, 1: the signs of
-# the determinants add up to 1 over all equilibria. Where there is an energy, they are (-1)^index.
+# The equations are x - f(x) = 0 in whitened rotations and bending. f is bounded, by the moments of precurvature, forces
+# times the length of the arm, and external moments, whether there is an energy or not. So no equilibrium of x - s f(x),
+# 0 <= s <= 1, lies beyond the bound, and the degree is that of x, 1: the signs of the determinants add up to 1 over all
+# equilibria. Where there is an energy, they are (-1)^index.
 
 LOADED_STARTS = 128
-"""Starting points in the first round; every round has twice those of the one before."""
+"""Number of starts in the first round; doubled in every round."""
 
-# Tubes of a stable arm twist by less than a turn; what moments add to that comes to it.
+# Tubes of a stable arm without external moments twist by less than a turn.
 LARGEST_TWIST = 2 * np.pi
-"""Largest twist (rad) of a tube at the tip that the starts cover."""
+"""Largest twist (rad) of a tube at the tip that the starts cover, without that by external moments."""
 
 
 def loaded_equilibria(
@@ -426,15 +427,17 @@ def loaded_equilibria(
     rotations: Array,
     translations: tuple[float, ...],
     load: Load,
-    plain: list[Equilibrium],
+    unloaded: list[Equilibrium],
     search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
 ) -> list[Equilibrium]:
-    """All equilibria under a load, lowest potential energy first, without an energy largest margin first; `plain` are
-    those without load.
+    """All equilibria under a load; `unloaded` are those without.
 
-    Newton's method starts at every equilibrium without load and at twisted and bent arms from a Sobol sequence, twice
-    as many in every round. From every unstable equilibrium that was found the robot falls. The search ends where a
-    round finds nothing new and the degree is 1; where there is an energy, one of them is stable, too.
+    Newton's method starts at every unloaded equilibrium and at twisted and bent arms from a Sobol sequence, twice as
+    many in every round. From every unstable equilibrium the robot falls to both sides. The search ends when a round
+    finds nothing new, the degree is 1, and, where there is an energy, one equilibrium is stable.
+
+    Returns:
+        Lowest potential energy first; without an energy, largest margin first.
     """
     check_load(robot, load, translations)
     member = Loaded.of(robot, rotations, translations, load)
@@ -443,7 +446,7 @@ def loaded_equilibria(
         return [forward_kinematics(robot, rotations, translations, load=load)]
     result: list[LoadedPoint] = []
     explored: set[int] = set()
-    for equilibrium in plain:
+    for equilibrium in unloaded:
         theta = sample_rotation(equilibrium, member.problem.torsion.arc_length)
         add(result, member, member.unknowns(theta))
     sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), LOADED_STARTS
@@ -451,7 +454,7 @@ def loaded_equilibria(
         starts = _starts(member, sequence.random(count))
         new = sum(add(result, member, x) for x in starts)
         new += _descend(result, member, explored)
-        # Where there is a least energy, a set without a stable equilibrium is not all.
+        # An energy has a minimum: without a stable equilibrium the set is not complete.
         if not new and degree(result) == 1 and (not member.descends or any(point.margin > 0 for point in result)):
             points = sorted(result, key=lambda point: point.state.potential if member.descends else -point.margin)
             return [to_equilibrium(point, "search from many starts") for point in points]
@@ -463,7 +466,10 @@ def loaded_equilibria(
 
 
 def _starts(member: Loaded, samples: Array) -> list[Array]:
-    """Unknowns of arms whose tubes are twisted and which are bent linearly in arc length."""
+    """Unknowns of arms with tubes twisted and bent linearly in arc length, from samples (B, n + 4) in [0, 1].
+
+    A force F bends a rod by at most min(2 sqrt(F / K), F L / K): the first integral of the elastica, and the lever.
+    """
     problem, n, load = member.problem, len(member.rotations), member.problem.load
     torsion = problem.torsion
     length = torsion.assembly.total_length
@@ -471,20 +477,20 @@ def _starts(member: Loaded, samples: Array) -> list[Array]:
     stiffness = torsion.stiffness.sum(1)
     push = np.linalg.norm(problem.force, axis=1) + np.linalg.norm(load.force) * (load.frame == "tip")
     couple = 0.0 if problem.couples is None else np.linalg.norm(problem.couples.moment, axis=1).sum()
-    most = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
-    most += (couple / stiffness)[:, None]
+    max_curvature = np.minimum(2 * np.sqrt(push / stiffness), push * length / stiffness)[:, None]
+    max_curvature += (couple / stiffness)[:, None]
     twist = LARGEST_TWIST + couple * problem.tip_lever
     starts = []
     for sample in 2 * samples - 1:
         x = member.unknowns(member.rotations + twist * sample[:n] * s)
-        bent = 2 * most * (sample[n : n + 2] * (1 - s) + sample[n + 2 :] * s)
-        x[torsion.size :] = (bent / problem.softness[:, None]).ravel()
+        curvature = 2 * max_curvature * (sample[n : n + 2] * (1 - s) + sample[n + 2 :] * s)
+        x[torsion.size :] = (curvature / problem.softness[:, None]).ravel()
         starts.append(x)
     return starts
 
 
 def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
-    """Solve from x; whether that is an equilibrium which was not known."""
+    """Solve from x, and append the equilibrium if it is a new one; True if so."""
     result = member.solve(x, iterations=30)
     if not result.converged:
         return False
@@ -495,8 +501,10 @@ def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
 
 
 def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> int:
-    """Fall from unstable equilibria to both sides of their unstable directions; how many new ones that finds. Where one
-    goes that flutters is not known."""
+    """Fall from unstable equilibria to both sides of their unstable directions; number of new equilibria.
+
+    Only from real eigenvalues: the motion after flutter has no known end.
+    """
     new = 0
     for k, point in enumerate(list(result)):
         if k in explored or point.margin >= 0:
@@ -512,14 +520,14 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
 
 
 def degree(result: Iterable[Place]) -> int:
-    """Topological degree, the sum of the signs of the Jacobians' determinants, (-1)^index where there is an energy.
+    """Topological degree of a set of equilibria, 1 if it is complete: sum of the signs of det H, or of (-1)^index.
 
-    It is 1 for a complete set, since the equations deform into those without coupling.
+    The equations deform into those without coupling, which have one solution.
     """
     return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in result))
 
 
-# --- The question -----------------------------------------------------------------------------------------------------
+# --- Search -----------------------------------------------------------------------------------------------------------
 
 
 @typed
@@ -534,7 +542,7 @@ def find_equilibria(
     search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
     time_limit: float = TIME_LIMIT,
 ) -> list[Equilibrium]:
-    """All equilibria at given joint values, the lowest energy first.
+    """All equilibria at given joint values, stable and unstable, the lowest energy first.
 
     A positive certificate of tubes on the centreline proves that there is only one; then nothing is searched. Otherwise
     tubes that act on one another are searched group by group (groups: tubes that are curved in a common section).
@@ -565,8 +573,8 @@ def find_equilibria(
         >>> [e.stable for e in tubeopt.find_equilibria(robot, np.radians([190, 0]))]
         [True, True, False]
     """
-    alpha, place = joint_values(robot, rotations, translations)
-    shift = tuple(place.tolist())
+    alpha, translation = joint_values(robot, rotations, translations)
+    shift = tuple(translation.tolist())
     result = _without_load(Unloaded.of(robot, alpha, shift), search.most_starts)
     equilibria = [to_equilibrium(point, "search over tip angles") for point in result]
     if load is not None:
@@ -575,50 +583,51 @@ def find_equilibria(
 
 
 def _without_load(member: Unloaded, most_starts: int) -> list[PlainPoint]:
-    """All solutions of a problem; raises SolveError where their degree is not 1."""
+    """All equilibria without a load; raises SolveError where their degree is not 1."""
     problem, rotations = member.problem, member.rotations
-    surely = CERTAIN if problem.assembly.even else CERTAIN_OF_PIECES
-    if not problem.assembly.eccentric and worst_case(problem)[0] > surely:
+    certain = CERTAIN if problem.assembly.even else CERTAIN_OF_PIECES
+    if not problem.assembly.eccentric and worst_case(problem).margin > certain:
         result = member.descend(np.zeros(problem.size))
         if result.converged:
             return [Point.of(member, result)]
-    solution = list[PlainPoint]()
+    points = list[PlainPoint]()
     for theta in profiles(problem, _all_tips(problem, rotations, most_starts)):
-        add(solution, member, member.unknowns(theta))
-    whole = degree(solution)
-    if whole != 1:
-        raise SolveError(_incomplete(len(solution), whole))
-    return solution
+        add(points, member, member.unknowns(theta))
+    if degree(points) != 1:
+        raise SolveError(_incomplete(len(points), degree(points)))
+    return points
 
 
 def _all_tips(problem: ReducedProblem, rotations: Array, most_starts: int) -> Array:
-    """(S, n) tip angles that lead to the joint rotations: of one group after the other, from the base to the tip.
+    """(S, n) tip angles of all equilibria: of one group after the other, from the base to the tip.
 
-    Off the centreline every solution of the groups below gives its own transmissions to those that pass through them.
+    Off the centreline every solution of the groups nearer to the base has its own lengths of the tubes that pass
+    through them, and so its own transmissions.
     """
-    # The tip of a tube that nothing turns is where its joint is.
+    # The tip of a tube without torsion has the rotation of its joint.
     branches = [(rotations.copy(), np.zeros(problem.assembly.n_tubes))]
     for group in groups_of(problem):
-        bundle, known, longer = group.bundle, {}, []
-        for tips, extra in branches:
-            key = extra.tobytes()
-            if key not in known:
-                held = bundle.transmission.copy()
-                # Straight tubes that only keep a place have no torsion to transmit.
-                held[: len(group.tubes)] += (extra / problem.assembly.held_stiffness)[group.tubes]
-                known[key] = preimage(bundle, held, rotations[group.tubes], most_starts)
-            result = known[key]
-            if not result.settled:
+        bundle, solved, extended = group.bundle, dict[bytes, Preimage](), []
+        for tips, extra_length in branches:
+            key = extra_length.tobytes()
+            if key not in solved:
+                transmission = bundle.transmission.copy()
+                # Straight tubes that only fill an offset have no torsion to transmit.
+                transmission[: len(group.tubes)] += (extra_length / problem.assembly.held_stiffness)[group.tubes]
+                solved[key] = preimage(bundle, transmission, rotations[group.tubes], most_starts)
+            result = solved[key]
+            if not result.complete:
                 raise SolveError(_incomplete(len(result.tips), int(result.sign.sum())))
-            for angles, travel in zip(result.tips, result.travel, strict=True):
-                turned = tips.copy()
-                turned[group.tubes] = angles
-                more = travel[group.seat] - bundle.length.sum() if bundle.place else 0.0
-                longer.append((turned, extra + more))
-        branches = longer
+            for group_tips, travel in zip(result.tips, result.travel, strict=True):
+                all_tips = tips.copy()
+                all_tips[group.tubes] = group_tips
+                stretch = travel[group.seat] - bundle.length.sum() if bundle.place else 0.0
+                extended.append((all_tips, extra_length + stretch))
+        branches = extended
     return np.array([tips for tips, _ in branches])
 
 
 def _incomplete(count: int, degree: int) -> str:
+    """Message for a set of equilibria that is not complete."""
     why = f"of degree {degree} instead of 1" if degree != 1 else "more of them on every finer grid"
     return f"{count} equilibria were found, {why}: one is missing, or the joint values are at a fold, where two are one"

@@ -1,9 +1,9 @@
-"""How much of a load a robot bears before its equilibrium is lost: folds and bifurcations along a growing load."""
+"""Load limit: the fold or bifurcation at which a growing load ends the stable branch of an equilibrium."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,14 +26,14 @@ from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import StatusEnum
 from .folds import PAST, Loss, branch_end, fall
 
-# The mesh follows from the largest load of a stage: four times the load needs at most twice the pieces, and 10 times
-# the load, the default limit, takes three stages.
+# The mesh must suit the largest load of a stage. Four times the load needs at most twice the pieces, and ten times the
+# load, the default limit, takes three stages.
 LOAD_STAGE = 4.0
-"""Ratio of the loads at the ends of successive stages of a growing load; every stage has a mesh of its own."""
+"""Ratio of the largest loads of successive stages of a growing load; every stage has its own mesh."""
 
 
 class LoadLimitStatus(StatusEnum):
-    """How a branch ends as a load grows; every value reads as a sentence."""
+    """Kind of the end of a branch, as a sentence."""
 
     FOLD = "the equilibrium vanishes in a fold, and the robot snaps"
     BIFURCATION = "the equilibrium becomes unstable at a bifurcation, and the robot buckles"
@@ -42,30 +42,34 @@ class LoadLimitStatus(StatusEnum):
 
 @dataclass(frozen=True, eq=False)
 class LoadLimit(Displayed):
-    """The end of the stable branch that grows from no load."""
+    """End of the stable branch as the load grows from 0."""
 
     factor: Annotated[float, "load factor at which stability is lost"]
     kind: Annotated[
         str, "fold: the equilibrium vanishes; bifurcation: it becomes unstable; flutter: slow oscillations grow"
     ]
-    """"fold": the equilibrium vanishes, and the robot snaps. "bifurcation": it continues but is unstable, and the robot
-    leaves it to one of two sides, like a buckling column; symmetric poses do this. "flutter", only under a load without
-    an energy: it continues, but slow oscillations about it grow (docs/loads.md).
+    """"fold", "bifurcation" or "flutter".
+
+    At a fold the equilibrium vanishes, and the robot snaps. At a bifurcation it continues but is unstable, and the
+    robot leaves it to one of two sides, like a buckling column; symmetric poses do this. Flutter occurs only under a
+    load without an energy: the equilibrium continues, but slow oscillations about it grow (docs/loads.md).
     """
     before: Annotated[Equilibrium, "equilibrium at the limit"]
     """Its margin is 0."""
     after: Annotated[Equilibrium | None, "equilibrium after the loss of stability; null if none was found"]
-    """Equilibrium after the loss of stability. At a fold at the same load; at a bifurcation at a load larger by `past`
-    of `Continuation`, on one of two equally likely sides. None if descent finds no equilibrium, and after flutter.
+    """Equilibrium after the loss of stability.
+
+    At a fold at the same load; at a bifurcation at a load larger by the fraction `folds.PAST`, on one of two equally
+    likely sides. None if descent finds no equilibrium, and after flutter.
     """
     tip_jump: Annotated[float, unit("mm"), "distance that the tip jumps"]
-    """At the load of `after`, from the equilibrium that the robot leaves; NaN without `after`."""
+    """Distance at the load of `after`, from the equilibrium that the robot leaves; NaN without `after`."""
     energy_released: Annotated[float, unit("mJ"), "energy released by tubes and load; null for a load without energy"]
-    """NaN under a load without an energy."""
+    """Energy released by tubes and load, J; NaN under a load without an energy."""
 
     @property
     def value(self) -> float:
-        """The factor on the load."""
+        """Load factor."""
         return self.factor
 
     @property
@@ -92,7 +96,7 @@ def find_load_limit(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """The load factor at which a robot loses stability at given joint values; None if it withstands `up_to`.
+    """Load factor at which a robot loses stability at fixed joint values; None if it withstands `up_to`.
 
     Folds are roots of a bordered determinant. Bifurcations are roots of the smallest eigenvalue on the branch, which
     continues.
@@ -116,8 +120,8 @@ def find_load_limit(
         >>> tubeopt.find_load_limit(robot, [0.0, 0.0, 0.0], None, push, up_to=2.0) is None
         True
     """
-    alpha, place = joint_values(robot, rotations, translations)
-    shift = tuple(place.tolist())
+    alpha, translation = joint_values(robot, rotations, translations)
+    shift = tuple(translation.tolist())
     check_load(robot, load, shift)
     positive("up_to", up_to)
     first = equilibrium if equilibrium is not None else forward_kinematics(robot, alpha, shift)
@@ -126,45 +130,14 @@ def find_load_limit(
     if not np.allclose(np.concatenate([first.rotations, first.translations]), [*alpha, *shift], rtol=0, atol=1e-9):
         raise InputError("equilibrium is at other joint values; they must be the same")
     result = find_loss(first, load, up_to)
-    return None if result is None else _described(*result)
+    if result is None:
+        return None
+    loss, scale = result
 
-
-def find_loss(first: Equilibrium, load: Load, up_to: float) -> tuple[Loss, float] | None:
-    """Where the branch that grows from a stable equilibrium without load is lost, by the factor on the last stage of a
-    growing load, and what that is of the load; None where it bears `up_to` times the load."""
-    robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
-    point, reached = None, 0.0
-    while reached < up_to:
-        goal = min(up_to, LOAD_STAGE * reached if reached else 1.0)
-        grown = load.scaled(goal)
-        if point is None:
-            point = point_of(first, grown)
-        else:
-            point = _restart(point, Loaded.of(robot, alpha, shift, grown, factor=reached / goal))
-        family = Family.growing(point.member)
-        point = reach(family, point)
-        if point.t < 1.0:
-            loss = branch_end(family, point, 1.0)
-            if loss is not None:
-                return loss, goal
-            raise SolveError(
-                f"the branch is lost at {point.t * goal:.6g} times the load, but no fold or bifurcation is found there",
-                to_equilibrium(point, "the load before"),
-            )
-        reached = goal
-    return None
-
-
-def _restart(point: Place, there: Loaded) -> LoadedPoint:
-    """The equilibrium of another problem close to a point."""
-    failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
-    return replace(point.onto(there, failure), t=there.factor)
-
-
-def _described(loss: Loss, scale: float) -> LoadLimit:
     before = to_equilibrium(loss.point, "the load before")
     left = loss.point
     if loss.kind == "bifurcation":
+        # The branch continues: the robot leaves it just beyond.
         left = _restart(left, replace(left.member, factor=loss.t * (1 + PAST)))
     landed = None if loss.kind == "flutter" else fall(left, loss.direction)
     if landed is None:
@@ -178,3 +151,44 @@ def _described(loss: Loss, scale: float) -> LoadLimit:
         tip_jump=float(np.linalg.norm(after.tip_position - tip_position(left.member.problem, left.state))),
         energy_released=left.state.potential - landed.state.potential,
     )
+
+
+class ScaledLoss(NamedTuple):
+    """End of the branch under a load that grows from 0 in stages."""
+
+    loss: Loss
+    """End of the branch, with t the factor on the load of the last stage."""
+    scale: float
+    """Load of the last stage as a factor on the load."""
+
+
+def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None:
+    """End of the branch that begins at a stable, unloaded equilibrium; None up to `up_to` times the load."""
+    robot, alpha, shift = first.robot, first.rotations, tuple(first.translations.tolist())
+    point, reached = None, 0.0
+    while reached < up_to:
+        scale = min(up_to, LOAD_STAGE * reached if reached else 1.0)
+        stage_load = load.scaled(scale)
+        if point is None:
+            point = point_of(first, stage_load)
+        else:
+            point = _restart(point, Loaded.of(robot, alpha, shift, stage_load, factor=reached / scale))
+        family = Family.growing(point.member)
+        point = reach(family, point)
+        if point.t < 1.0:
+            loss = branch_end(family, point, 1.0)
+            if loss is not None:
+                return ScaledLoss(loss, scale)
+            raise SolveError(
+                f"the branch is lost at {point.t * scale:.6g} times the load, "
+                "but no fold or bifurcation is found there",
+                to_equilibrium(point, "the load before"),
+            )
+        reached = scale
+    return None
+
+
+def _restart(point: Place, member: Loaded) -> LoadedPoint:
+    """Equilibrium of another problem, on another mesh or at a load just beyond, close to a point."""
+    failure = "no equilibrium on the mesh of a larger load, or just beyond the loss of stability"
+    return replace(point.onto(member, failure), t=member.factor)

@@ -1,10 +1,10 @@
-"""The margin over two relative rotations, and the curve at which a robot that comes straight from home snaps."""
+"""Stability map: margin over two relative rotations, and the boundary at which straight paths from home first snap."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,6 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.field_metadata import Range
-from ..robots.assembly import Assembly
 from ..robots.robot import Robot, shifts
 from ..solvers.blas import small
 from ..solvers.parallel import executor, run_all
@@ -27,22 +26,24 @@ from .motion import Event, motion
 TURN = 2 * np.pi
 
 HALVINGS = 7
-"""Of what lies between two directions, in search of the end of the boundary."""
+"""Number of bisections between two directions to locate an end of the boundary: to 1/128 of their distance."""
 
+# The margin falls to 0 within less than two points of the map.
 APPROACH = np.array([0.4, 0.28, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025])
-"""Turns (rad) ahead of the first snap at which the margin is told: it falls to 0 within less than two points of the
-map."""
+"""Distances (rad) before the first snap at which the margin is computed."""
 
 MIRRORED = np.append([-1.0, -1.0], np.ones(len(APPROACH)))
-"""Signs of what is found in a direction (2 + A,) in the opposite one, of a robot that is its own mirror image."""
+"""Signs of a row of the boundary (2 + A,) in the opposite direction, for a robot with mirror symmetry."""
 
-JUMP, EDGE_ON = 0.1, 3.0
-"""Neighbouring directions see two pieces of the boundary if their distances from home differ by more than the first,
-rad, and by more than the second, the slope of a curve in polar coordinates, allows."""
+JUMP = 0.1
+"""Difference (rad) of the distances from home in neighbouring directions up to which the boundary is one curve."""
+
+EDGE_ON = 3.0
+"""Slope of the boundary in polar coordinates up to which it is one curve."""
 
 
 class MapStatus(StatusEnum):
-    """What a robot did on the paths of a map; every value reads as a sentence."""
+    """Outcome on the paths of a map, as a sentence."""
 
     SMOOTH = "the robot snaps on none of the paths"
     SNAPPED = "the robot snaps on some of the paths"
@@ -50,14 +51,14 @@ class MapStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class MapStatistics:
-    """What a map took."""
+    """Effort of a map."""
 
-    ways: int
-    """To its points."""
+    paths: int
+    """Number of paths to its points."""
     directions: int
-    """Of its boundary."""
+    """Number of directions of its boundary."""
     snaps: int
-    """On the paths to the points."""
+    """Number of snaps on the paths to its points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,28 +68,29 @@ class StabilityMap(Displayed):
     tubes: tuple[int, int]
     """The two rotated tubes; all others stay at home."""
     angles: Array
-    """(N,) of both axes, rad."""
+    """(N,) rotations on both axes, rad."""
     margin: Array
-    """(N, N) at the end, rows by the first tube."""
+    """(N, N) margin at the end of each path; row i at `angles[i]` of the first tube."""
     snaps: Array
-    """(N, N) number of snaps on the path."""
+    """(N, N) number of snaps on each path."""
     directions: Array
-    """(D,) angles from the axis of the first tube, increasing, rad: the requested ones, and more where the boundary
-    ends or jumps between two of them.
+    """(D,) increasing angles from the axis of the first tube, rad.
+
+    The requested ones, and more where the boundary ends or jumps between two of them.
     """
     boundary: Array
-    """(D, 2) rotations at the first snap in each, rad; NaN in those without."""
+    """(D, 2) rotations at the first snap in each direction, rad; NaN without a snap."""
     approach: Array
-    """(D, A) margins at a turn of APPROACH (A,) rad ahead of it, where it falls; NaN likewise."""
+    """(D, A) margins at the distances APPROACH (A,) before the first snap; NaN without a snap."""
 
     @property
     def value(self) -> Array:
-        """(N, N) the margins."""
+        """(N, N) margins."""
         return self.margin
 
     @property
     def status(self) -> MapStatus:
-        """Whether the robot snapped on any path, as a sentence."""
+        """Outcome on all paths, as a sentence."""
         snapped = (self.snaps > 0).any() or np.isfinite(self.boundary).any()
         return MapStatus.SNAPPED if snapped else MapStatus.SMOOTH
 
@@ -143,7 +145,9 @@ def stability_map(
     if len({*tubes} & {*range(robot.n_tubes)}) != 2:
         raise InputError(f"tubes is {tubes}; they must be two different tubes from 0 to {robot.n_tubes - 1}")
     shift = shifts(robot, translations)
-    mirrored = own_mirror_image(robot.assembly(shift)) and directions % 2 == 0
+    # Tubes curved in one plane: opposite rotations give mirror images.
+    assembly = robot.assembly(shift)
+    mirrored = assembly.even and not assembly.eccentric and directions % 2 == 0
     origin = forward_kinematics(robot, np.zeros(robot.n_tubes), shift)
     angles = np.linspace(-np.pi, np.pi, samples)
     rows = [
@@ -152,131 +156,165 @@ def stability_map(
     period = np.pi if mirrored else TURN
     around = np.arange(directions // (1 + mirrored)) * TURN / directions
     parts = np.array_split(around, max(1, len(around) // 15))
-    jobs = [(origin, tubes, row, False) for row in rows] + [(origin, tubes, rim(part), True) for part in parts]
+    jobs = [_Job(origin, tubes, row, to_first_snap=False) for row in rows]
+    jobs += [_Job(origin, tubes, rim(part), to_first_snap=True) for part in parts]
     with executor(workers) as pool:
-        results = run_all(_done, jobs, pool, progress)
-    table, result = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
-    around, result = _closed_in(around, period, result, lambda ends: _done((origin, tubes, ends, True)))
+        results = run_all(_run, jobs, pool, progress)
+    table, boundary = np.array(results[: len(rows)]), np.concatenate(results[len(rows) :])
+    around, boundary = _refine_boundary(
+        around, period, boundary, lambda ends: _run(_Job(origin, tubes, ends, to_first_snap=True))
+    )
     if mirrored:
         table = np.concatenate([table, table[: samples // 2][::-1, ::-1]])
-        around, result = np.concatenate([around, around + np.pi]), np.vstack([result, result * MIRRORED])
-    whole = table[:, :, 0], table[:, :, 1].astype(int)
-    return StabilityMap(tubes, angles, *whole, around, result[:, :2], result[:, 2:])
-
-
-def own_mirror_image(assembly: Assembly) -> bool:
-    """Whether opposite rotations give mirror images: concentric tubes, each of them curved in one plane."""
-    return assembly.even and not assembly.eccentric
+        around, boundary = np.concatenate([around, around + np.pi]), np.vstack([boundary, boundary * MIRRORED])
+    return StabilityMap(
+        tubes=tubes,
+        angles=angles,
+        margin=table[:, :, 0],
+        snaps=table[:, :, 1].astype(int),
+        directions=around,
+        boundary=boundary[:, :2],
+        approach=boundary[:, 2:],
+    )
 
 
 def rim(directions: Array) -> Array:
-    """(D, 2) where rays from home in directions (D,) leave the map, rad."""
+    """(D, 2) rotations at which rays from home in directions (D,) leave the map, rad."""
     ray = np.column_stack([np.cos(directions), np.sin(directions)])
     return np.asarray(ray * (np.pi / np.abs(ray).max(1, keepdims=True)))
 
 
-def _done(job: tuple[Equilibrium, tuple[int, int], Array, bool]) -> Array:
-    """Ends of paths from home, on which two tubes turn, to pairs of rotations (k, 2): margin and number of snaps
-    (k, 2). On `rays`, (k, 2 + A) rotations at the first snap and the margins ahead of it, NaN without a snap."""
-    origin, tubes, ends, rays = job
-    out = np.full((len(ends), 2 + len(APPROACH) * rays), np.nan)
+class _Job(NamedTuple):
+    """Straight paths from an equilibrium at home on which two tubes turn."""
+
+    origin: Equilibrium
+    tubes: tuple[int, int]
+    ends: Array
+    """(k, 2) rotations of the two tubes at the ends, rad."""
+    to_first_snap: bool
+
+
+def _run(job: _Job) -> Array:
+    """(k, 2) margins at the ends of paths, and numbers of snaps.
+
+    With `to_first_snap` (k, 2 + A) rotations at the first snap and the margins before it, NaN without a snap.
+    """
+    origin, tubes, ends, to_first_snap = job
+    out = np.full((len(ends), 2 + len(APPROACH) * to_first_snap), np.nan)
     for row, end in zip(out, ends, strict=True):
         goal = np.zeros(origin.robot.n_tubes)
         goal[list(tubes)] = end
-        result = straight_way(origin, goal, to_first_snap=rays)
-        if not rays:
-            row[:] = result.pose.margin, result.snaps
-        elif result.first is not None:
-            row[:2], row[2:] = result.first[list(tubes)], _margins_ahead(result.before, result.first)
+        path = _turn_straight(origin, goal, to_first_snap=to_first_snap)
+        if not to_first_snap:
+            row[:] = path.pose.margin, path.snaps
+        elif path.first is not None:
+            row[:2], row[2:] = path.first[list(tubes)], _margins_ahead(path.before, path.first)
     return out
 
 
 @dataclass(frozen=True, eq=False)
-class End:
-    """Where a path ends: in which equilibrium, after how many snaps, and the joint rotations (n,), rad, at the first of
-    them, None without; `before`: equilibria on the path to it, from the origin on."""
+class _Turned:
+    """Result of a straight motion."""
 
     pose: Equilibrium
+    """Equilibrium at the end."""
     snaps: int
+    """Number of snaps."""
     first: Array | None
+    """(n,) joint rotations at the first snap, rad; None without one."""
     before: Sequence[Equilibrium]
+    """Equilibria before the first snap, from the origin on."""
 
 
-def straight_way(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> End:
-    """What a robot does that turns straight from a stable equilibrium to other rotations (n,), rad.
-    With `to_first_snap` the path ends where the robot lands from it.
-    """
-    start, goal = (np.concatenate([turned, origin.translations]) for turned in (origin.rotations, rotations))
-    family, here, snaps, first, before = Family(JointPath(origin.robot, start, goal)), origin, 0, None, [origin]
+def _turn_straight(origin: Equilibrium, rotations: Array, *, to_first_snap: bool = False) -> _Turned:
+    """Motion from a stable equilibrium straight to rotations (n,), rad, or to the landing after the first snap."""
+    start, goal = (np.concatenate([angles, origin.translations]) for angles in (origin.rotations, rotations))
+    family, pose, snaps, first, before = Family(JointPath(origin.robot, start, goal)), origin, 0, None, [origin]
     for step in motion(family, origin):
         if isinstance(step, Event):
             snaps, first = snaps + 1, family.path.at(step.lost.t)[0] if first is None else first
             if to_first_snap:
-                return End(step.after, snaps, first, before)
+                return _Turned(step.after, snaps, first, before)
             continue
-        here = step.pose
+        pose = step.pose
         if first is None:
-            before.append(here)
-    return End(here, snaps, first, before)
+            before.append(pose)
+    return _Turned(pose, snaps, first, before)
 
 
 def _margins_ahead(before: Sequence[Equilibrium], snap: Array) -> Array:
-    """(A,) margins on the path to joint rotations (n,) at the first snap, APPROACH before these; `before`:
-    equilibria on that path, from home on."""
-    whole, margins = float(np.linalg.norm(snap)), []
-    places = np.maximum(0.0, whole - APPROACH)
-    here = [each for each in before if np.linalg.norm(each.rotations) <= places[0]][-1]
-    for place in places:
-        here = straight_way(here, snap * (place / whole)).pose
-        margins.append(here.margin)
+    """(A,) margins at the distances APPROACH before the first snap at rotations (n,), from equilibria on the path."""
+    length, margins = float(np.linalg.norm(snap)), []
+    distances = np.maximum(0.0, length - APPROACH)
+    pose = [each for each in before if np.linalg.norm(each.rotations) <= distances[0]][-1]
+    for distance in distances:
+        pose = _turn_straight(pose, snap * (distance / length)).pose
+        margins.append(pose.margin)
     return np.array(margins)
 
 
-def _closed_in(
-    directions: Array, period: float, result: Array, first_snaps: Callable[[Array], Array]
+def _refine_boundary(
+    directions: Array, period: float, boundary: Array, first_snaps: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """Directions, and what is found in them, with more where two neighbours do not see one piece of boundary; after a
-    `period`, rad, all is as it was."""
+    """Directions and rows of the boundary, with more where it ends or jumps between two directions.
+
+    Args:
+        directions: (D,) angles, rad; they repeat after `period`.   boundary: (D, 2 + A), a row for each.
+        first_snaps: rows of the boundary on paths to rotations (k, 2).
+    """
     if len(directions) * TURN / period < 3:
-        return directions, result
+        return directions, boundary
     closest = period / len(directions) / 2**HALVINGS
     while True:
         after = np.append(directions[1:], directions[0] + period)
-        apart = _torn(directions, after, result[:, :2]) & (after - directions > 1.5 * closest)
+        apart = _torn(directions, after, boundary[:, :2]) & (after - directions > 1.5 * closest)
         if not apart.any():
-            return directions, result
-        between = ((directions + after) / 2)[apart]
-        order = np.argsort(np.append(directions, between % period), kind="stable")
-        directions = np.append(directions, between % period)[order]
-        result = np.vstack([result, first_snaps(rim(between))])[order]
+            return directions, boundary
+        middle = ((directions + after) / 2)[apart]
+        order = np.argsort(np.append(directions, middle % period), kind="stable")
+        directions = np.append(directions, middle % period)[order]
+        boundary = np.vstack([boundary, first_snaps(rim(middle))])[order]
 
 
 def _torn(directions: Array, after: Array, boundary: Array) -> Mask:
-    """(D,) whether the boundary is not one curve from a direction to the one after: it is in one of them only, or so
-    much further away in one that the curve between would be seen edge-on."""
-    near = np.hypot(*boundary.T)
-    far = np.roll(near, -1)
+    """(D,) True where the boundary is not one curve from a direction to the one after.
+
+    It is present in one of them only, or so much farther away in one that the curve would be seen edge-on.
+    """
+    distance = np.hypot(*boundary.T)
+    distance_after = np.roll(distance, -1)
     with np.errstate(invalid="ignore"):
-        jump = np.abs(far - near) > np.maximum(EDGE_ON * (after - directions) * np.minimum(near, far), JUMP)
-    return np.asarray((np.isfinite(near) != np.isfinite(far)) | jump)
+        max_jump = np.maximum(EDGE_ON * (after - directions) * np.minimum(distance, distance_after), JUMP)
+        jump = np.abs(distance_after - distance) > max_jump
+    return np.asarray((np.isfinite(distance) != np.isfinite(distance_after)) | jump)
 
 
-def pieces(chart: StabilityMap) -> list[tuple[Array, Array, Array]]:
-    """The boundary as curves: directions (k,), rising, rotations (k, 2) at the first snap, rad, and the margins (k, A)
-    ahead of it, of each.
+class BoundaryCurve(NamedTuple):
+    """One connected curve of the boundary."""
 
-    Where a curve ends inside the map, behind its end the next one begins, or paths lead on without a snap.
+    directions: Array
+    """(k,) increasing angles, rad."""
+    rotations: Array
+    """(k, 2) rotations at the first snap, rad."""
+    approach: Array
+    """(k, A) margins before it."""
+
+
+def pieces(chart: StabilityMap) -> list[BoundaryCurve]:
+    """Connected curves of the boundary.
+
+    Behind an end inside the map the next curve begins, or paths continue without a snap.
     """
     count = len(chart.directions)
     after = np.append(chart.directions[1:], chart.directions[:1] + TURN)
     cut = _torn(chart.directions, after, chart.boundary)
-    there = np.isfinite(chart.boundary).all(1)
-    if not there.any():
+    present = np.isfinite(chart.boundary).all(1)
+    if not present.any():
         return []
     first = int(np.argmax(cut)) + 1 if cut.any() else 0
-    order = (first + np.arange(count + (not cut.any()))) % count  # a closed curve comes back to where it begins
+    order = (first + np.arange(count + (not cut.any()))) % count  # a closed curve returns to its start
     angle = np.unwrap(chart.directions[order])
     ends = np.flatnonzero(cut[order[:-1]]) + 1
     columns = angle, chart.boundary[order], chart.approach[order]
     parts = zip(*(np.split(column, ends) for column in columns), strict=True)
-    return [part for part in parts if np.isfinite(part[1]).all()]
+    return [BoundaryCurve(*part) for part in parts if np.isfinite(part[1]).all()]

@@ -1,9 +1,10 @@
-"""From the tip to the base: the initial-value problem whose solution at the plate are the joint rotations.
+"""Shooting from the tip to the plate: joint rotations as a function of the tip angles.
 
-At the tip all torsion is 0, so the rotations of the tube tips fix everything: alpha = theta(0) - |beta| t(0) / kt is a
-function of the tip angles. Every equilibrium is a preimage of the joint rotations, which makes the search for all of
-them finite: turning one tip by a whole turn turns its joint by one, and on the centreline turning all tips turns all
-joints. The derivatives of the joints by the tips are integrated along, from those of the cross-section.
+At the tips the torsion is 0, so that the tip angles determine theta(s) as an initial-value problem, and with it the
+joint rotations alpha = theta(0) - |beta| t(0) / kt. Every equilibrium is a preimage of the joint rotations. One turn of
+each tip is enough: turning one tip once turns its joint once, and on the centreline turning all tips alike turns all
+joints. The derivatives of the joints with respect to the tips are integrated as well (the Jacobi equation); where their
+determinant vanishes the equilibrium is a fold.
 """
 
 from __future__ import annotations
@@ -21,26 +22,28 @@ from ..solvers.time_limit import check_time
 from ..typing import Array, Index, Mask
 
 CHUNKS = (512, 64, 8)
-"""Tip angles integrated at once: the largest that is at most half padding."""
+"""Numbers of tip angles integrated at once; the largest that needs at most half padding is used."""
 
 STEPS = 8
 """Steps of the integration per piece of the mesh: errors near 1e-6 rad, so that Newton's method finishes the work."""
 
 State = tuple[Array, ...]
-"""theta and torque (B, n), the length of every tube so far (B, n); where they are wanted, the derivatives (B, n, n) of
-theta and of the torque by the tip angles."""
+"""theta, torque and length of every tube so far, (B, n) each; with `slopes` also the derivatives (B, n, n) of theta and
+of the torque with respect to the tip angles."""
 
 Grid = tuple[Array, Array]
-"""theta and theta' (B, K, n) at places from the tip side of a piece to its base side."""
+"""theta and theta' (B, K, n) at points from the tip side of a piece to its base side."""
 
 GRID = np.arange(2 * STEPS + 1) / (2 * STEPS)
-"""Fractions of a piece at which the steps look at its cross-sections."""
+"""Fractions of a piece at which the steps evaluate its cross-sections."""
 
 
 @lru_cache(maxsize=16)
 def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
-    """1 / kt, kb and m (P, n) of the tubes of a problem on its pieces; of tubes made of pieces with the phase, and
-    (P, X, n) at GRID."""
+    """1 / kt, kb and m (P, n) of the tubes on the pieces of the mesh.
+
+    For tubes made of pieces also the phase, all (P, X, n) at GRID.
+    """
     mesh, n = problem.mesh, problem.assembly.n_tubes
     if problem.assembly.even:
         return problem.here.rate[:, 0], *problem.on_pieces
@@ -53,23 +56,25 @@ def sections_of(problem: ReducedProblem) -> tuple[Array, ...]:
 class Bundle:
     """Tubes that are integrated together, on P pieces, base to tip.
 
-    length: (P,) m.  bent: (P,) whether torsion is not linear there.  gain: (P, n) int ds / kt there.
-    sections: see `sections_of`; kb_i of the tubes present, m_i of those curved.  transmission: (n,) int ds / kt from
-    where a tube is held to the first piece.  place: offset and angle (n,), or nothing for concentric tubes.
-
-    Where tubes have a natural twist theta is the elastic rotation phi.
+    For tubes with a natural twist theta is the elastic rotation phi.
     """
 
     length: Array
+    """(P,) lengths of the pieces, m."""
     bent: Mask
+    """(P,) True where tubes act on one another, so that theta is not linear."""
     gain: Array
+    """(P, n) int ds / kt along each piece, 1/(N m)."""
     sections: tuple[Array, ...]
+    """Cross-sections as in `sections_of`: kb of the tubes present, m of those curved."""
     transmission: Array
+    """(n,) int ds / kt from the clamped end to the first piece, 1/(N m)."""
     place: tuple[Array, ...]
+    """Offset and offset angle (n,); empty for concentric tubes."""
 
     @property
     def varying(self) -> bool:
-        """Whether there are tubes made of pieces."""
+        """True if there are tubes made of pieces."""
         return self.sections[0].ndim == 3
 
     @property
@@ -80,17 +85,20 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Where tip angles lead: joint rotations and torques there (B, n), the derivatives (B, n, n) of the rotations by
-    the tip angles (B, 0, 0 where these were not asked for), and the length of every tube along the pieces (B, n), m."""
+    """Solution at the clamped ends for B tip angles."""
 
     rotations: Array
+    """(B, n) joint rotations, rad."""
     torque: Array
+    """(B, n) torques at the plate, N m."""
     by_tip: Array
+    """(B, n, n) derivatives of the joint rotations with respect to the tip angles; (B, 0, 0) without `slopes`."""
     travel: Array
+    """(B, n) length of every tube along the pieces, m."""
 
 
-def whole(problem: ReducedProblem) -> Bundle:
-    """All tubes of a problem on all its pieces."""
+def all_tubes(problem: ReducedProblem) -> Bundle:
+    """Bundle of all tubes of a problem on all pieces of its mesh."""
     assembly, mesh = problem.assembly, problem.mesh
     return Bundle(
         length=mesh.length,
@@ -103,15 +111,17 @@ def whole(problem: ReducedProblem) -> Bundle:
 
 
 def gain_of(problem: ReducedProblem) -> Array:
-    """(P, n) int ds / kt of the tubes along the pieces."""
+    """(P, n) int ds / kt of the tubes along each piece, 1/(N m)."""
     return np.diff(reach(problem.mesh, problem.here), axis=0)
 
 
 def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = False) -> Shot:
-    """Joint rotations of tip angles (B, k) of the first k tubes, those of the others being 0, with their derivatives if
-    `slopes`; the lengths are those of all tubes."""
+    """Joint rotations for tip angles (B, k) of the first k tubes, those of the others 0; lengths are of all tubes.
+
+    Args:
+        steps: integration steps per piece.   slopes: whether to integrate the derivatives.
+    """
     k = tips.shape[1]
-    # Turning all tubes alike turns the arm: the others at 0 fix that freedom.
     padded = np.pad(tips, ((0, 0), (0, bundle.n_tubes - k)))
     shots = [_shoot(bundle, part, steps, slopes) for part in _chunks(padded)]
     rotations, torque, travel, *by_tip = (np.concatenate(column)[: len(tips)] for column in zip(*shots, strict=True))
@@ -120,30 +130,32 @@ def shoot(bundle: Bundle, tips: Array, *, steps: int = STEPS, slopes: bool = Fal
 
 
 def to_base(problem: ReducedProblem, tips: Array) -> Array:
-    """Joint rotations (B, n) of tip angles (B, n)."""
-    return shoot(whole(problem), tips).rotations
+    """(B, n) joint rotations at tip angles (B, n)."""
+    return shoot(all_tubes(problem), tips).rotations
 
 
 def relative(angles: Array, free: Index) -> Array:
-    """(B, d) angles (B, n) of the tubes `free` but the last, relative to that."""
+    """(B, d) angles of the tubes `free` relative to the last of them, from angles (B, n) of all tubes."""
     return angles[:, free[:-1]] - angles[:, free[-1:]]
 
 
 def relative_joints(problem: ReducedProblem, free: Index, tips: Array) -> tuple[Array, Array]:
-    """(B, d) joint rotations of tip angles (B, n), relative to that of the last of the tubes `free`, and their
-    derivatives (B, d, d) by the relative tip angles."""
-    shot, own = shoot(whole(problem), tips, slopes=True), free[:-1]
-    return relative(shot.rotations, free), shot.by_tip[:, own[:, None], own] - shot.by_tip[:, free[-1:, None], own]
+    """(B, d) joint rotations at tip angles (B, n), relative to the last of the tubes `free`, and their derivatives.
+
+    Derivatives (B, d, d) are with respect to the relative tip angles.
+    """
+    shot, i = shoot(all_tubes(problem), tips, slopes=True), free[:-1]
+    return relative(shot.rotations, free), shot.by_tip[:, i[:, None], i] - shot.by_tip[:, free[-1:, None], i]
 
 
 def profiles(problem: ReducedProblem, tips: Array) -> Array:
-    """theta (B, N, n) at the collocation points, for tip angles (B, n)."""
-    bundle = whole(problem)
+    """(B, N, n) theta at the collocation points, for tip angles (B, n)."""
+    bundle = all_tubes(problem)
     return np.concatenate([_profiles(problem, bundle, part) for part in _chunks(tips)])[: len(tips)]
 
 
 def _chunks(tips: Array) -> list[Array]:
-    """Equal chunks, the last one padded: the functions are bound to one number of points."""
+    """Equal chunks, the last one padded: compiled functions take a fixed number of points."""
     size = next((size for size in CHUNKS if len(tips) > size // 2), CHUNKS[-1])
     missing = -len(tips) % size
     padded = np.concatenate([tips, np.repeat(tips[-1:], missing, axis=0)])
@@ -151,18 +163,19 @@ def _chunks(tips: Array) -> list[Array]:
 
 
 def _shoot(bundle: Bundle, tips: Array, steps: int, slopes: bool) -> State:
-    """Rotations, torque, travel and, if `slopes`, the derivatives of the rotations."""
+    """Rotations, torque, travel and, with `slopes`, the derivatives of the rotations, at the clamped ends."""
     check_time()
     state = _at_tip(tips, slopes)
     for piece in reversed(range(len(bundle.length))):
         state, _ = _over(bundle, piece, steps, state)
-    held = bundle.transmission
-    # Behind the plate the torque is constant: theta falls by it times int ds / kt.
-    shot = (state[0] - held * state[1], state[1], state[2])
-    return (*shot, state[3] - held[:, None] * state[4]) if slopes else shot
+    # Behind the plate the torque is constant: alpha = theta(0) - t(0) int ds / kt.
+    gain = bundle.transmission
+    shot = (state[0] - gain * state[1], state[1], state[2])
+    return (*shot, state[3] - gain[:, None] * state[4]) if slopes else shot
 
 
 def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
+    """(B, N, n) theta at the collocation points, for one chunk of tip angles."""
     mesh = problem.mesh
     nodes, degree = mesh.tableau.nodes, mesh.tableau.degree
     out = np.empty((len(tips), len(problem.weight), tips.shape[1]))
@@ -177,18 +190,19 @@ def _profiles(problem: ReducedProblem, bundle: Bundle, tips: Array) -> Array:
 
 
 def _at_tip(tips: Array, slopes: bool) -> State:
+    """State at the tip: no torque, unit derivatives."""
     count, n = tips.shape
     state = (tips, np.zeros_like(tips), np.zeros_like(tips))
     return (*state, np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))) if slopes else state
 
 
 def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, Grid]:
-    """The state at the base side of a piece, and theta and theta' where its steps begin and end."""
+    """State at the base side of a piece, and theta and theta' at the ends of its steps."""
     if not bundle.bent[piece]:
         return _straight(bundle, piece, state)
     count, n = state[0].shape
     march = mapped(march_function(n, bool(bundle.place), len(state) > 3, steps, bundle.varying), count)
-    # CasADi has matrices by columns: derivatives (B, n, n) are (B n, n) there, those by one tip in a row.
+    # CasADi stores matrices by columns: derivatives (B, n, n) are (B n, n) there, one row per tip.
     columns = [part.swapaxes(1, 2).reshape(-1, n) for part in state[3:]]
     sections = [part[piece, :: STEPS // steps].ravel() if bundle.varying else part[piece] for part in bundle.sections]
     *after, values, slopes = march(*state[:3], *columns, bundle.length[piece] / steps, *sections, *bundle.place)
@@ -198,7 +212,7 @@ def _over(bundle: Bundle, piece: int, steps: int, state: State) -> tuple[State, 
 
 
 def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
-    """The same of a piece where torsion is linear."""
+    """State at the base side of a piece with constant torque, and theta and theta' at both ends."""
     theta, torque, travel, *slopes = state
     gain, length = bundle.gain[piece], bundle.length[piece]
     moved = [theta - gain * torque, torque, travel + length]
@@ -209,12 +223,12 @@ def _straight(bundle: Bundle, piece: int, state: State) -> tuple[State, Grid]:
 
 
 def _hermite(grid: Grid, nodes: Array, h: float) -> Array:
-    """(B, K, n) cubic interpolation, at fractions `nodes` from the base side, of a grid that runs from the tip side."""
+    """(B, K, n) cubic interpolation at fractions `nodes` from the base side of a grid that runs from the tip side."""
     value, slope = grid[0], -h * grid[1]
     back = (1 - nodes) * (value.shape[1] - 1)
     k = np.minimum(back.astype(int), value.shape[1] - 2)
     x = (back - k)[None, :, None]
     left, right = value[:, k], value[:, k + 1]
-    # The four cubic Hermite polynomials, counted from the tip side.
+    # Cubic Hermite polynomials, from the tip side.
     blend = left * (1 + 2 * x) * (1 - x) ** 2 + right * x**2 * (3 - 2 * x)
     return np.asarray(blend + slope[:, k] * x * (1 - x) ** 2 - slope[:, k + 1] * x**2 * (1 - x))

@@ -1,4 +1,8 @@
-"""Whether a robot can snap: what is proved, what search finds, and a path that repeats the snap."""
+"""Snap assessment of a robot: a proof that it cannot snap, or a path on which it does.
+
+The certificate is the proof. Where it is not above 0, a snap is searched: of two coupled tubes at their exact fold,
+otherwise across the folds that bound the stable equilibria around the relaxed pose, then on random paths.
+"""
 
 from __future__ import annotations
 
@@ -32,28 +36,25 @@ from .worst import DEFAULT_SEARCH, SnapSearch, WorstMargin, worst_margin
 
 # --- Stable surface of equilibria around the relaxed pose -------------------------------------------------------------
 
-# The sheet of stable equilibria around the relaxed pose, and the folds that bound it: where a robot can snap.
-#
-# Tip angles name equilibria (see `stability.shooting`). Those that a robot reaches from its relaxed pose without a snap
-# are the connected set of stable ones around that pose, and where the set ends, at a fold, the robot snaps. Relative to
-# the pose F(tau) - tau has the period of a turn in each relative tip angle, so that F and the sign of det F', negative
-# beyond a fold, are computed on a grid over one turn and known on all turns around.
+# Every set of tip angles tau has exactly one equilibrium (see `stability.shooting`). The equilibria that a robot can
+# reach from its relaxed pose without a snap are the connected set of stable ones around that pose. Where the set ends,
+# at a fold, the robot snaps. With joints F(tau), F(tau) - tau has the period of one turn in each relative tip angle: F
+# and the sign of det F', negative beyond a fold, are computed on a grid over one turn and continued to all turns.
 
 TURN = 2 * np.pi
 
-# The nodes of one turn of all angles are shot at once: 256 to 4,096 of them take less than a second. Unstable regions
-# smaller than a cell enter by the known unstable equilibria.
+# All nodes of one turn are integrated at once: 256 to 4,096 of them take less than a second. Unstable regions smaller
+# than a cell enter as known unstable equilibria.
 GRID = (256, 64, 16, 8, 5)
-"""Nodes per turn with one, two, .. relative tip angles; the last number is for all that are more."""
+"""Nodes per turn for one, two, .. relative tip angles; the last number for all larger counts."""
 
-MOST_TURNS = 3
-"""Maximum number of turns of the tips around the relaxed pose in which folds are searched. The joints of a fold may
-have turned further."""
+MAX_TURNS = 3
+"""Maximum number of turns of the tips around the relaxed pose in which folds are searched; joints may turn farther."""
 
-MOST_NODES = 1_000_000
-"""Maximum number of nodes of all turns together: 8 MB for each number of a node."""
+MAX_NODES = 1_000_000
+"""Maximum number of nodes of all turns together: 8 MB for each component."""
 
-FOLDS = 12
+MAX_FOLDS = 12
 """Number of folds at the edge of the stable surface that are tried as targets."""
 
 APART = 0.2
@@ -65,21 +66,23 @@ OVERSHOOT = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
-    """A grid over turns of the d relative tip angles around the relaxed pose.
-
-    joints (M..., d): relative joint rotations, rad, from the relaxed pose.  determinant (M...): of F', 0 or less where
-    the equilibrium is unstable.  centre: place of the relaxed pose.
-    """
+class EquilibriumGrid:
+    """Equilibria on a grid over several turns of the d relative tip angles around the relaxed pose."""
 
     joints: Array
+    """(M..., d) joint rotations relative to the relaxed pose, rad."""
     determinant: Array
+    """(M...) det F', 0 or negative where the equilibrium is unstable."""
     centre: tuple[int, ...]
+    """Index of the relaxed pose."""
 
 
-def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable: Array) -> Sheet:
-    """The grid around relaxed rotations `start` (n,), in which the tip angles `unstable` (B, n), each an unstable
-    equilibrium, take the place of the nodes next to them: so an unstable region smaller than a cell is not missed."""
+def equilibrium_grid(problem: ReducedProblem, coupled: Index, start: Array, unstable: Array) -> EquilibriumGrid:
+    """Grid around relaxed rotations `start` (n,).
+
+    The tip angles `unstable` (B, n) of unstable equilibria replace the nodes next to them, so that an unstable region
+    smaller than a cell is not missed.
+    """
     d = len(coupled) - 1
     size = GRID[min(d, len(GRID)) - 1]
     shape, origin = (size,) * d, relative(start[None], coupled)
@@ -87,90 +90,83 @@ def stable_sheet(problem: ReducedProblem, coupled: Index, start: Array, unstable
     tips = np.stack(np.meshgrid(*[axis] * d, indexing="ij"), axis=-1).reshape(-1, d)
     seeds = relative(unstable, coupled) - origin
     seeds -= TURN * np.floor(seeds / TURN + 0.5 / size)
-    places = np.ravel_multi_index(tuple(np.round(seeds * size / TURN).astype(int).T), shape)
-    tips[places] = seeds
+    nodes = np.ravel_multi_index(tuple(np.round(seeds * size / TURN).astype(int).T), shape)
+    tips[nodes] = seeds
     angles = np.tile(start, (len(tips), 1))
     angles[:, coupled[:-1]] += tips
     joints, slope = relative_joints(problem, coupled, angles)
     determinant = np.linalg.det(slope)
-    determinant[places] = np.minimum(determinant[places], 0.0)
-    turns = min(MOST_TURNS, int(((MOST_NODES / len(tips)) ** (1 / d) - 1) / 2))
-    whole = (2 * turns + 1,) * d
+    determinant[nodes] = np.minimum(determinant[nodes], 0.0)
+    turns = min(MAX_TURNS, int(((MAX_NODES / len(tips)) ** (1 / d) - 1) / 2))
+    repeats = (2 * turns + 1,) * d
     offset = np.stack(np.meshgrid(*[np.repeat(np.arange(-turns, turns + 1), size)] * d, indexing="ij"), axis=-1)
-    return Sheet(
-        np.tile((joints - origin).reshape(*shape, d), (*whole, 1)) + TURN * offset,
-        np.tile(determinant.reshape(shape), whole),
-        (turns * size,) * d,
+    return EquilibriumGrid(
+        joints=np.tile((joints - origin).reshape(*shape, d), (*repeats, 1)) + TURN * offset,
+        determinant=np.tile(determinant.reshape(shape), repeats),
+        centre=(turns * size,) * d,
     )
 
 
-def folds(sheet: Sheet, allowed: Callable[[Array], Mask], most: int = FOLDS) -> Array:
-    """(E, d) about the relative joint rotations of folds at which the sheet ends, from the relaxed pose.
+def folds(grid: EquilibriumGrid, allowed: Callable[[Array], Mask], max_folds: int = MAX_FOLDS) -> Array:
+    """(E, d) approximate folds that bound the stable set around the relaxed pose: joint rotations relative to it.
 
-    The nearest come first, each in a direction of its own. `allowed`, (..., d) -> (...), admits the joint rotations of
-    the fold and of a path to it on the surface.
+    The nearest come first, each in a direction of its own. `allowed`, (..., d) -> (...), is True for joint rotations
+    that the fold, and a path of equilibria to it, may have.
     """
-    free = (sheet.determinant > 0) & allowed(sheet.joints)
-    if not free[sheet.centre]:
-        return np.empty((0, sheet.joints.shape[-1]))
+    free = (grid.determinant > 0) & allowed(grid.joints)
+    if not free[grid.centre]:
+        return np.empty((0, grid.joints.shape[-1]))
     labels = scipy.ndimage.label(free)[0]
-    result = _ends(sheet, labels == labels[sheet.centre])
-    result = result[allowed(result)]
-    size = np.abs(result).max(1, initial=0.0)
-    chosen: list[int] = []
-    for k in np.argsort(size, kind="stable"):
-        apart = np.abs(result[k] / size[k] - result[chosen] / size[chosen][:, None]).max(1)
-        if (apart > APART).all():
-            chosen.append(int(k))
-        if len(chosen) == most:
-            break
-    return np.asarray(result[chosen])
-
-
-def _ends(sheet: Sheet, reached: Mask) -> Array:
-    """(E, d) joint rotations about where F' turns singular between nodes that are reached and unstable ones beside."""
-    out = []
+    reached = labels == labels[grid.centre]
+    # det F' changes sign between a reached node and an unstable neighbour: linear interpolation.
+    ends = []
     for axis, size in enumerate(reached.shape):
         sides = [np.arange(size - 1), np.arange(1, size)]
-        for here, there in (sides, sides[::-1]):
-            high, low = (np.take(sheet.determinant, side, axis) for side in (here, there))
-            edge = np.take(reached, here, axis) & (low <= 0)
-            first, second = (np.take(sheet.joints, side, axis)[edge] for side in (here, there))
+        for side, neighbour in (sides, sides[::-1]):
+            high, low = (np.take(grid.determinant, index, axis) for index in (side, neighbour))
+            edge = np.take(reached, side, axis) & (low <= 0)
+            stable, unstable = (np.take(grid.joints, index, axis)[edge] for index in (side, neighbour))
             fraction = (high[edge] / (high[edge] - low[edge]))[:, None]
-            out.append(first + fraction * (second - first))
-    return np.concatenate(out)
+            ends.append(stable + fraction * (unstable - stable))
+    joints = np.concatenate(ends)
+    joints = joints[allowed(joints)]
+    distance = np.abs(joints).max(1, initial=0.0)
+    chosen: list[int] = []
+    for k in np.argsort(distance, kind="stable"):
+        apart = np.abs(joints[k] / distance[k] - joints[chosen] / distance[chosen][:, None]).max(1)
+        if (apart > APART).all():
+            chosen.append(int(k))
+        if len(chosen) == max_folds:
+            break
+    return np.asarray(joints[chosen])
 
 
 # --- Search for a path on which a concentric robot snaps --------------------------------------------------------------
 
-# A path on which a concentric robot snaps: inside its joint limits if search finds one there, else beyond them.
-
 
 @dataclass(frozen=True, eq=False)
 class SnapOnPath:
-    """A snap, and the straight path (2, n) of rotations, rad, on which it lies.
-
-    followed: whether it was met there, or is known from its fold alone.
-    """
+    """Snap on a straight path of rotations."""
 
     path: Array
+    """(2, n) rotations at start and end, rad."""
     snap: Snap
     followed: bool = True
+    """False if the snap is known from its fold, too shallow to be met by continuation along the path."""
 
 
 @dataclass
 class Search:
-    """A search for a snap: the robot at translations (n,) m, its coupled tubes, and what was tried.
-
-    paths: on which the robot was followed.  failed: those of them on which its equilibria were lost.
-    """
+    """Search for a snap at fixed translations, with the paths tried so far."""
 
     robot: Robot
     translations: Array
     random_paths: int
     progress: Callable[[int, int], object] | None
     paths: int = 0
+    """Number of paths that were followed."""
     failed: int = 0
+    """Number of these paths on which the equilibrium was lost."""
 
     def __post_init__(self) -> None:
         self.problem = reduced_problem(self.robot, tuple(self.translations.tolist()), DEFAULT_DISCRETISATION)
@@ -178,7 +174,7 @@ class Search:
         self.low, self.high = np.array(self.robot.limits.rotations).T
 
     def follow(self, start: Array, end: Array) -> SnapOnPath | None:
-        """The first snap on a straight path, which is turned into the joint limits as a whole where it fits."""
+        """First snap on a straight path, turned as a whole into the joint limits where it fits."""
         if self.progress is not None:
             self.progress(self.paths, max(self.paths + 1, 2 * self.random_paths))
         self.paths += 1
@@ -191,10 +187,10 @@ class Search:
         return None if snap is None else SnapOnPath(path, snap)
 
     def relaxed(self) -> list[Array]:
-        """(n,) rotations, nearest to home, at which all tubes curve to one side, so that none is twisted.
+        """(n,) rotations nearest to home at which all tubes curve to one side, so that none is twisted.
 
-        A tube that curves to the other side than the outermost coupled one is turned by half a turn, to one side or the
-        other: these are two poses, mirror images. Those inside the joint limits come first.
+        A tube with a curvature opposite to that of the outermost coupled one is turned by half a turn, in one or the
+        other direction: two poses, mirror images. Those inside the joint limits come first.
         """
         curvature = np.array([tube.curvature for tube in self.robot.tubes])[self.coupled]
         other_side = np.zeros(self.robot.n_tubes)
@@ -203,38 +199,39 @@ class Search:
         return sorted(poses, key=lambda pose: not self.inside(pose))
 
     def inside(self, rotations: Array) -> Mask:
-        """(...) whether rotations (..., n), turned together, are inside the joint limits to round-off."""
+        """(...) True where rotations (..., n) can be turned together into the joint limits, to round-off."""
         angles = rotations[..., self.coupled]
         high, low = self.high[self.coupled] - angles, self.low[self.coupled] - angles
         return np.asarray(high.min(-1) - low.max(-1) >= -1e-9)
 
     def within(self, rotations: Array) -> bool:
-        """Whether rotations (n,) are inside the joint limits as they are."""
+        """True if rotations (n,) are inside the joint limits as they are."""
         return bool(((rotations >= self.low) & (rotations <= self.high)).all())
 
     def clipped(self, start: Array, end: Array) -> Array:
-        """The last rotations (n,) inside the joint limits on the straight path from `start`, which is inside."""
-        here, rate = start[self.coupled], (end - start)[self.coupled]
+        """(n,) last rotations on the straight path from `start` that can be turned into the joint limits."""
+        angle, rate = start[self.coupled], (end - start)[self.coupled]
+        # Two tubes may differ by at most high_i - low_j: the first pair to do so ends the path.
         closing = rate[:, None] - rate
-        left = self.high[self.coupled, None] - self.low[self.coupled] - (here[:, None] - here)
-        most = np.min(left[closing > 0] / closing[closing > 0], initial=1.0)
-        return np.asarray(end if most >= 1 else start + max(most, 0.0) * (end - start))
+        distance = self.high[self.coupled, None] - self.low[self.coupled] - (angle[:, None] - angle)
+        t = np.min(distance[closing > 0] / closing[closing > 0], initial=1.0)
+        return np.asarray(end if t >= 1 else start + max(t, 0.0) * (end - start))
 
     def placed(self, path: Array) -> Array:
-        """Waypoints (W, n) with all tubes turned together where that brings each inside the joint limits.
+        """(W, n) waypoints with all coupled tubes turned together into the joint limits, by as little as possible.
 
-        Where limits differ from tube to tube this is the least turn. A tube that is not coupled goes to its rotation
-        nearest to home. Limits are a box, so straight path between waypoints inside are inside.
+        Waypoints that do not fit stay. Tubes that are not coupled go to their rotation nearest to home. Limits are a
+        box, so that straight paths between waypoints inside are inside.
         """
         out = np.clip(np.zeros_like(path), self.low, self.high)
         angles = path[:, self.coupled]
-        least, most = (self.low[self.coupled] - angles).max(1), (self.high[self.coupled] - angles).min(1)
-        turn = np.where(least <= most, np.clip(0.0, least, most), 0.0)
+        low, high = (self.low[self.coupled] - angles).max(1), (self.high[self.coupled] - angles).min(1)
+        turn = np.where(low <= high, np.clip(0.0, low, high), 0.0)
         out[:, self.coupled] = angles + turn[:, None]
         return np.asarray(out)
 
     def relative(self, start: Array, joints: Array) -> Array:
-        """(..., n) rotations that lie by `joints` (..., d) from `start` (n,)."""
+        """(..., n) rotations at `joints` (..., d) relative to `start` (n,)."""
         out = np.zeros((*joints.shape[:-1], len(start))) + start
         out[..., self.coupled[:-1]] += joints
         return out
@@ -247,14 +244,15 @@ def search_snap(
     random_paths: int = DEFAULT_SEARCH.random_paths,
     progress: Callable[[int, int], object] | None = None,
 ) -> tuple[SnapOnPath | None, Search]:
-    """Search a path from the relaxed pose on which a robot with concentric tubes snaps, and say what was tried.
+    """Search a path from the relaxed pose on which a robot of concentric tubes snaps.
 
-    Two coupled tubes are decided: the snap is found if there is one, however far away, of tubes made of pieces unless
-    it is too shallow to be followed. For more, a robot is turned inside its joint limits along full turns of every
-    tube; across folds at the edge of the stable equilibria around its relaxed pose (see above);
-    and along other full turns and random directions, up to 720 deg where the limits allow it. Then it is turned beyond
-    the limits, unless no unstable equilibrium is known.
-    `unstable` (B, n): tip angles of unstable equilibria.
+    Two coupled tubes are decided: the snap is found if one exists, however far away; for tubes made of pieces, unless
+    it is too shallow to be followed. More tubes are turned inside the joint limits: a full turn of every tube; across
+    the folds at the edge of the stable equilibria around the relaxed pose; other full turns, and random directions up
+    to 720 deg. Then they are turned beyond the limits, if an unstable equilibrium is known.
+
+    Args:
+        unstable: (B, n) tip angles of unstable equilibria.
     """
     search = Search(robot, translations, random_paths, progress)
     if len(search.coupled) < 2:
@@ -272,11 +270,14 @@ def search_snap(
 
 
 def _of_pieces(search: Search) -> SnapOnPath | None:
-    """A snap of tubes made of pieces on full turns from home, inside the joint limits: they have no relaxed pose, and
-    two of them need not be symmetric about one. Of two coupled ones, wherever it is: on a path up from any equilibrium
-    a fold is met before the tip angle has turned once, if there is one."""
+    """Snap of tubes made of pieces on full turns from home, inside the joint limits.
+
+    They have no relaxed pose. Two coupled ones are also turned beyond the limits: from any equilibrium the path crosses
+    a fold, if one exists, before the tip angle has turned once.
+    """
     start = np.clip(np.zeros(search.robot.n_tubes), search.low, search.high)
-    result = _on_paths(search, start, itertools.chain(_turns(search, start), _others(search, start)), within=True)
+    ends = itertools.chain(_turns(search, start), _further_turns(search, start))
+    result = _on_paths(search, start, ends, within=True)
     if result is not None:
         return result
     pair = pair_of(search.problem)
@@ -284,20 +285,27 @@ def _of_pieces(search: Search) -> SnapOnPath | None:
 
 
 def _from_relaxed(search: Search, start: Array, unstable: Array, *, within: bool) -> SnapOnPath | None:
-    """A snap inside the joint limits, or wherever it is."""
+    """Snap on paths from the relaxed pose `start`, `within` the joint limits or anywhere."""
 
     def allowed(joints: Array) -> Mask:
         if within:
             return search.inside(search.relative(start, joints))
         return np.ones(joints.shape[:-1], dtype=bool)
 
-    across, turns = _across_folds(search, start, unstable, allowed), _turns(search, start)
-    ends = [turns, across, _others(search, start)] if within else [across, turns]
+    def across_folds() -> Iterator[Array]:
+        # Without a known unstable equilibrium there is no fold to aim at.
+        if len(unstable):
+            grid = equilibrium_grid(search.problem, search.coupled, start, unstable)
+            for fold in folds(grid, allowed):
+                yield search.relative(start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
+
+    turns = _turns(search, start)
+    ends = [turns, across_folds(), _further_turns(search, start)] if within else [across_folds(), turns]
     return _on_paths(search, start, itertools.chain.from_iterable(ends), within=within)
 
 
 def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bool) -> SnapOnPath | None:
-    """The first snap on straight path from `start` to rotations (n,), cut off at the joint limits if `within`."""
+    """First snap on straight paths from `start` to rotations (n,), cut off at the joint limits if `within`."""
     for end in ends:
         goal = search.clipped(start, end) if within else end
         if (result := search.follow(start, goal)) is not None:
@@ -305,24 +313,16 @@ def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bo
     return None
 
 
-def _across_folds(search: Search, start: Array, unstable: Array, allowed: Callable[[Array], Mask]) -> Iterator[Array]:
-    """(n,) rotations a little beyond folds at which the sheet ends; none where no equilibrium is known unstable."""
-    if len(unstable):
-        sheet = stable_sheet(search.problem, search.coupled, start, unstable)
-        for fold in folds(sheet, allowed):
-            yield search.relative(start, fold * (1 + OVERSHOOT / np.abs(fold).max()))
-
-
 def _turns(search: Search, start: Array) -> Iterator[Array]:
-    """(n,) rotations a turn from `start` of each coupled tube but the outermost, to a side on which it may turn."""
+    """(n,) rotations after a full turn of each coupled tube but the outermost, inside the limits in either direction."""
     for tube in search.coupled[:-1]:
         turn = TURN * (np.arange(len(start)) == tube)
         fits = [end for end in (start + turn, start - turn) if search.within(end)]
         yield fits[0] if fits else start + turn
 
 
-def _others(search: Search, start: Array) -> Iterator[Array]:
-    """(n,) rotations further turns of groups of tubes, and random ones, from `start`."""
+def _further_turns(search: Search, start: Array) -> Iterator[Array]:
+    """(n,) rotations after two turns of several tubes, then in random directions, from `start`."""
     group = search.coupled[:-1]
     for signs in itertools.product((0, 1, -1), repeat=len(group)):
         if next((sign for sign in signs if sign), -1) > 0 and sum(map(abs, signs)) > 1:
@@ -333,37 +333,39 @@ def _others(search: Search, start: Array) -> Iterator[Array]:
 
 
 def _pair(search: Search) -> SnapOnPath | None:
-    """The snap of two coupled tubes."""
+    """Snap of two coupled tubes: met on a path across their exact fold, or built from the fold."""
     poses, pair = search.relaxed(), pair_of(search.problem)
     fold = None if pair is None else pair_fold(pair)
     if fold is None:
         return None
     path = _pair_path(search, poses, fold)
     result = search.follow(*path)
-    turned = None if result is None else np.ptp(result.snap.rotations[search.coupled] - result.path[0][search.coupled])
-    return result if turned is not None and abs(turned - fold.turn) < 1e-6 else _exact(search, path, fold)
+    if result is not None:
+        turn = np.ptp(result.snap.rotations[search.coupled] - result.path[0][search.coupled])
+        if abs(turn - fold.turn) < 1e-6:
+            return result
+    return _from_fold(search, path, fold)
 
 
 def _pair_path(search: Search, poses: list[Array], fold: PairFold) -> Array:
-    """(2, n) straight path across the fold: inside the joint limits if from any pose to any side the fold is."""
-    one = (np.arange(search.robot.n_tubes) == search.coupled[0]).astype(float)
+    """(2, n) straight path across the fold: from a pose and in a direction with the fold inside the joint limits."""
+    first_tube = (np.arange(search.robot.n_tubes) == search.coupled[0]).astype(float)
     # A full turn reads best; where that is not enough, to the next multiple of 10 deg.
     length = TURN if fold.turn < TURN else np.radians(10 * (1 + np.ceil(np.degrees(fold.turn) / 10)))
     paths = [(pose, sign) for pose in poses for sign in (1, -1)]
 
     def fitness(path: tuple[Array, int]) -> tuple[bool, bool]:
         pose, sign = path
-        both = bool(search.inside(np.stack([pose, pose + sign * fold.turn * one])).all())
-        end = pose + sign * length * one
-        return both, both and search.within(end)
+        fold_inside = bool(search.inside(np.stack([pose, pose + sign * fold.turn * first_tube])).all())
+        return fold_inside, fold_inside and search.within(pose + sign * length * first_tube)
 
     pose, sign = max(paths, key=fitness)
-    end = pose + sign * length * one
+    end = pose + sign * length * first_tube
     return np.stack([pose, search.clipped(pose, end) if fitness((pose, sign))[0] else end])
 
 
-def _exact(search: Search, path: Array, fold: PairFold) -> SnapOnPath | None:
-    """The snap built from the fold itself, which may be too shallow to be met on the path."""
+def _from_fold(search: Search, path: Array, fold: PairFold) -> SnapOnPath | None:
+    """Snap built from the exact fold, which may be too shallow to be met by continuation."""
     first = int(search.coupled[0])
     path = search.placed(path)
     relative = path[:, first] - path[:, int(search.coupled[1])]
@@ -376,12 +378,14 @@ def _exact(search: Search, path: Array, fold: PairFold) -> SnapOnPath | None:
     return None if after is None else SnapOnPath(path, Event(lost, after).snap(0), followed=False)
 
 
+# --- Assessment -------------------------------------------------------------------------------------------------------
+
 ASSUMING = "assuming no external load, weight or friction"
-"""What every statement about snapping leaves out, in a clause."""
+"""Assumptions of every statement about snapping, as a clause."""
 
 
 class Finding(StatusEnum):
-    """Knowledge about snapping; every value reads as a sentence."""
+    """Knowledge about snapping, as a clause about the robot."""
 
     SNAP_FREE = "cannot snap at any rotation"
     CAN_SNAP = "can snap"
@@ -389,7 +393,7 @@ class Finding(StatusEnum):
 
 
 class SnapAssessmentStatus(StatusEnum):
-    """A finding as a sentence by itself."""
+    """Finding as a complete sentence."""
 
     SNAP_FREE = f"the robot {Finding.SNAP_FREE.value}"
     CAN_SNAP = f"the robot {Finding.CAN_SNAP.value}"
@@ -398,30 +402,30 @@ class SnapAssessmentStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class SnapAssessmentStatistics:
-    """Numbers of paths tried for a snap, and of those where the equilibrium was lost."""
+    """Effort of the search for a snap."""
 
     paths: int
-    """Number of paths tried."""
+    """Number of paths followed."""
     failed: int
-    """Number of these paths where the equilibrium was lost."""
+    """Number of these paths on which the equilibrium was lost."""
 
 
 @dataclass(frozen=True, eq=False)
 class SnapAssessment(Displayed):
-    """Whether a robot can snap at given translations, with the proof or the snap."""
+    """Answer to whether a robot can snap at its translations, with the proof or the snap."""
 
     _brief = ("robot", "finding", "certificate")
 
     robot: Robot
-    """The robot."""
+    """Robot as assessed."""
     certificate: Certificate
-    """The lower bound of the margin over all rotations: proved."""
+    """Proved lower bound on the margin over all rotations."""
     worst: WorstMargin | None
-    """The least margin that search found, None where it ended on a fold (margin 0)."""
+    """Smallest margin found by search; None where the search ended on a fold (margin 0)."""
     start: Array | None = None
     """(n,) rotations at the start of a straight path with a snap, rad; None if no snap is known."""
     end: Array | None = None
-    """(n,) where it ends."""
+    """(n,) rotations at its end, rad."""
     snap: Snap | None = None
     """Snap on that path, or None."""
     paths: int = 0
@@ -429,12 +433,14 @@ class SnapAssessment(Displayed):
     failed: int = 0
     """Number of these paths where the equilibrium was lost."""
     followed: bool = True
-    """True if the snap occurs when the path is followed. False for a snap of two tubes too shallow for that, known from
-    its fold.
+    """True if the snap occurs in continuation along the path.
+
+    False for a snap of two tubes that is known from its fold and too shallow for that.
     """
     decided: bool = False
-    """True if no more than two tubes are coupled. The certificate is then exact: below 0 a snap is known. For tubes of
-    one curvature each it is the nearest snap.
+    """True if at most two tubes are coupled: the certificate is exact, and below 0 a snap is known.
+
+    For tubes of one curvature each it is the nearest snap.
     """
 
     @property
@@ -444,7 +450,7 @@ class SnapAssessment(Displayed):
 
     @property
     def status(self) -> SnapAssessmentStatus:
-        """The finding, as a sentence."""
+        """Finding as a sentence."""
         return SnapAssessmentStatus[self.finding.name]
 
     @property
@@ -454,7 +460,7 @@ class SnapAssessment(Displayed):
 
     @property
     def finding(self) -> Finding:
-        """The verdict in a word."""
+        """Finding about snapping."""
         if self.certificate.snap_free:
             return Finding.SNAP_FREE
         return Finding.OPEN if self.snap is None else Finding.CAN_SNAP
@@ -471,18 +477,20 @@ class SnapAssessment(Displayed):
 
 @dataclass(frozen=True, eq=False)
 class EccentricSnapAssessment(SnapAssessment):
-    """A `SnapAssessment` that knows a closed form too."""
+    """`SnapAssessment` of eccentric tubes, with the closed form of their untwisted shapes."""
 
     untwisted: float | None = None
-    """Margin of the softest shape with one tube of a segment against the two others, all of them equilibria. Below 0
-    two more equilibria have its joint rotations, and the robot snaps on some path, shown or not. None where the robot
-    is not made of segments of three equal tubes."""
+    """Margin of the softest untwisted shape, with one tube of a segment against the two others.
+
+    Below 0 two more equilibria have its joint rotations, and the robot snaps on some path, shown or not. None where the
+    robot is not made of segments of three equal tubes.
+    """
 
     @property
     def finding(self) -> Finding:
-        """The verdict in a word."""
-        known = self.untwisted is not None and self.untwisted < 0 and not self.certificate.snap_free
-        return Finding.CAN_SNAP if known else super().finding
+        """Finding about snapping."""
+        unstable = self.untwisted is not None and self.untwisted < 0 and not self.certificate.snap_free
+        return Finding.CAN_SNAP if unstable else super().finding
 
 
 @typed
@@ -536,22 +544,22 @@ def assess_snapping(
     unstable = np.empty((0, robot.n_tubes)) if worst is None else worst.unstable
     result, search = search_snap(robot, certificate.translations, unstable, effort.random_paths, progress)
     decided = len(search.coupled) == 2 and (result is not None or robot.even)
-    verdict = SnapAssessment(robot, certificate, worst, paths=search.paths, failed=search.failed, decided=decided)
+    assessment = SnapAssessment(robot, certificate, worst, paths=search.paths, failed=search.failed, decided=decided)
     if result is None:
-        return verdict
+        return assessment
     start, end = result.path
-    return replace(verdict, start=start, end=end, snap=result.snap, followed=result.followed)
+    return replace(assessment, start=start, end=end, snap=result.snap, followed=result.followed)
 
 
 def _eccentric(
     robot: Robot, certificate: Certificate, worst: WorstMargin | None, progress: Callable[[int, int], object] | None
 ) -> EccentricSnapAssessment:
-    """The verdict on tubes off the centreline."""
+    """Assessment of tubes off the centreline."""
     segments = segments_of(robot.assembly(certificate.translations))
     shapes = sorted(map(softest_untwisted, segments or ()), key=lambda shape: shape.margin)
-    verdict = EccentricSnapAssessment(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
+    assessment = EccentricSnapAssessment(robot, certificate, worst, untwisted=shapes[0].margin if shapes else None)
     if certificate.snap_free:
-        return verdict
+        return assessment
     bends = np.array([np.sign(tube.curvature) for tube in robot.tubes])
     paths = list(_paths(robot.n_tubes, shapes, bends))
     for k, (start, end) in enumerate(paths):
@@ -562,12 +570,12 @@ def _eccentric(
         except SolveError:
             continue
         if snap is not None:
-            return replace(verdict, start=start, end=end, snap=snap, paths=k + 1)
-    return replace(verdict, paths=len(paths))
+            return replace(assessment, start=start, end=end, snap=snap, paths=k + 1)
+    return replace(assessment, paths=len(paths))
 
 
 def _paths(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Array, Array]]:
-    """Rotations (n,) to start from and to turn to, the likeliest to snap first."""
+    """(n,) rotations at start and end of paths around the untwisted shapes, the softest shape first."""
     for shape in shapes:
         for k in range(len(DIRECTIONS) if shape.margin < 0 else 1):
             further = float(DIRECTIONS[k])
@@ -582,5 +590,5 @@ def _paths(n: int, shapes: list[Untwisted], bends: Array) -> Iterator[tuple[Arra
 
 
 def _rounded(angles: Array) -> Array:
-    """Angles (rad) that are whole degrees exactly, so that they can be told and typed."""
+    """Angles (rad) rounded to 1e-6 deg, so that they print and can be entered as whole degrees."""
     return np.asarray(np.radians(np.round(np.degrees(angles), 6)))
