@@ -26,7 +26,7 @@ from tubeopt.block.transcription.reduced import ReducedProblem, reduce
 from tubeopt.robots.assembly import assemble
 from tubeopt.robots.robot import Robot
 from tubeopt.stability.equilibria import groups_of
-from tubeopt.stability.shooting import shoot, whole
+from tubeopt.stability.shooting import all_tubes, shoot
 from tubeopt.typing import Array
 
 THREE = load_robot("configs/robots/example_three_segment_etr.yaml")
@@ -51,7 +51,7 @@ def test_derivatives_of_joints_by_tips() -> None:
     robot = EccentricRobot(Tube(3e-3, 2.5e-3, 0.0, 0.05, 40.0), transmission_length=0.02)
     tubes = rows(robot.tubes[:1], (0.0,), robot.distance)
     tips = np.array([0.3, 1.9, -0.8])
-    shot = shoot(whole(problem_of(robot)), tips[None], steps=32, slopes=True)
+    shot = shoot(all_tubes(problem_of(robot)), tips[None], steps=32, slopes=True)
     twist = shot.torque[0] / robot.tubes[0].torsional_stiffness
     centre = reference_shoot(tubes, shot.rotations[0], twist)
     assert centre.end_rotation == pytest.approx(tips, abs=1e-7)
@@ -73,7 +73,7 @@ def test_groups_shoot_as_the_whole_does(problem: ReducedProblem) -> None:
         [[6, 7, 8], [3, 4, 5], [0, 1, 2]] if n == 9 else [[2, 3], [0, 1]]
     )
     tips = np.random.default_rng(5).uniform(-np.pi, np.pi, (3, n))
-    shot = shoot(whole(problem), tips, slopes=True)
+    shot = shoot(all_tubes(problem), tips, slopes=True)
     determinant, extra = np.ones(3), np.zeros((3, n))
     for order, group in enumerate(groups):
         k, m = len(group.tubes), group.bundle.n_tubes

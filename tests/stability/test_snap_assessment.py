@@ -23,7 +23,7 @@ from tubeopt import (
 )
 from tubeopt.equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from tubeopt.stability import SnapSearch, snap_free_certificate
-from tubeopt.stability.snap_assessment import folds, stable_sheet
+from tubeopt.stability.snap_assessment import equilibrium_grid, folds
 from tubeopt.typing import Array
 
 
@@ -182,7 +182,7 @@ def test_narrow_limits() -> None:
 
 def test_the_sheet_ends_at_folds() -> None:
     problem = reduced_problem(CRL, (0.0, 0.0, 0.0), DEFAULT_DISCRETISATION)
-    sheet = stable_sheet(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
+    sheet = equilibrium_grid(problem, np.arange(3), np.zeros(3), worst_margin(CRL).unstable)
     found = folds(sheet, lambda joints: np.abs(joints).max(-1) < TURN, most=4)
     assert len(found) == 4
     assert (np.diff(np.abs(found).max(1)) >= 0).all()

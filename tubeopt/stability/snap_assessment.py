@@ -314,7 +314,7 @@ def _on_paths(search: Search, start: Array, ends: Iterable[Array], *, within: bo
 
 
 def _turns(search: Search, start: Array) -> Iterator[Array]:
-    """(n,) rotations after a full turn of each coupled tube but the outermost, inside the limits in either direction."""
+    """(n,) rotations after a full turn of each coupled tube but the outermost, in a direction inside the limits."""
     for tube in search.coupled[:-1]:
         turn = TURN * (np.arange(len(start)) == tube)
         fits = [end for end in (start + turn, start - turn) if search.within(end)]

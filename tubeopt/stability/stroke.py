@@ -1,9 +1,10 @@
-"""How hard a robot can push with its tip before it buckles or snaps, and what changes that."""
+"""Stroke force: the largest force of the tip along its own direction, and its derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +38,7 @@ def find_stroke_force(
     up_to: float = 10.0,
     time_limit: float = TIME_LIMIT,
 ) -> LoadLimit | None:
-    """The largest force of the tip along its own direction, as a load limit; None if it withstands `up_to`, N.
+    """Largest force of the tip along its own direction, as a load limit; None if it withstands `up_to`, N.
 
     The reaction acts along the initial direction of the tip and keeps that direction; the tip is free to move. At the
     limit the robot buckles or snaps, see `find_load_limit`; its `factor` is the force, N. A planar arm buckles out of
@@ -75,44 +76,48 @@ def find_stroke_force(
 
 
 def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
-    """A force against the tip, N, about that which buckles the weakest part as a column of the whole length."""
+    """Force against the tip, N, near the buckling load of the weakest part as a column of the whole length."""
     arm = first.robot.assembly(first.translations)
     weakest = float(needs(arm)[3].min())
     unit = min(up_to, 1.1 * weakest / arm.total_length**2)
     return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
 
 
-BREAKS = 1e-6
-"""Part of a change of the equations along the direction of buckling above which it breaks the symmetry."""
+SYMMETRY_BREAKING = 1e-6
+"""Cosine between a change of the equations and the direction of buckling above which it breaks the symmetry."""
 
 
 @dataclass(frozen=True, eq=False)
 class Varied:
-    """A robot that changes by a parameter of any unit, at fixed joint values."""
+    """Robot that changes with a parameter, at fixed joint values."""
 
     step: float
-    """In that unit."""
+    """Step of the central difference, in the unit of the parameter."""
     robots: tuple[Robot, Robot]
-    """A step further, and a step back."""
+    """Robots at plus and minus one step."""
     turn: Array
-    """(3,) turn vector of the tip, per that unit, rad."""
+    """(3,) rotation vector of the tip per unit of the parameter, rad."""
 
 
 @small
 def stroke_slopes(
     first: Equilibrium, wrt: Sequence[str], up_to: float = 10.0, *, varied: Sequence[Varied] = ()
 ) -> tuple[float, Array] | None:
-    """The stroke force of a stable equilibrium without load, N, and (Q,) its derivatives by joint values and
-    dimensions, n for each name of `wrt`, per their units, then by what is `varied`; None as `find_stroke_force`.
+    """Stroke force of a stable equilibrium without load, N, and its derivatives (Q,); None as `find_stroke_force`.
 
-    With g the gradient of the energy, H its second variation and v the direction in which H is singular at the limit,
-    F the force and p what changes: at a fold v.(g_F dF + g_p dp) = 0; at a bifurcation v'Hv stays 0 along the branch,
-    on which H dx = -g_p dp - g_F dF. The push turns with the tip of `first`.
+    Derivatives are with respect to joint values and dimensions, n for each name of `wrt`, per SI unit, then the
+    parameters of `varied`. With g the gradient of the energy, H its second variation, v its null vector at the limit, F
+    the force and p a parameter:
+
+        fold:         v . (g_F dF + g_p dp) = 0
+        bifurcation:  d(v'Hv) = 0 along the branch H dx = -g_p dp - g_F dF
+
+    The push turns with the tip of `first`.
 
     Raises:
         InputError: as `Equilibrium.jacobian`.
-        SolveError: as `find_stroke_force`; or there is no derivative: what changes breaks the symmetry in which the arm
-            buckles, or moves a breakpoint past another one.
+        SolveError: as `find_stroke_force`; or there is no derivative, since a parameter breaks the symmetry in which
+            the arm buckles, or moves a breakpoint past another one.
     """
     unit, load = _push(first, up_to)
     result = find_loss(first, load, float(np.divide(up_to, unit)))
@@ -121,57 +126,72 @@ def stroke_slopes(
     loss, scale = result
     member = loss.point.member
     force = np.array(member.problem.load.force)
-    there = [(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
+    at_forces = [_Side(member.problem, member.rotations, loss.t * (1 + sign * STEP)) for sign in (1, -1)]
     value = loss.t * scale * unit
-    by_force = _rate(loss, there, STEP * value)
-    turned = first.jacobian(wrt=wrt).rotation
-    out = []
+    rate_by_force = _rate(loss, at_forces, STEP * value)
+    tip_turns = first.jacobian(wrt=wrt).rotation
+    slopes = []
     for k, (name, tube) in enumerate((name, i) for name in wrt for i in range(len(first.rotations))):
-        step, sides = sides_of(first, name, tube)
+        step, robots = sides_of(first, name, tube)
         try:
-            both = _pushed(sides, force, step * np.cross(turned[:, k], force))
-        except InputError:
-            both = []
-        if len(both) < 2 or any(problem.size != member.problem.size for problem, _ in both):
+            sides = _pushed(robots, loss.t, force, step * np.cross(tip_turns[:, k], force))
+        except InputError:  # the arm does not exist on one side
+            sides = []
+        if len(sides) < 2 or any(side.problem.size != member.problem.size for side in sides):
             raise SolveError(
                 f"a stroke force has no derivative with respect to {name} of "
                 f"tube {tube + 1}: breakpoints coincide there"
             )
-        rate = _rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], step)
-        out.append(-rate / by_force)
-    for one in varied:
-        sides = [(robot, first.rotations, tuple(first.translations.tolist())) for robot in one.robots]
-        both = _pushed(sides, force, one.step * np.cross(one.turn, force))
-        out.append(-_rate(loss, [(problem, alpha, loss.t) for problem, alpha in both], one.step) / by_force)
-    return value, np.array(out)
+        slopes.append(-_rate(loss, sides, step) / rate_by_force)
+    for parameter in varied:
+        robots = [(robot, first.rotations, tuple(first.translations.tolist())) for robot in parameter.robots]
+        sides = _pushed(robots, loss.t, force, parameter.step * np.cross(parameter.turn, force))
+        slopes.append(-_rate(loss, sides, parameter.step) / rate_by_force)
+    return value, np.array(slopes)
 
 
-def _pushed(sides: Sequence[Side], force: Array, change: Array) -> list[tuple[LoadedProblem, Array]]:
-    """Problems and rotations at a step further and a step back, under a force that changes with a step; raises
-    InputError where the arm does not exist there."""
+class _Side(NamedTuple):
+    """Problem at one side of a central difference."""
+
+    problem: LoadedProblem
+    rotations: Array
+    factor: float
+    """Factor on the load."""
+
+
+def _pushed(robots: Sequence[Side], factor: float, force: Array, change: Array) -> list[_Side]:
+    """Problems at plus and minus one step, under a force that changes with the step.
+
+    Raises:
+        InputError: the arm does not exist there.
+    """
     return [
-        (loaded_problem(robot, shift, Load(tuple((force + sign * change).tolist())), LOADED_DISCRETISATION), alpha)
-        for (robot, alpha, shift), sign in zip(sides, (1, -1), strict=False)
+        _Side(
+            loaded_problem(robot, shift, Load(tuple((force + sign * change).tolist())), LOADED_DISCRETISATION),
+            alpha,
+            factor,
+        )
+        for (robot, alpha, shift), sign in zip(robots, (1, -1), strict=False)
     ]
 
 
-def _rate(loss: Loss, both: Sequence[tuple[LoadedProblem, Array, float]], step: float) -> float:
-    """The rate of what vanishes where stability is lost, by what differs by two steps between two problems, with their
-    rotations and factors on the load."""
-    x, soft, hessian = loss.point.state.x, loss.direction, loss.point.state.hessian
-    one, other = (evaluate(problem, alpha, x, factor).gradient for problem, alpha, factor in both)
-    pull = (one - other) / (2 * step)
-    along = float(soft @ pull) / float(np.linalg.norm(soft))
+def _rate(loss: Loss, sides: Sequence[_Side], step: float) -> float:
+    """Derivative of the function that vanishes at the loss of stability, from problems two steps apart."""
+    x, v, hessian = loss.point.state.x, loss.direction, loss.point.state.hessian
+    plus, minus = (evaluate(side.problem, side.rotations, x, side.factor).gradient for side in sides)
+    g_p = (plus - minus) / (2 * step)
+    along_v = float(v @ g_p) / float(np.linalg.norm(v))
     if loss.kind == "fold":
-        return along
-    if abs(along) > BREAKS * float(np.linalg.norm(pull)):
+        return along_v
+    if abs(along_v) > SYMMETRY_BREAKING * float(np.linalg.norm(g_p)):
         raise SolveError(
             "a stroke force has no derivative with respect to variables that break the symmetry of buckling"
         )
-    bordered = np.block([[hessian, soft[:, None]], [soft, np.zeros(1)]])
-    change = np.linalg.solve(bordered, np.append(-pull, 0.0))[:-1]
-    further, back = (
-        float(soft @ evaluate(problem, alpha, x + sign * step * change, factor).hessian @ soft)
-        for (problem, alpha, factor), sign in zip(both, (1, -1), strict=True)
+    # H is singular along v: the branch is followed in the complement of v.
+    bordered = np.block([[hessian, v[:, None]], [v, np.zeros(1)]])
+    dx = np.linalg.solve(bordered, np.append(-g_p, 0.0))[:-1]
+    stiffness_plus, stiffness_minus = (
+        float(v @ evaluate(side.problem, side.rotations, x + sign * step * dx, side.factor).hessian @ v)
+        for side, sign in zip(sides, (1, -1), strict=True)
     )
-    return (further - back) / (2 * step)
+    return (stiffness_plus - stiffness_minus) / (2 * step)

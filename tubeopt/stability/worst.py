@@ -1,4 +1,4 @@
-"""The worst case: of the certificate over translations, and of the margin that search finds over rotations."""
+"""Worst cases by search: smallest margin over all rotations, smallest certificate over a box of translations."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class SnapSearch(Settings):
 
 DEFAULT_SEARCH = SnapSearch()
 
-# The least margin of one segment off the centreline depends on two relative angles: fewer samples cover them, and the
-# softest untwisted shape, where a search starts anyway, is nearly always the worst.
+# The margin of one eccentric segment depends on two relative angles only, and its softest untwisted shape, where one
+# search starts, is nearly always the worst.
 SEGMENT_SAMPLES = 128
 """Number of samples per segment, for tubes off the centreline."""
 
@@ -62,27 +62,30 @@ LOCAL_SEARCHES = 6
 
 # --- Simplices --------------------------------------------------------------------------------------------------------
 
-# Nelder and Mead's method from many starts in step: an evaluation of many points costs little more than one of one.
+# The method of Nelder and Mead from many starts in lockstep: evaluating many points at once costs little more than
+# evaluating one.
 
 Search = Generator[Array, float, tuple[Array, float]]
 """Yields points (d,), is sent their values, returns the best point and its value."""
 
-FIRST, FIRST_AT_ZERO = 0.05, 0.00025
-"""Sides of the first simplex: shares of the start's coordinates, and of those that are 0."""
+FIRST_SIDE = 0.05
+"""Sides of the first simplex, as fractions of the start's coordinates (as in SciPy)."""
 
-PATIENCE = 200
-"""Times the number of unknowns: iterations after which a search ends where it is."""
+FIRST_SIDE_AT_ZERO = 0.00025
+"""Sides of the first simplex along coordinates that are 0 (as in SciPy)."""
+
+MAX_ITERATIONS = 200
+"""Maximum number of iterations per unknown."""
 
 
 def minimise_together(
     values: Callable[[Array], Array], starts: Array, *, x: float, f: float
 ) -> list[tuple[Array, float]]:
-    """The local minima (d,) and their values that simplices from `starts` (S, d) shrink to.
+    """Local minima (d,) and their values, by one simplex from each of `starts` (S, d).
 
     Args:
-        values: of points (B, d) -> (B,).
-        x, f: a simplex whose other corners lie within `x` of its best, by coordinate, and whose values do within `f`,
-            has shrunk.
+        values: objective, points (B, d) -> (B,).
+        x, f: a search ends when all corners are within `x` of the best in every coordinate, and within `f` in value.
     """
     searches = dict(enumerate(_search(start, x, f) for start in starts))
     points = {k: next(search) for k, search in searches.items()}
@@ -100,48 +103,47 @@ def minimise_together(
 
 
 def _search(start: Array, x: float, f: float) -> Search:
-    """One simplex; its values are asked for one by one."""
+    """Nelder-Mead search from one start, one evaluation at a time."""
     d = len(start)
     simplex = np.tile(start, (d + 1, 1))
     for i in range(d):
-        simplex[i + 1, i] = start[i] * (1 + FIRST) if start[i] else FIRST_AT_ZERO
+        simplex[i + 1, i] = start[i] * (1 + FIRST_SIDE) if start[i] else FIRST_SIDE_AT_ZERO
     value = np.empty(d + 1)
     for i in range(d + 1):
         value[i] = yield simplex[i].copy()
-    for _ in range(PATIENCE * d):
+    for _ in range(MAX_ITERATIONS * d):
         order = np.argsort(value, kind="stable")
         simplex, value = simplex[order], value[order]
         if np.abs(simplex[1:] - simplex[0]).max() <= x and np.abs(value[1:] - value[0]).max() <= f:
             break
         middle, away = simplex[:-1].mean(0), simplex[:-1].mean(0) - simplex[-1]
         reflected = yield middle + away
-        # The reflected point, or another on its line: farther out, or on this or that side of the middle.
-        tried, best = middle + away, reflected
+        trial, trial_value = middle + away, reflected
         if reflected < value[0]:
-            farther = yield middle + 2 * away
-            if farther < reflected:
-                tried, best = middle + 2 * away, farther
+            expanded = yield middle + 2 * away
+            if expanded < reflected:
+                trial, trial_value = middle + 2 * away, expanded
         elif reflected >= value[-2]:
-            tried = middle + (0.5 if reflected < value[-1] else -0.5) * away
-            best = yield tried
-            if best >= value[-1] or best > reflected:
+            # Contraction to the outside or the inside of the simplex; if that fails, shrink towards the best corner.
+            trial = middle + (0.5 if reflected < value[-1] else -0.5) * away
+            trial_value = yield trial
+            if trial_value >= value[-1] or trial_value > reflected:
                 for i in range(1, d + 1):
                     simplex[i] = simplex[0] + 0.5 * (simplex[i] - simplex[0])
                     value[i] = yield simplex[i].copy()
                 continue
-        simplex[-1], value[-1] = tried, best
+        simplex[-1], value[-1] = trial, trial_value
     k = int(np.argmin(value))
     return simplex[k], float(value[k])
 
 
 NOTHING_PROVED = -1e3
-"""What stands for a certificate that does not exist, of tubes for which nothing is proved, in the search for the
-least."""
+"""Finite value that replaces a certificate of -inf in the search, which computes differences."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorstMargin(Displayed):
-    """The least margin that was found over all rotations at given translations: what a certificate may not exceed."""
+    """Smallest margin found over all rotations at fixed translations: an upper bound on every certificate."""
 
     _brief = ("margin", "equilibrium", "searches", "unstable")
 
@@ -193,10 +195,10 @@ def worst_margin(
     problem = member.problem
     pair = None if robot.even else pair_of(problem)
     if pair is None:
-        ends = [end for base, turning in _places(problem) for end in _searched(problem, base, turning, effort)]
+        ends = [end for base, turning in _subspaces(problem) for end in _search_tips(problem, base, turning, effort)]
     else:
-        least = least_margin_of_pair(pair)
-        ends = [(_turned(np.zeros(n), [pair.tubes[0]], np.array([[least.tip]]))[0], least.margin)]
+        minimum = least_margin_of_pair(pair)
+        ends = [(_turned(np.zeros(n), [pair.tubes[0]], np.array([[minimum.tip]]))[0], minimum.margin)]
     tips = min(ends, key=lambda end: end[1])[0][None] if ends else np.zeros((1, n))
     member = replace(member, rotations=to_base(problem, tips)[0])
     failure = "the worst equilibrium found is a fold (margin 0), which Newton cannot solve again"
@@ -206,8 +208,8 @@ def worst_margin(
     return WorstMargin(equilibrium, 0 if pair else len(ends), unstable)
 
 
-def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
-    """Where to search: tips (n,) to begin at, and the tubes that turn."""
+def _subspaces(problem: ReducedProblem) -> list[tuple[Array, Index]]:
+    """Subspaces of tip angles to search: tips (n,) to start from, and the tubes that turn."""
     assembly = problem.assembly
     zero = np.zeros(assembly.n_tubes)
     if not assembly.eccentric:
@@ -220,28 +222,28 @@ def _places(problem: ReducedProblem) -> list[tuple[Array, Index]]:
     return [(zero, turning)] if len(turning) else []
 
 
-def _searched(problem: ReducedProblem, base: Array, turning: Index, effort: SnapSearch) -> list[tuple[Array, float]]:
-    """Tip angles (n,) and margins at which local searches over the tubes `turning` end, the others as in `base`."""
+def _search_tips(problem: ReducedProblem, base: Array, turning: Index, effort: SnapSearch) -> list[tuple[Array, float]]:
+    """Tip angles (n,) and margins at which local searches over the tubes `turning` end, all others as in `base`."""
     eccentric = problem.assembly.eccentric
     unit = sobol(len(turning), SEGMENT_SAMPLES if eccentric else effort.samples)
     samples = _turned(base, turning, 2 * np.pi * unit)
     order = np.argsort(_margins(problem, samples))
     starts = np.stack([base, samples[order[0]]]) if eccentric else samples[order[:LOCAL_SEARCHES]]
     ends = minimise_together(
-        lambda own: _margins(problem, _turned(base, turning, own)), starts[:, turning], x=1e-6, f=1e-10
+        lambda angles: _margins(problem, _turned(base, turning, angles)), starts[:, turning], x=1e-6, f=1e-10
     )
-    return [(_turned(base, turning, own[None])[0], result) for own, result in ends]
+    return [(_turned(base, turning, angles[None])[0], result) for angles, result in ends]
 
 
-def _turned(base: Array, turning: Index | list[int], own: Array) -> Array:
-    """(B, n) tip angles: `own` (B, d) of the tubes `turning`, the others as in `base`."""
-    tips = np.tile(base, (len(own), 1))
-    tips[:, turning] = own
+def _turned(base: Array, turning: Index | list[int], angles: Array) -> Array:
+    """(B, n) tip angles: `angles` (B, d) of the tubes `turning`, all others as in `base` (n,)."""
+    tips = np.tile(base, (len(angles), 1))
+    tips[:, turning] = angles
     return tips
 
 
 def _margins(problem: ReducedProblem, tips: Array) -> Array:
-    """(B,) margins of the equilibria of tip angles (B, n), solved or nearly so."""
+    """(B,) margins of the equilibria at tip angles (B, n), to the error of the integration."""
     shapes = profiles(problem, tips)
     if problem.assembly.eccentric:
         return np.array([1.0 - softenings(problem, theta).max(initial=0.0) for theta in shapes])
@@ -252,14 +254,14 @@ def _margins(problem: ReducedProblem, tips: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class WorstCertificate(Displayed):
-    """The certificate over a box of translations."""
+    """Smallest certificate found over a box of translations."""
 
     certificate: Certificate
-    """The smallest certificate found."""
+    """Certificate at the translations found."""
     lower: Annotated[Array, unit("mm"), "smallest translations"]
-    """Shape (n,)."""
+    """(n,) lower corner of the box, m."""
     upper: Annotated[Array, unit("mm"), "largest translations"]
-    """Shape (n,)."""
+    """(n,) upper corner of the box, m."""
     evaluations: Annotated[int, form("d"), "evaluations"]
 
 
@@ -321,22 +323,22 @@ def worst_certificate(
     first = [group[0] for group in carriages]
     bounds = scipy.optimize.Bounds(low[first], high[first])
     result = scipy.optimize.direct(value, bounds, maxfun=effort.evaluations, locally_biased=True)
-    best, least = result.x, float(result.fun)
+    best, smallest = result.x, float(result.fun)
     corners = np.array(np.meshgrid(*[(0.0, 1.0)] * len(first))).reshape(len(first), -1).T
     span = high[first] - low[first]
     for start in [best, *(low[first] + span * corner for corner in corners)]:
         local = scipy.optimize.minimize(value, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 50})
-        if local.fun < least:
-            best, least = local.x, float(local.fun)
+        if local.fun < smallest:
+            best, smallest = local.x, float(local.fun)
     kink = scipy.optimize.minimize(
         value, best, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-7, "fatol": 1e-9}
     )
-    best = kink.x if kink.fun < least else best
+    best = kink.x if kink.fun < smallest else best
     return WorstCertificate(certify(robot, _fill(low, carriages, best)), low, high, count)
 
 
 def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
-    """Carriages whose translation is not the same at both ends of a box."""
+    """Carriages whose translation differs between the corners of a box."""
     for name, bound in (("lower", low), ("upper", high)):
         for group in robot.moving_together:
             if np.ptp(bound[list(group)]) > 1e-12:
@@ -346,6 +348,7 @@ def _moving(robot: Robot, low: Array, high: Array) -> list[tuple[int, ...]]:
 
 
 def _fill(base: Array, carriages: list[tuple[int, ...]], part: Array) -> Array:
+    """(n,) translations: `part` of the carriages, all others as in `base`."""
     out = base.copy()
     for group, translation in zip(carriages, part, strict=True):
         out[list(group)] = translation
