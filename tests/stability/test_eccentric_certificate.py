@@ -151,7 +151,7 @@ def test_the_room_of_the_grid_is_twice_what_lies_between_its_rotations() -> None
     coarse = theorem.Slope(grid, delta, corners)(x, angle).max(1)
     near = (grid[np.argsort(coarse)[-60:], None] + random.uniform(-step / 2, step / 2, (100, 3))).reshape(-1, 3)
     between = theorem.Slope(near, delta, corners)(x, angle).max() / coarse.max() - 1
-    room = theorem.GRID_ROOM[0] + theorem.GRID_ROOM[1] * delta
+    room = theorem.GRID_ALLOWANCE[0] + theorem.GRID_ALLOWANCE[1] * delta
     assert room / 4 < between < room / 2
 
 

@@ -1,21 +1,19 @@
-"""Whether segments of three equal tubes off the centreline can snap: a proof that not, and a closed form beyond which
-so.
+"""Certificate of segments of three equal tubes off the centreline, and a closed form below which they snap.
 
-Each segment is one problem of three tubes (see below): inner segments do not act on it but by the stiffness
-of their straight tubes, and in front of its own curved part an outer segment only changes how long its tubes are. The
-robot cannot snap if no segment can.
+Each segment is one problem of three tubes (see below): inner segments only add the stiffness of their straight tubes,
+and outer ones only change the length of its tubes behind its curved part. The robot cannot snap if no segment can.
 
-*Proof.* A segment with transmissions lam_i (over the unit 1 / omega) cannot snap if R(X) < lam^-1. Outer segments
+*Proof.* A segment with transmissions lam_i (in units of 1 / omega) cannot snap if R(X) < lam^-1. Outer segments
 stretch them to lam + d cos(c), lam + d cos(c + 120 deg) and lam + d cos(c - 120 deg), with d at most D, the sum of
 delta omega L over these segments. So tan(phi(X)) < 1 / lam_eff, lam_eff = lam + D/2 + (D^2/2) / (1 / (delta X) - lam),
-is enough, and necessary where c is 0.
+is sufficient, and necessary where c is 0.
 
 *Closed form.* Two tubes turned to c and the third to c + pi neither twist nor turn one another: an equilibrium at every
-length, whose linearisation has constant coefficients. Where one of these is unstable, with segments further out and in
-curving to one side, the joint rotations have more than one equilibrium, and the robot snaps on some path.
+length, whose linearisation has constant coefficients. If one of these is unstable, with all other segments curving to
+one side, the joint rotations have more than one equilibrium, and the robot snaps on some path.
 
-Both are told as a number that is positive where the robot is stable: the share of torsional stiffness that all tubes
-could lose before the proof fails, or the untwisted shape is a fold.
+Both results are numbers that are positive where the robot is stable: the fraction of torsional stiffness that all tubes
+may lose before the proof fails, or before the untwisted shape is a fold.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -37,83 +36,90 @@ from ..typing import Array
 
 # --- Bound of the length of a segment ---------------------------------------------------------------------------------
 
-# How long a segment of three equal tubes off the centreline may be, so that no rotation whatsoever makes it snap.
+# Length up to which a segment of three equal tubes off the centreline cannot snap at any rotation.
 #
 # Three equal tubes at 0 and +-120 deg obey, in x = omega (L - s) with omega^2 = m^2 / (K kt) (m = kb kappa, K the sum
-# of kb at one place), equations that know nothing but delta = d m / K:
+# of kb at one offset), equations with the single parameter delta = d m / K:
 #
 #     theta_x = g p,   p_x = M,   p(0) = 0;     linearised   y_x = g v + p (g' y),   v_x = M' y,   v(0) = 0,
 #
 # with g and M those of a cross-section with K = m = 1 and offset delta. Joint rotations, alpha = theta(X) + lam p(X),
-# depend smoothly and one to one on those of the tips unless some y has y(X) + lam v(X) = 0. Multiplied by y and
-# integrated, v_x = M' y says that such a y makes
+# are a smooth one-to-one function of the tip rotations unless some y has y(X) + lam v(X) = 0: a conjugate point. v_x =
+# M' y, multiplied by y and integrated, shows that such a y makes
 #
 #     Q[y] = y(X)' lam^-1 y(X) + int y_x' G^-1 y_x - y_x' B y + y' C y,
 #     B_ij = p_i g'_ij / g_i,   C = sym M',   G = diag g,
 #
-# zero. With R(0) = 0 and, for every theta and every p that is possible at x,
+# zero. If a matrix R(x) with R(0) = 0 obeys, for every theta and every p that is possible at x, the Riccati inequality
 #
-#     R_x >= (R - B/2)' G (R - B/2) - C                                                                          (*)
+#     R_x >= (R - B/2)' G (R - B/2) - C,                                                                         (*)
 #
-# Q is at least y(X)' (lam^-1 - R(X)) y(X), and not 0. The right-hand side of (*) is convex in p, and p, an integral of
-# M, lies in x times the convex hull of all M, which a polygon of twelve corners encloses. R = tan(phi(x)) P + delta x
-# J, with J the projection on turns of all tubes alike and P the rest, fulfils (*) if phi_x is at least `steepest`.
+# then Q is at least y(X)' (lam^-1 - R(X)) y(X), and positive. The right-hand side of (*) is convex in p, and p, an
+# integral of M, lies in x times the convex hull of all M, which a polygon of twelve corners encloses. R = tan(phi(x)) P
+# + delta x J, with J the projection on equal rotations of all tubes and P = 1 - J, satisfies (*) if phi_x is at least
+# the value of `Slope` at every corner.
 #
-# The table that comes with the package, of the x at which phi reaches a given angle, for delta up to 0.2525, is made by
-# `python -m tubeopt.stability.eccentric_certificate`. Every number of it is on the safe side: phi_x is the largest of
-# both ends of each step, at all corners of the polygon, on a grid of rotations whose largest value is raised by
-# GRID_ROOM; what is read is lowered by TABLE_ROOM; towards delta = 0, where phi = x is exact, all of that goes to 0.
+# The table in the package has the x at which phi reaches an angle, for delta up to 0.2525; it is made by
+# `python -m tubeopt.stability.eccentric_certificate`. Every number errs on the safe side: phi_x is the larger value of
+# both ends of each step, the largest over all corners of the polygon, and over a grid of rotations raised by
+# GRID_ALLOWANCE; values read are lowered by TABLE_ALLOWANCE. Towards delta = 0, where phi = x is exact, both go to 0.
 # The maximum over rotations is a search, not an enclosure by intervals.
 
 FILE = Path(__file__).with_name("eccentric_bound.csv")
 
 DELTAS = np.array([0.0, 0.0025, 0.005, *np.arange(0.01, 0.2501, 0.01), 0.2525])
-"""delta of the rows of the table."""
+"""Values of delta of the rows of the table."""
 
 ANGLES = np.linspace(0.0, np.pi / 2, 65)
-"""phi of its columns, rad."""
+"""Values of phi of the columns of the table, rad."""
 
 CORNERS = (0.8169, 0.8301)
-"""Support of all M towards (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up: twelve sides in turns. With three
-equal tubes M_i = sum_j sin(theta_i - theta_j) / k with k >= 3: exactly sqrt(2/3) and 0.82973."""
+"""Support of all M in the directions (2, -1, -1) / sqrt 6 and (1, -1, 0) / sqrt 2, rounded up.
+
+Twelve sides alternate between both. For three equal tubes M_i = sum_j sin(theta_i - theta_j) / k with k >= 3: exactly
+sqrt(2/3) and 0.82973.
+"""
 
 BASIS = np.column_stack([np.array([2.0, -1.0, -1.0]) / np.sqrt(6), np.array([0.0, 1.0, -1.0]) / np.sqrt(2)])
-"""(3, 2) what P keeps: turns of the tubes against one another."""
+"""(3, 2) range of P: rotations of the tubes against one another."""
 
 GRID = 24
 """Rotations per turn and tube at which the slope of phi is maximised: every 15 deg."""
 
-GRID_ROOM = (1e-4, 4e-3)
-"""Share by which the slope is raised, and the same per delta: at least twice what lies between the rotations of
-GRID."""
+GRID_ALLOWANCE = (1e-4, 4e-3)
+"""Fraction by which the slope is raised, and the same per delta: at least twice the error of the grid of rotations."""
 
-TABLE_ROOM = 5e-5
-"""By how much the table's x is lowered for what linear interpolation in delta and phi may be off."""
+TABLE_ALLOWANCE = 5e-5
+"""Amount by which x of the table is lowered: bound on the error of linear interpolation in delta and phi."""
 
 STEPS = 1600
-"""Steps of x up to pi / 2."""
+"""Number of steps of x up to pi / 2."""
 
 
 def corners() -> Array:
-    """(12, 3) corners of the polygon, in order, that holds all M."""
-    turn = np.arange(12) * np.pi / 6
-    sides = np.column_stack([np.cos(turn), np.sin(turn)]) @ BASIS.T
-    reach = np.array(CORNERS)[np.arange(12) % 2]
+    """(12, 3) corners, in order, of the polygon that encloses all M."""
+    angle = np.arange(12) * np.pi / 6
+    normals = np.column_stack([np.cos(angle), np.sin(angle)]) @ BASIS.T
+    support = np.array(CORNERS)[np.arange(12) % 2]
     out = []
     for k in range(12):
-        rows, limit = sides[[k, (k + 1) % 12]], reach[[k, (k + 1) % 12]]
-        out.append(rows.T @ np.linalg.solve(rows @ rows.T, limit))
+        rows, limits = normals[[k, (k + 1) % 12]], support[[k, (k + 1) % 12]]
+        out.append(rows.T @ np.linalg.solve(rows @ rows.T, limits))
     return np.array(out)
 
 
 class Slope:
-    """The slope of phi at rotations (T, 3) of one delta and every p of some corners, prepared for all x and phi."""
+    """Smallest slope phi_x that satisfies (*), at rotations (T, 3) and every p of some corners (V, 3), for one delta.
+
+    The parts that do not depend on x and phi are computed once. With the Schur complement of the equal rotations, (*)
+    is a bound on the larger eigenvalue of a matrix (2, 2) on the range of P.
+    """
 
     def __init__(self, theta: Array, delta: float, vertices: Array) -> None:
-        moments, g, stretched = cross_sections(theta, delta)
-        relative = stretched / g[:, :, None]
+        moments, g, g_slope = cross_sections(theta, delta)
+        relative = g_slope / g[:, :, None]
         basis, common = BASIS, np.full(3, 1 / np.sqrt(3))
-        # Per unit of x: B on turns within P (T, V, 3, 2), and delta J - B/2 on turns of all alike (T, V, 3).
+        # Per unit of x: B on the range of P (T, V, 3, 2), and delta J - B/2 on equal rotations (T, V, 3).
         across = vertices[None, :, :, None] * (relative @ basis)[:, None]
         alike = delta * common - vertices * (relative @ common)[:, None] / 2
         self.delta = delta
@@ -127,24 +133,37 @@ class Slope:
         self.common = np.einsum("tvi,ti,tvi->tv", alike, g, alike)
 
     def __call__(self, x: float, phi: float) -> Array:
-        """(T, V) least slope of phi at x and phi."""
+        """(T, V) smallest slope phi_x at x and phi."""
         sine, cosine = np.sin(phi), np.cos(phi)
         form = sine**2 * self.alone - sine * cosine * x * self.mixed + (cosine * x / 2) ** 2 * self.square
         form = form - cosine**2 * self.coupling
-        lean = sine * x * self.first - cosine * x**2 / 2 * self.second - cosine * self.shear
-        left = self.delta - x**2 * self.common
-        if (left <= 0).any():
-            raise ArithmeticError(f"turns of all tubes alike are not bounded at x = {x:g}")
-        a, b, c = form[0] + lean[0] ** 2 / left, form[1] + lean[0] * lean[1] / left, form[2] + lean[1] ** 2 / left
+        cross = sine * x * self.first - cosine * x**2 / 2 * self.second - cosine * self.shear
+        corner = self.delta - x**2 * self.common
+        if (corner <= 0).any():
+            raise ArithmeticError(f"equal rotations of all tubes are not bounded at x = {x:g}")
+        a = form[0] + cross[0] ** 2 / corner
+        b = form[1] + cross[0] * cross[1] / corner
+        c = form[2] + cross[1] ** 2 / corner
         return np.asarray((a + c) / 2 + np.hypot((a - c) / 2, b))
 
 
-def cross_sections(theta: Array, delta: float) -> tuple[Array, Array, Array]:
-    """M' (N, 3, 3), g (N, 3) and g' (N, 3, 3) at rotations (N, 3)."""
+class CrossSections(NamedTuple):
+    """Cross-sections of three equal tubes with K = m = 1 at N sets of rotations."""
+
+    moment_slope: Array
+    """(N, 3, 3) M', derivatives of the moments with respect to the rotations."""
+    g: Array
+    """(N, 3) arc length of each tube per arc length of the centreline."""
+    g_slope: Array
+    """(N, 3, 3) g', derivatives of g with respect to the rotations."""
+
+
+def cross_sections(theta: Array, delta: float) -> CrossSections:
+    """Cross-sections at rotations (N, 3)."""
     balance = section_function("balance", len(theta), 3, True)
-    _, turned, _, g, stretched = balance(theta, 1.0, 1.0, delta, np.array(PLACES))
-    moments, stretches = (part.reshape(-1, 3, 3).swapaxes(1, 2).copy() for part in (turned, stretched))
-    return moments, g.copy(), stretches
+    _, moment_slope, _, g, g_slope = balance(theta, 1.0, 1.0, delta, np.array(PLACES))
+    moment_slope, g_slope = (part.reshape(-1, 3, 3).swapaxes(1, 2).copy() for part in (moment_slope, g_slope))
+    return CrossSections(moment_slope, g.copy(), g_slope)
 
 
 def _form(matrix: Array) -> Array:
@@ -153,96 +172,97 @@ def _form(matrix: Array) -> Array:
 
 
 def all_rotations() -> Array:
-    """(GRID^3, 3) rotations of three tubes on a grid over a turn of each, rad."""
+    """(GRID^3, 3) rotations on a grid over one turn of each of three tubes, rad."""
     axis = np.arange(GRID) * 2 * np.pi / GRID
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def length_curve(delta: float, steps: int = STEPS) -> Array:
-    """(65,) x at which phi reaches ANGLES, for one delta: an upper bound of phi, so a lower one of x."""
+    """(65,) lower bounds on the x at which phi reaches ANGLES, for one delta."""
     if delta == 0.0:
         return ANGLES.copy()
     # Turning all by 120 deg and renaming the tubes turns the polygon by four corners: a third of them is enough.
     slope = Slope(all_rotations(), delta, corners()[:4])
-    raised = 1 + GRID_ROOM[0] + GRID_ROOM[1] * delta
+    allowance = 1 + GRID_ALLOWANCE[0] + GRID_ALLOWANCE[1] * delta
     h = np.pi / 2 / steps
     x, phi = [0.0], [0.0]
     while phi[-1] < np.pi / 2:
-        start, ahead = phi[-1], x[-1] + h
-        steep = float(slope(ahead, start).max())
-        steep = max(steep, float(slope(ahead, min(np.pi / 2, start + h * raised * steep)).max()))
-        x.append(ahead)
-        phi.append(start + h * raised * steep)
+        # At the end of the step in x; of both ends in phi, the larger one.
+        start, x_next = phi[-1], x[-1] + h
+        phi_x = float(slope(x_next, start).max())
+        phi_x = max(phi_x, float(slope(x_next, min(np.pi / 2, start + h * allowance * phi_x)).max()))
+        x.append(x_next)
+        phi.append(start + h * allowance * phi_x)
     return np.asarray(np.interp(ANGLES, phi, x))
 
 
 @lru_cache(maxsize=1)
 def table() -> Array:
-    """(deltas, angles) x of the table, lowered; row 0, of tubes on the centreline, is exact: x = phi."""
+    """(deltas, angles) x of the table, lowered; row 0, for tubes on the centreline, is exact: x = phi."""
     rows = np.loadtxt(FILE, delimiter=",")
-    return np.maximum(rows - np.where(DELTAS > 0, TABLE_ROOM, 0.0)[:, None], 0.0)
+    return np.maximum(rows - np.where(DELTAS > 0, TABLE_ALLOWANCE, 0.0)[:, None], 0.0)
 
 
 def longest(delta: float, angle: float) -> float:
-    """The x up to which phi stays below `angle` (rad, at most pi / 2): a segment that is shorter cannot snap."""
+    """Length x up to which phi stays below `angle` (rad, at most pi / 2): a shorter segment cannot snap."""
     if not 0 <= delta <= DELTAS[-1]:
         raise InputError(f"delta is {delta:g}; the bound holds from 0 to {DELTAS[-1]:g}")
     i = min(int(np.searchsorted(DELTAS, delta, side="right")) - 1, len(DELTAS) - 2)
     row = (delta - DELTAS[i]) / (DELTAS[i + 1] - DELTAS[i])
-    at = angle / ANGLES[1]
-    j = min(int(at), len(ANGLES) - 2)
-    column = at - j
-    near = table()[i : i + 2, j : j + 2]
-    left, right = (1 - row) * near[0] + row * near[1]
+    position = angle / ANGLES[1]
+    j = min(int(position), len(ANGLES) - 2)
+    column = position - j
+    corners = table()[i : i + 2, j : j + 2]
+    left, right = (1 - row) * corners[0] + row * corners[1]
     return float((1 - column) * left + column * right)
 
 
-def make_table() -> None:
-    """Compute the table and write it: some minutes."""
-    rows = [length_curve(delta) for delta in DELTAS]
-    head = "largest x with phi below 0, pi/128, .. pi/2 (columns), by delta (rows); see eccentric_certificate.py"
-    np.savetxt(FILE, rows, fmt="%.7f", delimiter=",", header=head)
-
+# --- Segments of a robot ----------------------------------------------------------------------------------------------
 
 SHORT = 2e-9
-"""Sections shorter than this (m) are tolerances of lengths: their effect is far below the room of the table."""
+"""Length (m) below which a section is a tolerance of lengths: its effect is far below TABLE_ALLOWANCE."""
 
-ALIKE = 1e-9
-"""Relative difference up to which numbers of tubes count as equal."""
+EQUAL = 1e-9
+"""Relative difference up to which properties of tubes are equal."""
 
+# Some intervals of the table are wider than this: the derivative is that of the interpolation.
 STEP = 1e-4
-"""Relative step of the differences for derivatives: some intervals of the table are wider."""
+"""Relative step of the differences for derivatives."""
 
 DIRECTIONS = np.arange(12) * np.pi / 6
-"""Directions c of the untwisted shapes that are looked at: the softest lie at 30 deg and every 60 deg from there."""
+"""Directions c of the untwisted shapes: the softest lie at 30 deg and every 60 deg from there."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Three equal tubes on one section, in units with K = m = 1.
-
-    tubes: of the assembly, in the order of PLACES.   section: (start, end), m.
-    rate: omega, 1/m.   delta: d m / K.   length: omega L.   transmission: omega times the mean length from where the
-    tubes are held to the section.   outer: (delta, omega L) of the segments further out, with omega of this one.
-    """
+    """Three equal tubes on one section, in units with K = m = 1."""
 
     tubes: tuple[int, int, int]
+    """Numbers of the tubes, in the order of PLACES."""
     section: tuple[float, float]
+    """(start, end) of the section, m."""
     rate: float
+    """omega, 1/m."""
     delta: float
+    """d m / K."""
     length: float
+    """omega L."""
     transmission: float
+    """omega times the mean length from the clamped ends to the section."""
     outer: tuple[tuple[float, float], ...] = ()
+    """(delta, omega L) of all outer segments, with omega of this one."""
 
     @property
     def spread(self) -> float:
-        """Bound D of what the three transmissions differ by from their mean."""
+        """Upper bound D on the deviation of the three transmissions from their mean."""
         return sum(delta * length for delta, length in self.outer)
 
 
 def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
-    """The segments of a robot, base to tip; None where it is not made of three equal tubes each, or curves too tightly
-    for the table: then nothing is proved."""
+    """Segments of a robot, base to tip; None where nothing is proved.
+
+    That is where a segment is not made of three equal tubes, or curves too tightly for the table.
+    """
     result: list[Segment] = []
     used: set[int] = set()
     for k in np.flatnonzero(assembly.curved.any(1) & (assembly.length > SHORT)):
@@ -256,27 +276,26 @@ def segments_of(assembly: Assembly) -> tuple[Segment, ...] | None:
 
 
 def _segment(assembly: Assembly, k: int) -> Segment | None:
-    """What is curved on section k, where that is three equal tubes around others, if any, that are alike at each
-    place."""
+    """Segment that is curved on section k: three equal tubes, and equal straight ones inside them; None otherwise."""
     tubes = np.flatnonzero(assembly.curved[k])
     if len(tubes) != 3:
         return None
     same = ("bending_stiffness", "torsional_stiffness", "curvature", "offset", "transmission")
     table = np.array([getattr(assembly, name)[tubes] for name in same])
-    if (np.ptp(table, axis=1) > ALIKE * np.abs(table).max(1) + np.array([0, 0, 0, 0, ROUND_OFF])).any():
+    if (np.ptp(table, axis=1) > EQUAL * np.abs(table).max(1) + np.array([0, 0, 0, 0, ROUND_OFF])).any():
         return None
     kb, kt, curvature, offset, transmission = table[:, 0]
     turn = (assembly.offset_angle - assembly.offset_angle[tubes[0]]) / (2 * np.pi / 3)
     place = np.round(turn).astype(int) % 3
-    there = assembly.present[k]
-    off = np.abs(turn - np.round(turn)) > ALIKE
-    if offset <= 0 or (there & (off | (np.abs(assembly.offset - offset) > ALIKE * offset))).any():
+    present = assembly.present[k]
+    wrong_angle = np.abs(turn - np.round(turn)) > EQUAL
+    if offset <= 0 or (present & (wrong_angle | (np.abs(assembly.offset - offset) > EQUAL * offset))).any():
         return None
-    total = np.bincount(place, weights=assembly.bending_stiffness * there, minlength=3)
-    if len(set(place[tubes].tolist())) != 3 or np.ptp(total) > ALIKE * total.max():
+    stiffness = np.bincount(place, weights=assembly.bending_stiffness * present, minlength=3)
+    if len(set(place[tubes].tolist())) != 3 or np.ptp(stiffness) > EQUAL * stiffness.max():
         return None
-    moment, whole = kb * abs(curvature), float(total.max())
-    rate, delta = float(moment / np.sqrt(whole * kt)), float(offset * moment / total.min())
+    moment = kb * abs(curvature)
+    rate, delta = float(moment / np.sqrt(float(stiffness.max()) * kt)), float(offset * moment / stiffness.min())
     if delta > DELTAS[-1]:
         return None
     first, second, third = (int(tubes[place[tubes] == p][0]) for p in range(3))
@@ -292,16 +311,18 @@ def _segment(assembly: Assembly, k: int) -> Segment | None:
 
 
 def proved_margin(segment: Segment) -> float:
-    """Share of torsional stiffness that the tubes may lose with the proof still holding; above 0 it holds as they
-    are."""
+    """Fraction of torsional stiffness that the tubes may lose before the proof fails; above 0 it holds as they are.
+
+    A stiffness lower by 1 - 1 / soft^2 multiplies omega by `soft`: the root of the condition in `soft` is the answer.
+    """
 
     def excess(soft: float) -> float:
         x, lam, spread = (soft * part for part in (segment.length, segment.transmission, segment.spread))
-        room = 1 / (segment.delta * x) - lam
-        if room <= 0:
+        denominator = 1 / (segment.delta * x) - lam
+        if denominator <= 0:
             return 1.0
-        reach = lam + spread / 2 + spread**2 / 2 / room
-        return x - longest(segment.delta, np.pi / 2 if reach <= 0 else np.arctan(1 / reach))
+        lam_eff = lam + spread / 2 + spread**2 / 2 / denominator
+        return x - longest(segment.delta, np.pi / 2 if lam_eff <= 0 else np.arctan(1 / lam_eff))
 
     highest = np.pi / 2 / segment.length  # no segment of the table is that long: `longest` stays below pi / 2
     return 1 - 1 / float(scipy.optimize.brentq(excess, 1e-9 * highest, highest, xtol=1e-14 * highest, rtol=1e-13)) ** 2
@@ -309,38 +330,42 @@ def proved_margin(segment: Segment) -> float:
 
 @dataclass(frozen=True)
 class Untwisted:
-    """The softest untwisted shape of a segment: the margin of that equilibrium, its direction c, and that of the
-    segments further out, rad; of tubes that bend backwards, turned by pi."""
+    """Softest untwisted shape of a segment. Directions of tubes with negative curvature are turned by pi."""
 
     segment: Segment
     margin: float
+    """Margin of the equilibrium."""
     direction: float
+    """Direction c of two of its tubes, rad; the third has c + pi."""
     outer_direction: float
+    """Direction of all outer segments, rad."""
 
 
 def softest_untwisted(segment: Segment) -> Untwisted:
-    """The softest of the shapes with one tube against two, by their exact linearisation."""
+    """Softest of the shapes with one tube against two, by their exact linearisation."""
     count = len(DIRECTIONS)
     opposed = DIRECTIONS[:, None] + np.array([0.0, 0.0, np.pi])
     slope, g, _ = cross_sections(opposed, segment.delta)
     root = np.sqrt(g)
-    # With y = sqrt(g) z the field is z'' = -A z, of a symmetric A.
+    # With y = sqrt(g) z the Jacobi equation is z'' = -A z with a symmetric A.
     values, vectors = np.linalg.eigh(-root[:, :, None] * (slope + slope.swapaxes(1, 2)) / 2 * root[:, None, :])
     stretch = np.zeros((count, 3))
     for delta, length in segment.outer:
-        stretch += length * (cross_sections(np.repeat(DIRECTIONS[:, None], 3, axis=1), delta)[1] - 1)
+        stretch += length * (cross_sections(np.repeat(DIRECTIONS[:, None], 3, axis=1), delta).g - 1)
     if not segment.outer:
         stretch = stretch[:1]
     lever = np.sqrt(np.maximum(segment.transmission + stretch[:, None, :], 0.0)) / root
 
     def excess(soft: float) -> Array:
-        """(outer, c) largest eigenvalue of what must be less than 1."""
+        """(outer, c) largest eigenvalue of the condition y(X)' lam Y' Y^-1 y(X) < 1 of stability."""
         wave = soft * segment.length * np.sqrt(np.abs(values))
-        bent = np.where(values > 0, np.tan(np.minimum(wave, np.pi / 2 - 1e-12)), -np.tanh(wave))
-        field = vectors @ (vectors * (np.sqrt(np.abs(values)) * bent)[:, None, :]).swapaxes(1, 2)
+        # z' / z of the solution that starts with z' = 0 at the tip: a tangent or, where stable, a hyperbolic one.
+        ratio = np.where(values > 0, np.tan(np.minimum(wave, np.pi / 2 - 1e-12)), -np.tanh(wave))
+        field = vectors @ (vectors * (np.sqrt(np.abs(values)) * ratio)[:, None, :]).swapaxes(1, 2)
         form = soft * lever[..., :, None] * field * lever[..., None, :]
-        clamped = (wave * (values > 0)).max(1) / (np.pi / 2)
-        return np.maximum(np.linalg.eigvalsh(form)[..., -1], np.where(clamped >= 1, 1e9, clamped))
+        # At wave = pi / 2 there is a conjugate point inside, whatever the transmissions.
+        inside = (wave * (values > 0)).max(1) / (np.pi / 2)
+        return np.maximum(np.linalg.eigvalsh(form)[..., -1], np.where(inside >= 1, 1e9, inside))
 
     highest = np.pi / 2 / (segment.length * np.sqrt(values.max())) * (1 + 1e-12)
     soft = scipy.optimize.brentq(
@@ -351,8 +376,10 @@ def softest_untwisted(segment: Segment) -> Untwisted:
 
 
 def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
-    """(n,) rotations of an untwisted shape, and its odd tube: one tube of the segment against the two others, the tubes
-    of all other segments curving to one side. bends (n,): signs of the precurvatures."""
+    """(n,) rotations of an untwisted shape, and its odd tube, which is opposed to the two others of its segment.
+
+    All other segments curve to one side. bends (n,): signs of the precurvatures.
+    """
     tips = np.where(bends < 0, np.pi, 0.0) + shape.outer_direction
     tips[list(shape.segment.tubes)] += shape.direction - shape.outer_direction
     odd = shape.segment.tubes[2]
@@ -361,51 +388,57 @@ def untwisted_tips(n: int, shape: Untwisted, bends: Array) -> tuple[Array, int]:
 
 
 def proof_gradient(robot: Robot, translations: Array) -> dict[str, Array]:
-    """Change of `proof` with each of PARAMETERS, (n,), by differences: tubes that move together change together and
-    share the derivative in equal parts. NaN where either side leaves what can be proved; where one does, that of the
-    other."""
-    here = robot.assembly(translations)
-    value, out = proof(here)[0], {name: np.full(here.n_tubes, np.nan) for name in PARAMETERS}
+    """Derivatives of `proof` with respect to each of PARAMETERS, (n,), by central differences.
+
+    Tubes that move together change together; each has an equal part of the derivative. One-sided where the other side
+    has no proof; NaN where neither has one.
+    """
+    assembly = robot.assembly(translations)
+
+    def proved(name: str, group: list[int], change: float) -> float:
+        tubes, shift = list(robot.tubes), translations.copy()
+        try:
+            if name == "translation":
+                shift[group] += change
+            else:
+                for i in group:
+                    tubes[i] = replace(tubes[i], **{name: getattr(tubes[i], name) + change})
+            return proof(assemble(tubes, shift, offset=assembly.offset, offset_angle=assembly.offset_angle))[0]
+        except InputError:  # no such tubes
+            return -np.inf
+
+    value, out = proof(assembly)[0], {name: np.full(assembly.n_tubes, np.nan) for name in PARAMETERS}
     for name in PARAMETERS:
-        for group in robot.moving_together:
-            tubes = list(group)
-            size = float(np.abs(getattr(here, name)[tubes[0]])) if hasattr(here, name) else here.total_length
+        for group in map(list, robot.moving_together):
+            size = (
+                float(np.abs(getattr(assembly, name)[group[0]])) if hasattr(assembly, name) else assembly.total_length
+            )
             h = STEP * max(size, 1e-300)
-            before, after = (_proof_at(robot, translations, (name, tubes, x)) for x in (-h, h))
-            known = [(x, y) for x, y in ((-h, before), (0.0, value), (h, after)) if np.isfinite(y)]
-            if len(known) > 1:
-                (low, first), *_, (high, last) = known
-                out[name][tubes] = (last - first) / (high - low) / len(tubes)
+            values = ((-h, proved(name, group, -h)), (0.0, value), (h, proved(name, group, h)))
+            finite = [(x, y) for x, y in values if np.isfinite(y)]
+            if len(finite) > 1:
+                (low, first), *_, (high, last) = finite
+                out[name][group] = (last - first) / (high - low) / len(group)
     return out
 
 
-def _proof_at(robot: Robot, translations: Array, changed: tuple[str, list[int], float]) -> float:
-    """The proof with one of PARAMETERS of some tubes `changed` by so much; -inf where there are no such tubes."""
-    (name, group, change), here = changed, robot.assembly(translations)
-    tubes, shift = list(robot.tubes), translations.copy()
-    try:
-        if name == "translation":
-            shift[group] += change
-        else:
-            for i in group:
-                tubes[i] = replace(tubes[i], **{name: getattr(tubes[i], name) + change})
-        return proof(assemble(tubes, shift, offset=here.offset, offset_angle=here.offset_angle))[0]
-    except InputError:
-        return -np.inf
-
-
 def proof(assembly: Assembly) -> tuple[float, Segment | None]:
-    """The least `proved_margin` of all segments, at most 1, and of which; -inf where nothing can be proved, 1 where
-    nothing is curved."""
+    """Smallest `proved_margin` of all segments, at most 1, and its segment.
+
+    -inf where nothing can be proved, 1 where nothing is curved.
+    """
     segments = segments_of(assembly)
     if segments is None:
         return -np.inf, None
     values = [(proved_margin(segment), k) for k, segment in enumerate(segments)]
     if not values:
         return 1.0, None
-    least, k = min(values)
-    return min(1.0, least), segments[k]
+    smallest, k = min(values)
+    return min(1.0, smallest), segments[k]
 
 
 if __name__ == "__main__":
-    make_table()
+    # Some minutes.
+    header = "largest x with phi below 0, pi/128, .. pi/2 (columns), by delta (rows); see eccentric_certificate.py"
+    curves = [length_curve(delta) for delta in DELTAS]
+    np.savetxt(FILE, curves, fmt="%.7f", delimiter=",", header=header)
