@@ -173,7 +173,7 @@ class Certificate(Displayed):
     Where breakpoints meet, derivatives for a growing parameter. NaN for a double eigenvalue, which has none.
     """
     pair: tuple[int, int] | None
-    """Pair of tubes (0 is the innermost) whose coupling reduces the margin most.
+    """Pair of tubes (0 is the innermost) that reduces the margin most.
 
     None without coupling, and for eccentric tubes, where three act together.
     """
@@ -219,9 +219,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     case, point by point. The possible error of the mesh for varying couplings is subtracted, estimated from a finer
     mesh.
 
-    Tubes off the centreline, in segments of three equal ones: the fraction of torsional stiffness that all of them may
-    lose before the proof for their own equations fails (see `eccentric_certificate`). Above 0 they cannot snap, but it
-    is no bound on the margin. Other arrangements have no proof, and the number is -inf.
+    Tubes off the centreline, in segments of three equal ones: the fraction of torsional stiffness that they may lose
+    before the proof fails (see `eccentric_certificate`). Above 0 they cannot snap, but it is no bound on the margin.
+    Other arrangements have no proof, and the number is -inf.
 
     `max_force` includes all dead forces on the tip of at most that size, in any direction: above 0 the robot cannot
     snap or buckle under any of them. Moments, follower forces and forces along the arm are not covered.

@@ -105,7 +105,7 @@ class Path(Displayed):
     def dense(self) -> tuple[Stretch, ...]:
         """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints.
 
-        With friction there are none between the waypoints, since their states depend on the history.
+        With friction it has the waypoints only, since states in between depend on the history.
         """
         parts = stretches(self, np.arange(1.0, len(self.equilibria) + 1))
         if self.equilibria[0].friction is not None:
