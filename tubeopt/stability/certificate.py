@@ -310,7 +310,7 @@ def _at_worst(problem: ReducedProblem, opposition: Array | None = None) -> tuple
     return second * -opposition[:, None, None], coupling * -opposition[:, None, None]
 
 
-class WorstCase(NamedTuple):
+class OpposedSpectrum(NamedTuple):
     """Smallest eigenvalues of the second variation with all curved tubes opposed."""
 
     margin: float
@@ -320,16 +320,16 @@ class WorstCase(NamedTuple):
     next_eigenvalue: float
 
 
-def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> WorstCase:
+def worst_case(problem: ReducedProblem, opposition: Array | None = None) -> OpposedSpectrum:
     """Smallest eigenvalue mu_cert of the second variation in the worst case; `opposition` as in `_at_worst`."""
     check_time()
     count, n = problem.moment.shape
     y = np.zeros((count, n))
     if not problem.size:
-        return WorstCase(1.0, y, 1.0)
+        return OpposedSpectrum(1.0, y, 1.0)
     values, vectors = np.linalg.eigh(_coupled(problem, opposition))
     y.ravel()[problem.flat] = problem.factor @ vectors[:, 0]
-    return WorstCase(min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)]))
+    return OpposedSpectrum(min(1.0, 1.0 + float(values[0])), y, 1.0 + float(values[min(1, len(values) - 1)]))
 
 
 def _coupled(problem: ReducedProblem, opposition: Array | None = None) -> Array:
