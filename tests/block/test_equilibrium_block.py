@@ -95,7 +95,7 @@ def test_largest_margin_that_can_be_demanded_is_the_margin(robot: Robot, rotatio
     problem.maximize(least)
     margin = problem.solve(replace(FIRST, expand=True)).value("margin")
     # `margin` of eccentric robots by the compiled kernel is good to 1e-6 and better where it is farther from 1.
-    assert margin == pytest.approx(near.margin, abs=1e-6 if block.model.place else 1e-8)
+    assert margin == pytest.approx(near.margin, abs=1e-6 if block.model.offsets else 1e-8)
 
 
 def test_margin_keeps_a_robot_from_the_snap() -> None:

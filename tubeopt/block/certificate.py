@@ -1,9 +1,9 @@
-"""Certificates as constraints of a block: what its tubes keep at every rotation, and under every force on the tip."""
+"""Stability constraints of a block: its margin, and certificates for all rotations and all forces on the tip."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,8 +23,8 @@ from ..physics.strain import SMOOTH
 from ..robots.load import Load
 from ..typing import Array
 from .composed import ComposedBlock
-from .given import symbolic
-from .guess import fields_of
+from .guess import jacobi_fields
+from .inputs import symbolic
 from .transcription import functions
 from .transcription.chain import CHANNELS, Chain
 from .transcription.model import Model
@@ -32,27 +32,37 @@ from .transcription.model import Model
 # --- Stability margin -------------------------------------------------------------------------------------------------
 
 
-def checked(name: str, margin: Any) -> Any:
-    """A floor of a margin, as an expression; raises InputError for a number that is none below 1."""
+def checked_margin(margin: Any) -> Any:
+    """Lower bound on a margin, as an expression; raises InputError for a number that is not below 1."""
     if symbolic(margin):
         return margin
-    if not finite(name, margin) < 1:
-        raise InputError(f"{name} is {float(margin):g}; it must be below 1")
+    if not finite("margin", margin) < 1:
+        raise InputError(f"margin is {float(margin):g}; it must be below 1")
     return ca.DM(float(margin))
 
 
-def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
-    """Jacobi's condition on tubes softened by `margin`, for their fields y, v from y = 1, v = 0 at the tip: det y >= 0
-    where pieces begin and det(y - |beta| v) >= 0 at the plate. Under a dead load y is above the rotation of the frame,
-    which is held at the plate: see `transcription.functions`.
+class MarginBound(NamedTuple):
+    """A lower bound on the margin of a block."""
 
-    Only the ratio v / y is handed on from piece to piece, and every piece begins with y = 1 anew: fields grow by many
+    fields: tuple[Any, ...]
+    """Unknown Jacobi fields, as columns in the order of `JacobiFields`."""
+    floor: Any
+
+
+def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
+    """Constrain the margin to at least `margin` by Jacobi's condition on tubes softened by that fraction.
+
+    The fields y, v start from y = 1, v = 0 at the tip. The condition is det y >= 0 where pieces begin and
+    det(y - |beta| v) >= 0 at the plate. Under a dead load y includes the rotation of the frame, which is fixed at the
+    plate: see `transcription.functions`.
+
+    Only the ratio v / y is passed on from piece to piece, and every piece restarts from y = 1: fields grow by many
     orders of magnitude along stiff tubes, and the sign of a determinant is that of the product over the pieces. The
     matrices of the determinants are unknowns as well, so that their dense second derivatives stay small.
     """
     if block.load is not None:
         block.load.require_energy("the arm has no margin")
-    floor, model = checked("margin", margin), block.model
+    floor, model = checked_margin(margin), block.model
     n, rows = functions.field_size(model.grid), functions.field_rows(model.grid)
     pieces, reach, degree = model.n_pieces, block.reach, model.grid.degree
     inside = np.tile(np.where(np.arange(rows) < n, 1.0, 1 / reach), n * degree * pieces)
@@ -67,55 +77,55 @@ def add_margin(block: ComposedBlock[Any], margin: Any) -> None:
         )
     ]
     start = float(floor) if not symbolic(margin) else min(max(block.initial.margin - 0.1, 0.0), 0.9)
-    for column, value in zip(columns, fields_of(block.begin, start), strict=True):
+    for column, value in zip(columns, jacobi_fields(block.begin, start), strict=True):
         block.program.set_guess(column, value)
-    ratio, points, ahead = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
+    ratio, points, matrices = (ca.reshape(each, size, -1) for each, size in zip(columns, (n, rows, n), strict=True))
     after = ca.vertcat(ca.repmat(ca.DM.eye(n), 1, pieces), ca.horzcat(ratio, ca.DM.zeros(n, n)))
     before, defect = model.mapped("fields")(after, points, model.lengths.T, *model.softness(floor))
     y, v = before[:n, :], ca.horzsplit(before[n:, :], n)
-    held = y[:, :n] - ca.repmat(model.held_at_the_plate, 1, n) * v[0]
-    begins = ca.horzsplit(ahead, n)
-    gaps = [own @ begins[k + 1] - v[k + 1] for k, own in enumerate(ca.horzsplit(ratio, n) if pieces > 1 else [])]
+    plate = y[:, :n] - ca.repmat(model.plate_compliance, 1, n) * v[0]
+    begins = ca.horzsplit(matrices, n)
+    ratios = ca.horzsplit(ratio, n) if pieces > 1 else []
+    residuals = [ratio_k @ begins[k + 1] - v[k + 1] for k, ratio_k in enumerate(ratios)]
     labels = [f"Jacobi field {c + 1}, row {r + 1}, after piece {k + 1}" for k, c, r in np.ndindex(pieces - 1, n, n)]
     name = f"equations of the Jacobi fields{count}"
-    block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *gaps)), upper=0.0, scale=1 / reach, entries=labels)
+    block.demand(name, ca.vec(ca.horzcat(ca.MX(n, 0), *residuals)), upper=0.0, scale=1 / reach, entries=labels)
     labels = [
         f"Jacobi field {c + 1}, row {i + 1}, piece {k + 1}, point {x + 1}"
         for k, c, x, i in np.ndindex(pieces, n, degree, rows)
     ]
     block.demand(f"{name}, inside", ca.vec(defect), upper=0.0, scale=inside, entries=labels)
-    places = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
+    starts = [*(f"piece {k + 1}" for k in range(pieces)), "the plate"]
     labels = [
-        f"Jacobi field {c + 1}, row {i + 1}, where {place} begins" for place in places for c, i in np.ndindex(n, n)
+        f"Jacobi field {c + 1}, row {i + 1}, where {place} begins" for place in starts for c, i in np.ndindex(n, n)
     ]
-    block.demand(f"{name}, ahead", ca.vec(ahead - ca.horzcat(y, held)), upper=0.0, entries=labels)
+    block.demand(f"{name}, ahead", ca.vec(matrices - ca.horzcat(y, plate)), upper=0.0, entries=labels)
     det = functions.determinant_function(n)
-    places = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
-    block.demand(f"margin{count}", ca.vertcat(*(det(each) for each in begins)), entries=places)
-    block.margins.append((tuple(columns), floor))
+    labels = [f"margin, on the arm from piece {k + 1} on" for k in range(pieces)] + ["margin"]
+    block.demand(f"margin{count}", ca.vertcat(*(det(matrix) for matrix in begins)), entries=labels)
+    block.margins.append(MarginBound(tuple(columns), floor))
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
-    """What a block demands of a certificate: at least `floor` under forces of at most `force`, N.
-
-    pairs: those of the bound that is held, the larger one where the block begins.   eigenvalue, states: its unknowns,
-    which there are under a force.
-    """
+class CertificateBound:
+    """A lower bound on a certificate of a block, under forces of at most `force`, N."""
 
     floor: Any
     force: float
     pairs: tuple[float, float]
+    """Pairs of the bound that is constrained: of `stability.loaded_certificate`, the larger one at the start."""
     eigenvalue: Any = None
+    """Unknown eigenvalue; None without a force."""
     states: Any = None
+    """Unknown eigenfunction, by columns; None without a force."""
 
     @property
-    def words(self) -> str:
-        """What it is called."""
+    def name(self) -> str:
+        """Name of the certificate in messages."""
         return f"certificate under {1e3 * self.force:g} mN" if self.force else "certificate"
 
     def start(self, block: ComposedBlock[Any]) -> None:
-        """Start its unknowns where the block begins."""
+        """Set the start of its unknowns to the eigenpair of the arm at the start."""
         if self.eigenvalue is None:
             return
         eigenvalue, states = eigenpair(block.begin, self.force, self.pairs)
@@ -123,23 +133,23 @@ class Bound:
         block.program.set_guess(self.states, states.ravel(order="F"))
 
     def value(self, model: Model, chain: Chain | None = None) -> float:
-        """The bound of an arm in numbers."""
-        sections, tubes = _numbers(model, chain)
+        """The certificate of an arm in numbers."""
+        sections, tubes = _sections_and_tubes(model, chain)
         value = 1 - largest_eigenvalue(self.force, sections, tubes, self.pairs)[0]
         return value if self.pairs != APART else value - largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
 
 
 def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0.0) -> None:
-    """Demand a certificate of at least `margin` at every rotation, under every tip force of at most `max_force`."""
-    floor, force = checked("margin", margin), positive("max_force", max_force, zero=True)
-    if block.model.place:
+    """Constrain the certificate to at least `margin`, for all rotations and all tip forces up to `max_force`, N."""
+    floor, force = checked_margin(margin), positive("max_force", max_force, zero=True)
+    if block.model.offsets:
         raise InputError("the robot is eccentric; this certificate is valid for concentric tubes only")
     if block.load is not None:
         _check_covered(block.load, force)
     if not force:
         block.demand("certificate", _without_force(block, 1 - floor))
-        # A determinant has the same sign beyond the second eigenvalue: what is found is looked at again.
-        block.bounds.append(Bound(floor, 0.0, TURNED))
+        # A determinant has the same sign beyond the second eigenvalue, so `equilibrium` computes the certificate again.
+        block.bounds.append(CertificateBound(floor, 0.0, TURNED))
         return
     if block.model.along is not None:
         raise InputError(f"max_force is {force:g} N; for tubes made of pieces it must be 0 in a block")
@@ -147,25 +157,24 @@ def add_certificate(block: ComposedBlock[Any], margin: Any, max_force: float = 0
 
 
 def _check_covered(load: Load, force: float) -> None:
-    """Raise InputError unless a load is one of those that a certificate is about."""
+    """Raise InputError unless a certificate for tip forces up to `force`, N, covers the load."""
     if load != Load(load.force):
         raise InputError("load is not a tip force in the base frame; the certificate does not cover other loads")
-    pull = float(np.linalg.norm(load.force))
-    if pull > force * (1 + 1e-12):
+    size = float(np.linalg.norm(load.force))
+    if size > force * (1 + 1e-12):
         raise InputError(
-            f"load is a tip force of {1e3 * pull:g} mN; it must be at most max_force, "
+            f"load is a tip force of {1e3 * size:g} mN; it must be at most max_force, "
             f"{1e3 * force:g} mN, for the certificate to cover it"
         )
 
 
 def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
-    """D(lambda) of the second variation that is the worst at all rotations: see `physics.certificate`, with the pieces
-    of the block in place of sections."""
+    """D(lambda) of the second variation at the worst rotations; its sections are the pieces of the block."""
     model = block.model
     n, pieces = block.robot.n_tubes, model.n_pieces
-    own = _tubes(model, block.chain)
+    tubes = _tube_data(model, block.chain)
     inputs = {
-        "torsional_stiffness": ca.SX.sym("kt", n, own[0].shape[1]),
+        "torsional_stiffness": ca.SX.sym("kt", n, tubes.torsional_stiffness.shape[1]),
         "transmission": ca.SX.sym("l", n),
         "length": ca.SX.sym("h", pieces),
         "stiffness": ca.SX.sym("kb", n, pieces),
@@ -174,18 +183,20 @@ def _without_force(block: ComposedBlock[Any], eigenvalue: Any) -> Any:
     symbol = ca.SX.sym("lambda")
     determinant = base_determinant(symbol, inputs, ONCE)
     function = ca.Function("certificate", [symbol, *inputs.values()], [determinant], {"cse": True})
-    return function(eigenvalue, *own[:2], model.lengths, *own[2:])
+    return function(
+        eigenvalue, tubes.torsional_stiffness, tubes.transmission, model.lengths, tubes.stiffness, tubes.moment
+    )
 
 
 def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> None:
-    """The largest eigenvalue of `physics.certificate`, with its eigenfunction where pieces begin, as unknowns.
+    """Add the largest eigenvalue of `physics.certificate` and its eigenfunction where pieces begin as unknowns.
 
-    Smooth since it is simple; the largest since its eigenfunction alone has one sign (Krein and Rutman), which is
-    demanded. Of the two bounds of `stability.loaded_certificate` that is held which is larger where the block begins.
+    The largest eigenvalue is simple, hence smooth, and only its eigenfunction has one sign (Krein and Rutman), which is
+    a constraint. Of the two bounds of `stability.loaded_certificate`, the one that is larger at the start is used.
     """
     model, program = block.model, block.program
     n, pieces = block.robot.n_tubes, model.n_pieces
-    pairs = better_pairs(block.begin, force)
+    pairs = _tighter_pairs(block.begin, force)
     value, begin = eigenpair(block.begin, force, pairs)
     count = sum(bound.force > 0 for bound in block.bounds) + 1
     tag = f"{block.label}certificate under force{f' {count}' if count > 1 else ''}"
@@ -194,10 +205,10 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     eigenvalue = program.variable(f"{tag}: eigenvalue", 1, scale=value, guess=value)
     flat = program.variable(f"{tag}: states", begin.size, scale=scale, guess=begin.ravel(order="F"))
     states = ca.reshape(flat, *begin.shape)
-    block.bounds.append(Bound(floor, force, pairs, eigenvalue, flat))
-    # What the force may do from the end of each piece to the tip.
+    block.bounds.append(CertificateBound(floor, force, pairs, eigenvalue, flat))
+    # Lever of the force: arc length from the end of each piece to the tip.
     lever = ca.DM(np.triu(np.ones((pieces, pieces)), 1)) @ model.lengths
-    inputs = [ca.repmat(ca.DM(each), 1, pieces) for each in (np.array(pairs), force)]
+    inputs = [ca.repmat(ca.DM(part), 1, pieces) for part in (np.array(pairs), force)]
     across = crossing_function(n, 1, *ONCE).map(pieces)(
         states[:, 1:],
         ca.repmat(1 / eigenvalue, 1, pieces),
@@ -208,11 +219,11 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
         ca.fabs(model.moment),
         model.torsional_stiffness,
     )
-    held = plate_conditions(states[:, 0], model.torsional_stiffness[:, 0], model.transmission)
+    plate = plate_conditions(states[:, 0], model.torsional_stiffness[:, 0], model.transmission)
     largest = int(np.argmax(np.abs(begin[: n + 1, -1])))
     tip = ca.vertcat(states[n + 1 :, -1] / typical[n + 1 :, 0], states[largest, -1] - 1)
     size = np.concatenate([np.tile(typical[:, 0], pieces), typical[: n + 1, 0], np.ones(n + 2)])
-    rows = ca.vertcat(ca.vec(states[:, :-1] - across), held, tip)
+    rows = ca.vertcat(ca.vec(states[:, :-1] - across), plate, tip)
     name = tag.removeprefix(block.label)
     block.demand(f"{name}: equations", rows, upper=0.0, scale=size, entries=[f"{name}: equations"] * len(size))
     curved = [*np.flatnonzero(np.abs(np.asarray(block.begin.moment)).max(1) > 0).tolist(), n]
@@ -220,22 +231,24 @@ def _add_under_force(block: ComposedBlock[Any], floor: Any, force: float) -> Non
     block.demand(f"{name}: one sign", sign, entries=[f"{name}: one sign"] * sign.numel())
     if pairs == APART:
         block.demand(name, _without_force(block, 1 - floor - eigenvalue))
-        block.demand(f"{name}: what the force leaves", 1 - floor - eigenvalue)
+        block.demand(f"{name}: remainder under the force", 1 - floor - eigenvalue)
     else:
         block.demand(name, 1 - eigenvalue - floor)
 
 
-def _numbers(model: Model, chain: Chain | None = None) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
-    """Sections and tubes of an arm in numbers, for `largest_eigenvalue`."""
-    kt, held, stiffness, moment = (np.array(each) for each in _tubes(model, chain))
+def _sections_and_tubes(
+    model: Model, chain: Chain | None = None
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Sections and tubes of an arm in numbers, as `largest_eigenvalue` takes them."""
+    kt, transmission, stiffness, moment = (np.array(part) for part in _tube_data(model, chain))
     length = np.maximum(np.asarray(model.lengths).ravel(), 0.0)
-    return (length, stiffness.sum(0), np.abs(moment.T)), (kt * np.ones(len(length)), held.ravel())
+    return (length, stiffness.sum(0), np.abs(moment.T)), (kt * np.ones(len(length)), transmission.ravel())
 
 
-def better_pairs(model: Model, force: float) -> tuple[float, float]:
-    """Which of the two bounds is the larger one for an arm in numbers; of two tubes the opposed one always is."""
-    sections, tubes = _numbers(model)
-    if len(tubes[0]) < 3:
+def _tighter_pairs(model: Model, force: float) -> tuple[float, float]:
+    """Pairs of the larger of the two bounds for an arm in numbers."""
+    sections, tubes = _sections_and_tubes(model)
+    if len(tubes[0]) < 3:  # of two tubes the opposed pair is always the larger bound
         return OPPOSED
     together = largest_eigenvalue(force, sections, tubes, OPPOSED)[0]
     apart = largest_eigenvalue(force, sections, tubes, APART)[0] + largest_eigenvalue(0.0, sections, tubes, TURNED)[0]
@@ -243,22 +256,38 @@ def better_pairs(model: Model, force: float) -> tuple[float, float]:
 
 
 def eigenpair(model: Model, force: float, pairs: tuple[float, float]) -> tuple[float, Array]:
-    """The eigenvalue of an arm in numbers, and (2 n + 2, P + 1) its states where pieces begin and at the tip."""
-    sections, tubes = _numbers(model)
+    """Eigenvalue of an arm in numbers, and its states (2 n + 2, P + 1) where pieces begin and at the tip."""
+    sections, tubes = _sections_and_tubes(model)
     value, tip = largest_eigenvalue(force, sections, tubes, pairs)
     crossing, n = crossing_function(len(tubes[0]), 1, *ONCE), len(tubes[0])
     states, lever = [np.concatenate([tip, np.zeros(n + 1)])], 0.0
-    for h, stiffness, pull, kt in zip(*(each[::-1] for each in (*sections, tubes[0].T)), strict=True):
-        states.append(np.array(crossing(states[-1], 1 / value, pairs, force, h, lever, stiffness, pull, kt)).ravel())
+    for h, stiffness, moment, kt in zip(*(part[::-1] for part in (*sections, tubes[0].T)), strict=True):
+        states.append(np.array(crossing(states[-1], 1 / value, pairs, force, h, lever, stiffness, moment, kt)).ravel())
         lever += h
     return value, np.array(states[::-1]).T
 
 
-def _tubes(model: Model, chain: Chain | None) -> tuple[Any, Any, Any, Any]:
-    """kt (n, P), or (n, 1) where it is the same all along, transmissions (n,) with kt at the plate, kb and |m| (n, P)
-    of the pieces of a block."""
+class _TubeData(NamedTuple):
+    """Tubes on the P pieces of a block."""
+
+    torsional_stiffness: Any
+    """kt (n, P), or (n, 1) where it is the same along a tube."""
+    transmission: Any
+    """|beta| (n,), for kt at the plate."""
+    stiffness: Any
+    """kb (n, P)."""
+    moment: Any
+    """m (n, P); of tubes made of pieces its size."""
+
+
+def _tube_data(model: Model, chain: Chain | None) -> _TubeData:
+    """Tubes on the pieces of a block.
+
+    Raises:
+        InputError: a tube with a piece along which curvature or stiffness varies.
+    """
     if model.along is None:
-        return model.torsional_stiffness[:, :1], model.transmission, model.stiffness, model.moment
+        return _TubeData(model.torsional_stiffness[:, :1], model.transmission, model.stiffness, model.moment)
     assert chain is not None
     if any(table[:, 1:].any() for table in (chain.kb, chain.kt, chain.x, chain.y)):
         raise InputError(
@@ -268,5 +297,5 @@ def _tubes(model: Model, chain: Chain | None) -> tuple[Any, Any, Any, Any]:
     detail = model.grid.detail
     first = [i * (CHANNELS * detail + 2) for i in range(model.torsional_stiffness.shape[0])]
     kb, kt, x, y = (model.along[[row + c * detail for row in first], :] for c in range(4))
-    held = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
-    return kt, held, kb, kb * (x**2 + y**2 + SMOOTH**2) ** 0.5
+    transmission = model.transmission * kt[:, 0] / model.torsional_stiffness[:, 0]
+    return _TubeData(kt, transmission, kb, kb * (x**2 + y**2 + SMOOTH**2) ** 0.5)

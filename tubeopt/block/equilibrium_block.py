@@ -1,15 +1,15 @@
 """The equilibrium of a tube robot as a block of a nonlinear program that its user composes.
 
-Every piece of the arm is the same function of the rotations and torsions where it begins, of the rotations at its
-points, of the pose where it begins, and of the cross-section: lifted into unknowns, so that every derivative is local
-and IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes are numbers or expressions.
+Every piece of the arm is the same function of rotations, torsions and pose where it begins, of the rotations at its
+collocation points, and of its cross-section. These are lifted into unknowns, so that every derivative is local and
+IPOPT has exact sparse Hessians. Joint values and dimensions of the tubes are numbers or expressions.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -24,55 +24,80 @@ from ..robots.robot import Robot, is_general
 from ..typing import Array
 from .certificate import add_certificate, add_margin
 from .composed import CLOSED, JOINTS, ComposedBlock
-from .given import LENGTHS, assembly_at, numbers_at, symbolic
-from .guess import InitialEquilibrium, N, Shape, fields_of, points_of, sample, shape_at_start
+from .guess import InitialEquilibrium, N, StartValues, collocation_points, jacobi_fields, sample, start_values
+from .inputs import LENGTHS, assembly_at, numbers_at, symbolic
 from .transcription.chain import OF_TUBE, chain_of, remade, tubes_at
 from .transcription.external_load import arm_of
-from .transcription.model import Layout, Model, gap_names, layout, may_swap, numbers_of, sides, swapped
+from .transcription.model import (
+    Equation,
+    Layout,
+    Model,
+    layout,
+    layout_numbers,
+    may_swap,
+    neighbours,
+    order_labels,
+    swapped,
+)
 from .violation import Violation, violations_of, worst
 
 # --- From the solution of a program back to an equilibrium ------------------------------------------------------------
 
-AGREEMENT = 1e-6
-"""Largest difference of the tip between block and equilibrium, over the length of the arm."""
+TIP_TOLERANCE = 1e-6
+"""Largest difference of the tip between block and equilibrium, relative to the length of the arm."""
 
-MISSED = 5e-5
+MARGIN_TOLERANCE = 5e-5
 """Tolerance on a required margin: the accuracy of margins close to 1."""
 
-CERTAIN = 1e-7
+CERTIFICATE_TOLERANCE = 1e-7
 """Tolerance on a required certificate: that of the nonlinear program."""
 
 
-def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
-    """The verified equilibrium of a block at the numbers that `value` gives to its expressions."""
+def verified_equilibrium(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
+    """The equilibrium of a block, solved again on its own mesh and verified by re-integration.
+
+    Args:
+        value: evaluates an expression of the block at the solution of the program.
+
+    Raises:
+        SolveError: the tip differs from that of the block, or a required margin or certificate is not reached.
+    """
     numbers = {name: np.array(value(part)).ravel() for name, part in block.dimensions.items()}
     robot = rebuilt(block.robot, numbers)
     rotations, translations = (np.array(value(part)).ravel() for part in (block.rotations, block.translations))
     translations = np.minimum(translations, numbers["straight_length"])
     model = block.model.at(value)
-    result = _solved_again(block, (robot, rotations, translations), model)
+    curvature_at = None if block.load is None else lambda s: sample(model, s).curvature
+    result = block.initial.at(
+        robot,
+        rotations,
+        translations,
+        lambda s: sample(model, s).rotation,
+        load=block.load,
+        curvature_at=curvature_at,
+    ).verified()
     tip = np.array(value(block.tip_position)).ravel()
-    apart = float(np.linalg.norm(tip - result.tip_position))
-    if apart > AGREEMENT * float(result.arm.arc_length[-1]):
+    difference = float(np.linalg.norm(tip - result.tip_position))
+    if difference > TIP_TOLERANCE * float(result.arm.arc_length[-1]):
         raise SolveError(
-            f"the tip of the program is {1e3 * apart:.2g} mm from that of the equilibrium: "
+            f"the tip of the program is {1e3 * difference:.2g} mm from that of the equilibrium: "
             "the mesh is too coarse (increase refinement), or the program was not solved",
             result,
         )
-    for _, floor in block.margins:
-        least = float(np.array(value(floor)).item())
-        if result.margin < least - MISSED:
+    for bound in block.margins:
+        floor = float(np.array(value(bound.floor)).item())
+        if result.margin < floor - MARGIN_TOLERANCE:
             raise SolveError(
-                f"the margin is {result.margin:.4g}; it must be at least {least:.4g}: the "
+                f"the margin is {result.margin:.4g}; it must be at least {floor:.4g}: the "
                 "program has left the branch where its margin constraint is valid; start it "
                 "closer to its solution",
                 result,
             )
     for bound in block.bounds:
-        least, value_there = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
-        if value_there < least - CERTAIN:
+        floor, certificate = float(np.array(value(bound.floor)).item()), bound.value(model, block.chain)
+        if certificate < floor - CERTIFICATE_TOLERANCE:
             raise SolveError(
-                f"the {bound.words} is {value_there:.4g}; it must be at least {least:.4g}: "
+                f"the {bound.name} is {certificate:.4g}; it must be at least {floor:.4g}: "
                 "the program has left the branch of the largest eigenvalue; start it closer "
                 "to its solution",
                 result,
@@ -80,23 +105,20 @@ def confirmed(block: ComposedBlock[N], value: Callable[[Any], Any]) -> N:
     return result
 
 
-def _solved_again(block: ComposedBlock[N], at: tuple[Robot, Array, Array], model: Model) -> N:
-    """On a mesh of its own, verified by re-integration."""
-    curvature_at = None if block.load is None else lambda s: sample(model, s)[2]
-    initial = block.initial.at(*at, lambda s: sample(model, s)[0], load=block.load, curvature_at=curvature_at)
-    return initial.verified()
-
-
 @undoubted()
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
-    """The robot with other DIMENSIONS of its tubes, (n,) each.
+    """A robot with other DIMENSIONS of its tubes, (n,) each, or PIECES.
 
-    A stiffness other than that of tube and material is a given one: diameters and material stay.
+    Diameters and material stay; a stiffness that differs from theirs becomes a stiffness of its own.
     """
+    current = dimensions_of(robot.tubes)
     if is_general(robot):
-        return _of_pieces(robot, numbers)
-    inputs = dimensions_of(robot.tubes)
-    if all(np.array_equal(numbers[name], inputs[name]) for name in DIMENSIONS):
+        assert isinstance(robot, ConcentricRobot)
+        current |= chain_of(robot.tubes).start
+        # The curvature of a tube made of pieces is only its largest.
+        same = all(np.array_equal(numbers[name], current[name]) for name in current if name != "curvature")
+        return robot if same else replace(robot, tubes=tubes_at(robot.tubes, numbers))
+    if all(np.array_equal(numbers[name], current[name]) for name in DIMENSIONS):
         return robot
     tubes = tuple(
         remade(tube, **{name: float(numbers[name][i]) for name in DIMENSIONS}) for i, tube in enumerate(robot.tubes)
@@ -112,69 +134,88 @@ def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     return replace(robot, tube=tubes[0], transmission_length=0.0)
 
 
-@undoubted()
-def _of_pieces(robot: Robot, numbers: dict[str, Any]) -> Robot:
-    assert isinstance(robot, ConcentricRobot)
-    own = {**dimensions_of(robot.tubes), **chain_of(robot.tubes).start}
-    same = all(np.array_equal(numbers[name], own[name]) for name in own if name != "curvature")
-    return robot if same else replace(robot, tubes=tubes_at(robot.tubes, numbers))
-
-
 # --- Jacobian of the tip ----------------------------------------------------------------------------------------------
 
-# The Jacobian of a block's tip inside of the program: derivatives of its unknowns, lifted into unknowns too.
+
+@dataclass(frozen=True, eq=False)
+class TipJacobian:
+    """Linear equations F_x dx + F_a da = 0 of a block, whose sensitivities dx are unknowns of the program."""
+
+    unknown: Any
+    """dx (X Q,) of all X unknowns by Q inputs, by columns."""
+    equations: ca.Function
+    """(unknowns, joints, dimensions, layout) -> F, tip position."""
+    seeds: dict[str, Array]
+    """da (N, Q) of every input by name."""
+
+    def start(self, block: ComposedBlock[Any]) -> Array:
+        """dx (X Q,) at the start of the block."""
+        x, count = block.begin_column, self.seeds["rotations"].shape[1]
+        numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
+        at = [x, *numbers, block.layout.numbers()]
+        out, zero = self.equations(*at), np.zeros((len(at[-1]), count))
+        forced = self.equations.forward(count)(*at, *out, np.zeros((len(x), count)), *self.seeds.values(), zero)[0]
+        slope = self.equations.jacobian()(*at, *out)[0]
+        return np.asarray(-np.linalg.solve(np.array(slope), np.array(forced)).ravel(order="F"))
 
 
 def add_jacobian(block: ComposedBlock[Any], wrt: Sequence[str]) -> Any:
-    """(3, Q) derivative of the tip's position: F_x dx + F_a da = 0 for every input a, with dx as unknowns."""
+    """Derivative (3, Q) of the tip's position by Q inputs; adds the sensitivities of the arm as unknowns."""
     names, inputs = (wrt,) if isinstance(wrt, str) else tuple(wrt), (*JOINTS, *block.dimensions)
-    # What follows from the pieces of a tube is no input of its own.
-    own = [name for name in inputs if block.chain is None or name not in (*OF_TUBE.values(), "curved_length")]
+    # Dimensions that follow from the pieces of a tube are no independent inputs.
+    independent = [name for name in inputs if block.chain is None or name not in (*OF_TUBE.values(), "curved_length")]
     for name in names:
-        choice("wrt", name, own)
+        choice("wrt", name, independent)
     if not names:
-        raise InputError(f"wrt is empty; it must have at least one of {', '.join(own)}")
-    seeds = {name: np.concatenate([_seed(block, name, other) for other in names], axis=1) for name in inputs}
-    equations, scale, labels = _equations(block)
+        raise InputError(f"wrt is empty; it must have at least one of {', '.join(independent)}")
+    seeds = {name: np.concatenate([_seed(block, name, column) for column in names], axis=1) for name in inputs}
+    equations, table = _equations(block)
     count = seeds["rotations"].shape[1]
     sizes = [rows * columns for rows, columns in block.shapes.values()]
     unit = np.concatenate([np.full(size, typical) for size, typical in zip(sizes, block.typical, strict=True)])
     per = np.concatenate([np.full(_columns(block, name).shape[1], 1 / _typical(block, name)) for name in names])
     total = np.outer(unit, per)
-    begin = answers_of(block, equations, seeds)
-    tag = block.label + "answer to the inputs"
-    flat = block.program.variable(tag, total.size, scale=total.ravel(order="F"), guess=begin)
-    block.answers.append((flat, equations, seeds))
-    lifted = ca.reshape(flat, len(unit), count)
-    where = [ca.vertcat(*block.columns), *_parameters(block)]
-    change = [lifted, *(ca.DM(seed) for seed in seeds.values()), ca.DM.zeros(where[-1].shape[0], count)]
-    out = equations(*where)
-    residual, tip = equations.forward(count)(*where, *out, *change)
-    entries = [f"answer to input {q + 1}: {word}" for q in range(count) for word in labels]
+    flat = block.program.variable(block.label + "sensitivities", total.size, scale=total.ravel(order="F"))
+    jacobian = TipJacobian(flat, equations, seeds)
+    block.program.set_guess(flat, jacobian.start(block))
+    block.jacobians.append(jacobian)
+    # The layout is a parameter; it changes with no input.
+    layout_column = block.numbers if block.numbers is not None else ca.DM(block.layout.numbers())
+    at = [ca.vertcat(*block.columns), block.rotations, block.translations, *block.dimensions.values(), layout_column]
+    change = [ca.reshape(flat, len(unit), count), *(ca.DM(seed) for seed in seeds.values())]
+    change.append(ca.DM.zeros(layout_column.shape[0], count))
+    out = equations(*at)
+    residual, tip = equations.forward(count)(*at, *out, *change)
+    labels = [
+        f"sensitivity to input {q + 1}: {label}" for q in range(count) for each in table for label in each.entries
+    ]
+    scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
     size = np.outer(scale, per).ravel(order="F")
-    block.demand("equations of the answer to the inputs", ca.vec(residual), upper=0.0, scale=size, entries=entries)
+    block.demand("equations of the sensitivities", ca.vec(residual), upper=0.0, scale=size, entries=labels)
     return tip
 
 
-def _columns(block: ComposedBlock[Any], name: str) -> Any:
-    """(N, ...) how the N numbers of an input change with those that are free of each other: tubes of one segment are
-    equal and move together, but turn alone, and so does every piece of a tube."""
+def _columns(block: ComposedBlock[Any], name: str) -> Array:
+    """Change (N, Q) of the N numbers of an input with its independent entries.
+
+    Tubes of one segment are equal and move together, but turn independently; so do the pieces of a tube.
+    """
     count = block.begin_numbers[name].size
     if name == "rotations" or count != block.robot.n_tubes:
         return np.eye(count)
     return np.array([[float(i in tubes) for tubes in block.robot.moving_together] for i in range(count)])
 
 
-def _seed(block: ComposedBlock[Any], name: str, column: str) -> Any:
-    """(N, ...) how the input `name` changes with each of `column`."""
-    own, size = _columns(block, column), block.begin_numbers[name].size
+def _seed(block: ComposedBlock[Any], name: str, column: str) -> Array:
+    """Change (N, Q) of the input `name` with each entry of the input `column`."""
+    entries, size = _columns(block, column), block.begin_numbers[name].size
     if (name, column) == ("curved_length", "piece_length") and block.chain is not None:
         return (np.arange(size)[:, None] == block.chain.owner).astype(float)
-    return own if name == column else np.zeros((size, own.shape[1]))
+    return entries if name == column else np.zeros((size, entries.shape[1]))
 
 
 def _typical(block: ComposedBlock[Any], name: str) -> float:
-    """A typical size of an input, by which its derivatives are scaled."""
+    """Typical size of an input, which scales its derivatives."""
     if name == "rotations":
         return 1.0
     if name in LENGTHS:
@@ -182,43 +223,23 @@ def _typical(block: ComposedBlock[Any], name: str) -> float:
     return float(np.abs(block.begin_numbers[name]).max()) or 1 / block.reach
 
 
-def _parameters(block: ComposedBlock[Any]) -> list[Any]:
-    """What the equations of a block depend on beside its unknowns: joints first."""
-    numbers = block.numbers if block.numbers is not None else ca.DM(block.layout.numbers())
-    return [block.rotations, block.translations, *block.dimensions.values(), numbers]
-
-
-def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, Any, list[str]]:
-    """(unknowns, parameters...) -> (equations, tip position), with sizes and words of the equations."""
-    rows = [size[0] * size[1] for size in block.shapes.values()]
-    x = ca.MX.sym("x", sum(rows))
-    parts = ca.vertsplit(x, np.cumsum([0, *rows]).tolist())
+def _equations(block: ComposedBlock[Any]) -> tuple[ca.Function, list[Equation]]:
+    """Function (unknowns, joints, dimensions, layout) -> (equations, tip position), and the table of the equations."""
+    sizes = [rows * columns for rows, columns in block.shapes.values()]
+    x = ca.MX.sym("x", sum(sizes))
     n = block.robot.n_tubes
     names = [*JOINTS, *block.dimensions]
     symbols = {name: ca.MX.sym(name, n if name in JOINTS else block.dimensions[name].numel()) for name in names}
     numbers = ca.MX.sym("layout", len(block.layout.numbers()))
-    unknowns = block.matrices(parts)
-    model = arm_of(block.model.grid, numbers_of(block.layout, numbers), unknowns, {**symbols, **block.fittings})
+    unknowns = block.matrices(ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()))
+    model = arm_of(block.model.grid, layout_numbers(block.layout, numbers), unknowns, {**symbols, **block.constants})
     table = model.equations(symbols["rotations"], block.reach)
-    scale = np.concatenate([np.full(each.expression.numel(), each.scale) for each in table])
-    labels = [word for each in table for word in each.entries]
     outputs = [ca.vertcat(*(each.expression for each in table)), model.pose_ends[1][:, -1]]
-    return ca.Function("equations", [x, *symbols.values(), numbers], outputs), scale, labels
-
-
-def answers_of(block: ComposedBlock[Any], equations: ca.Function, seeds: dict[str, Any]) -> Any:
-    """The lifted derivatives where the solve begins, by columns."""
-    x, count = block.begin_column, seeds["rotations"].shape[1]
-    numbers = [block.begin_numbers[name] for name in (*JOINTS, *block.dimensions)]
-    where = [x, *numbers, block.layout.numbers()]
-    out, zero = equations(*where), np.zeros((len(where[-1]), count))
-    forced = equations.forward(count)(*where, *out, np.zeros((len(x), count)), *seeds.values(), zero)[0]
-    slope = equations.jacobian()(*where, *out)[0]
-    return -np.linalg.solve(np.array(slope), np.array(forced)).ravel(order="F")
+    return ca.Function("equations", [x, *symbols.values(), numbers], outputs), table
 
 
 class OrderWarning(UserWarning):
-    """A solution at which breakpoints meet: behind the meeting another order of them may be better."""
+    """Breakpoints meet at a solution, so that another order of them may be better."""
 
 
 @typed
@@ -256,20 +277,20 @@ class EquilibriumBlock(ComposedBlock[N]):
     Example:
         >>> import casadi, tubeopt
         >>> robot = tubeopt.load_robot("configs/robots/two_tube.yaml")
-        >>> near = tubeopt.forward_kinematics(robot, [0.0, 1.0])
+        >>> start = tubeopt.forward_kinematics(robot, [0.0, 1.0])
         >>> opti = casadi.Opti()
         >>> turn = opti.variable(2)
-        >>> block = tubeopt.EquilibriumBlock(opti, near, rotations=turn)
-        >>> opti.set_initial(turn, near.rotations)
-        >>> opti.minimize(casadi.sumsqr(turn - near.rotations))
-        >>> opti.subject_to(block.tip_position[0] == near.tip_position[0] + 1e-3)
+        >>> block = tubeopt.EquilibriumBlock(opti, start, rotations=turn)
+        >>> opti.set_initial(turn, start.rotations)
+        >>> opti.minimize(casadi.sumsqr(turn - start.rotations))
+        >>> opti.subject_to(block.tip_position[0] == start.tip_position[0] + 1e-3)
         >>> opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
-        >>> found = block.equilibrium(opti.solve())
-        >>> round(1e3 * (found.tip_position[0] - near.tip_position[0]), 6)
+        >>> result = block.equilibrium(opti.solve())
+        >>> round(1e3 * (result.tip_position[0] - start.tip_position[0]), 6)
         1.0
     """
 
-    # --- demands ------------------------------------------------------------------------------------------------------
+    # --- constraints --------------------------------------------------------------------------------------------------
 
     def margin_at_least(self, margin: Any) -> None:
         """Constrain the stability margin to at least `margin`.
@@ -336,11 +357,11 @@ class EquilibriumBlock(ComposedBlock[N]):
             raise InputError(
                 f"solution is a {type(solution).__name__}; it must be what casadi.Opti.solve or Problem.solve returned"
             )
-        tried = hasattr(solution, "multipliers") and self.pressing(solution) is None
-        for text in () if tried else self.meetings(solution):
-            better = "another order may be better: Problem.solve tries it, with casadi.Opti ask block.reorder"
-            warnings.warn(f"{text}; {better}", OrderWarning, stacklevel=2)
-        return confirmed(self, solution.value)
+        best_order = hasattr(solution, "multipliers") and self.pressing(solution) is None
+        for text in () if best_order else self.meetings(solution):
+            advice = "another order may be better: Problem.solve tries it, with casadi.Opti call block.reorder"
+            warnings.warn(f"{text}; {advice}", OrderWarning, stacklevel=2)
+        return verified_equilibrium(self, solution.value)
 
     def violations(self, solution: Any, *, tolerance: float = 1e-8, count: int = 5) -> tuple[Violation, ...]:
         """Constraints of this block that a solution violates by more than `tolerance` of their scale, worst first.
@@ -348,64 +369,68 @@ class EquilibriumBlock(ComposedBlock[N]):
         At most `count` of them. After a failed solve of `casadi.Opti` pass `opti.debug`.
         """
         result: list[Violation] = []
-        for name, expression, upper, scale in self._checked:
-            labels = self._words[name]
-            values = np.array(solution.value(expression)).ravel(order="F")
-            result += violations_of(labels, values, (np.zeros(len(labels)), upper), scale, tolerance)
+        for each in self._constraints.values():
+            values = np.array(solution.value(each.expression)).ravel(order="F")
+            bounds = np.zeros(len(each.labels)), each.upper
+            result += violations_of(each.labels, values, bounds, each.scale, tolerance)
         return worst(result, count)
 
     def meetings(self, solution: Any) -> list[str]:
         """Names of the free breakpoints that meet at a solution."""
-        return [f"{gap_names(self.layout.order)[row]}, and they meet" for row in self.closed(solution)]
+        labels = order_labels(self.layout.order)
+        return [f"{labels[row]}, and they meet" for row in self.closed(solution)]
 
     def closed(self, solution: Any) -> list[int]:
-        """Rows of the gaps between breakpoints that are closed at a solution and may be opened in the other order."""
+        """Rows of `Layout.distance` that are 0 at a solution, if their breakpoints may be swapped."""
         if not self._moving:
             return []
-        gaps = np.array(solution.value(self.model.gaps)).ravel()
-        rows = np.flatnonzero(np.abs(gaps) < CLOSED * self.reach).tolist()
-        shifted, stretched = self._given.free("translations"), self._given.free("curved_length", "piece_length")
-        free = [shifted or (stretched and any(p.end or p.joint for p in sides(self.layout.order, row))) for row in rows]
-        return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(self.layout.order, row)]
+        order = self.layout.order
+        distances = np.array(solution.value(self.model.distances)).ravel()
+        rows = np.flatnonzero(np.abs(distances) < CLOSED * self.reach).tolist()
+        shifted, stretched = self._inputs.free("translations"), self._inputs.free("curved_length", "piece_length")
+        # Transitions move with the translations only; ends and joints also with the lengths.
+        free = [shifted or (stretched and any(p.end or p.joint for p in neighbours(order, row))) for row in rows]
+        return [row for row, moves in zip(rows, free, strict=True) if moves and may_swap(order, row)]
 
     def pressing(self, solution: Any) -> int | None:
-        """The row of the gaps that is closed and presses most at a solution with multipliers, None where none does."""
+        """Row of `closed` with the largest multiplier at a solution, None if no multiplier is active."""
         rows = self.closed(solution)
         if not rows:
             return None
-        # In the scale of the solver: at a strict optimum a multiplier is large where its gap is small.
-        gaps = solution.value(self.model.gaps) / self.reach
+        # In the scale of the solver: at a strict optimum a multiplier is large where its distance is small.
+        distances = solution.value(self.model.distances) / self.reach
         forces = solution.multipliers[f"{self.label}order of breakpoints"] * self.reach
-        pressed = [row for row in rows if abs(forces[row]) > max(abs(gaps[row]), 1e-7)]
+        pressed = [row for row in rows if abs(forces[row]) > max(abs(distances[row]), 1e-7)]
         return max(pressed, key=lambda row: float(abs(forces[row])), default=None)
 
     def reorder(self, solution: Any, row: int | None = None) -> None:
-        """Let breakpoints that meet at a solution change places, and start the next solve there.
+        """Swap breakpoints that meet at a solution, and start the next solve there.
 
         Only numbers of the program change. With `casadi.Opti` the start of your own variables is set by
         `opti.set_initial(solution.value_variables())` before.
 
         Args:
-            row: of `closed`; None is the first of them.
+            row: one of `closed`; None is the first of them.
 
         Raises:
             InputError: breakpoints do not meet there, or the block has too few pieces for the new order.
         """
         rows = self.closed(solution)
         if not rows or (row is not None and row not in rows):
-            raise InputError("no breakpoints meet there that could change places")
+            raise InputError("no breakpoints meet at this solution that can be swapped")
         solved = self.model.at(solution.value)
-        numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._given.values.items()}
+        numbers = {key: np.array(solution.value(part)).ravel() for key, part in self._inputs.values.items()}
         order = swapped(self.layout.order, rows[0] if row is None else row)
         self.restore(layout(assembly_at(self.robot, self._bundle, numbers), order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
-        start, inside = points_of(begin)
-        floors = [float(np.array(solution.value(margin)).item()) for _, margin in self.margins]
+        floors = [float(np.array(solution.value(bound.floor)).item()) for bound in self.margins]
         if self.load is not None:
-            shape = shape_at_start(confirmed(self, solution.value), begin)
+            values = start_values(verified_equilibrium(self, solution.value), begin)
         else:
-            shape = (*sample(solved, start)[:2], sample(solved, inside)[0])
-        self._begin_with(begin, shape, floors)
+            start, inside = collocation_points(begin)
+            at_start = sample(solved, start)
+            values = StartValues(at_start.rotation, at_start.torsion, sample(solved, inside).rotation)
+        self._begin_with(begin, values, floors)
 
     def start(self, equilibrium: InitialEquilibrium) -> None:
         """Start the next solve at another equilibrium of the robot; its dimensions may differ.
@@ -415,7 +440,7 @@ class EquilibriumBlock(ComposedBlock[N]):
         Raises:
             InputError: an order of breakpoints that the block cannot take.
         """
-        numbers = numbers_at(equilibrium, self._given.chain)
+        numbers = numbers_at(equilibrium, self._inputs.chain)
         if self._moving:
             bundle = assembly_at(self.robot, self._bundle, numbers)
             order = order_of(bundle, self.robot.moving_together, side=self._side)
@@ -423,17 +448,20 @@ class EquilibriumBlock(ComposedBlock[N]):
                 raise InputError("no tube is in front of the base plate; an arm without length has no equilibrium")
             self.restore(layout(bundle, order, pieces=self.layout.n_pieces))
         begin = self._start_model(numbers)
-        floors = [equilibrium.margin - 0.1 if symbolic(m) else float(m) for _, m in self.margins]
-        self._begin_with(begin, shape_at_start(equilibrium, begin), floors)
+        floors = [equilibrium.margin - 0.1 if symbolic(b.floor) else float(b.floor) for b in self.margins]
+        self._begin_with(begin, start_values(equilibrium, begin), floors)
 
     def start_at(self, value: Callable[[Any], Any]) -> None:
-        """Start the next solve at the equilibrium of the numbers that `value` gives to joint values and dimensions.
+        """Start the next solve at the equilibrium of given joint values and dimensions.
+
+        Args:
+            value: evaluates an expression of joint values or dimensions.
 
         Raises:
             InputError: no tube has these dimensions, or breakpoints an order that the block cannot take.
             SolveError: there is no stable equilibrium.
         """
-        numbers = {key: np.array(value(part)).ravel() for key, part in self._given.values.items()}
+        numbers = {key: np.array(value(part)).ravel() for key, part in self._inputs.values.items()}
         robot = rebuilt(self.robot, numbers)
         self.start(self.initial.at(robot, numbers["rotations"], numbers["translations"], load=self.load))
 
@@ -441,22 +469,22 @@ class EquilibriumBlock(ComposedBlock[N]):
         """True if the variable with this name belongs to the block."""
         return bool(self.label) and name.startswith(self.label)
 
-    def _begin_with(self, begin: Model, shape: Shape, floors: Sequence[float]) -> None:
-        """Start all that the block has added to the program at these numbers."""
-        self._set_guess(begin, shape)
-        for (columns, _), floor in zip(self.margins, floors, strict=True):
-            for column, value in zip(columns, fields_of(self.begin, min(floor, 0.9)), strict=True):
+    def _begin_with(self, begin: Model, values: StartValues, floors: Sequence[float]) -> None:
+        """Set the start of all unknowns of the block."""
+        self._set_guess(begin, values)
+        for margin, floor in zip(self.margins, floors, strict=True):
+            for column, value in zip(margin.fields, jacobi_fields(self.begin, min(floor, 0.9)), strict=True):
                 self.program.set_guess(column, value)
         for bound in self.bounds:
             bound.start(self)
-        for flat, equations, seeds in self.answers:
-            self.program.set_guess(flat, answers_of(self, equations, seeds))
+        for jacobian in self.jacobians:
+            self.program.set_guess(jacobian.unknown, jacobian.start(self))
 
     def restore(self, laid: Layout) -> None:
-        """Lay the pieces as in a layout that the block had."""
+        """Set the layout of the pieces, one that the block has had before."""
         self.layout = laid
         self.program.set_value(self.numbers, laid.numbers())
         name = self.label + "order of breakpoints"
-        labels = [self.label + entry for entry in gap_names(laid.order)]
+        labels = [self.label + label for label in order_labels(laid.order)]
         self.program.rename(name, labels)
-        self._words[name] = labels
+        self._constraints[name].labels = labels

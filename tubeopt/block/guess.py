@@ -1,9 +1,9 @@
-"""Numbers of an arm: the unknowns of a block where a solve begins, and what a solution says between its points."""
+"""Numbers of an arm: start values of the unknowns of a block, and values of a solution between its points."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 import scipy
@@ -21,7 +21,7 @@ from .transcription.reduced import ReducedProblem
 
 # --- Initial equilibrium ----------------------------------------------------------------------------------------------
 
-# A block knows how the solved equilibrium is used that it begins from, not how one is found.
+# A block starts at a solved equilibrium; how one is solved belongs to the packages above.
 
 
 class InitialEquilibrium(Protocol):
@@ -29,38 +29,38 @@ class InitialEquilibrium(Protocol):
 
     @property
     def robot(self) -> Robot:
-        """The robot of the equilibrium."""
+        """Robot at whose joint values the equilibrium holds."""
 
     @property
     def rotations(self) -> Array:
-        """(n,) rad."""
+        """Rotations (n,) of the tubes at their clamped ends, rad."""
 
     @property
     def translations(self) -> Array:
-        """(n,) m."""
+        """Translations (n,) of the tubes, m."""
 
     @property
     def tip_position(self) -> Array:
-        """(3,) m."""
+        """Position (3,) of the tip in the plate frame, m."""
 
     @property
     def arm(self) -> ArmShape:
-        """The whole arm."""
+        """Shape of the arm from plate to tip."""
 
     @property
     def points(self) -> CollocationPoints:
-        """Where it is known best."""
+        """Collocation points of the solution."""
 
     @property
     def load(self) -> Load | None:
-        """What pushes."""
+        """External load, or None."""
 
     @property
     def margin(self) -> float:
-        """Its stability margin."""
+        """Stability margin."""
 
     def collocated(self) -> tuple[ReducedProblem, Profile]:
-        """The collocated problem that it solves, and the torsion along its arm."""
+        """Collocated problem of which this is a solution, and the torsion along the arm."""
 
     def at(
         self,
@@ -72,121 +72,159 @@ class InitialEquilibrium(Protocol):
         load: Load | None = None,
         curvature_at: Callable[[Array], Array] | None = None,
     ) -> Self:
-        """An equilibrium of a robot at joint values, from rotations (n, P) of its tubes at arc lengths (P,), and under
-        `load` from curvatures (2, P), or cold."""
+        """Equilibrium of a robot at joint values.
+
+        Args:
+            rotation_at: rotations (n, P) of the tubes at arc lengths (P,), from which the solve starts; None is a cold
+                start.
+            curvature_at: curvatures (2, P) there, 1/m, with which a solve under `load` starts.
+        """
 
     def verified(self) -> Self:
-        """The same, verified by adaptive re-integration."""
+        """This equilibrium, verified by adaptive re-integration."""
 
 
 N = TypeVar("N", bound=InitialEquilibrium)
 
 
-Shape = tuple[Array, ...]
-"""theta, w (n, P) and theta inside (n, P K); under load also bending moments (2, P) and inside (2, P K)."""
+class StartValues(NamedTuple):
+    """Torsion and bending of an arm on P pieces with K points, at which a solve starts."""
+
+    rotation: Array
+    """theta (n, P) where pieces begin, rad."""
+    torsion: Array
+    """w (n, P) where pieces begin, rad/m."""
+    rotation_inside: Array
+    """theta (n, P K) at the points, rad."""
+    moments: tuple[Array, ...] = ()
+    """Under load bending moments (2, P) where pieces begin, and (2 K, P) at their points, N m."""
 
 
-def points_of(model: Model) -> tuple[Array, Array]:
-    """Arc lengths where the pieces begin (P,), and of their points (P K,)."""
+def collocation_points(model: Model) -> tuple[Array, Array]:
+    """Arc lengths (P,) where pieces begin, and (P K,) of their points, m."""
     length = np.maximum(np.asarray(model.lengths, dtype=float).ravel(), 0.0)
     start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
     return start, (start[:, None] + length[:, None] * model.grid.tableau.nodes).ravel()
 
 
-def shape_at_start(initial: InitialEquilibrium, model: Model) -> Shape:
-    """An equilibrium at the places of the pieces of a model; beyond its tip, as at the tip."""
-    places = points_of(model)
-    torsion = _torsion_under_load(initial, *places) if initial.load is not None else _torsion(initial, *places)
-    return (*torsion, *_bending_of(initial, *places)) if model.grid.loaded else torsion
+def start_values(initial: InitialEquilibrium, model: Model) -> StartValues:
+    """An equilibrium on the pieces of a model; beyond its tip the values are those at the tip."""
+    start, inside = collocation_points(model)
+    if initial.load is None:
+        torsion = _unloaded_torsion(initial, start, inside)
+    else:
+        torsion = _loaded_torsion(initial, start, inside)
+    if not model.grid.loaded:
+        return torsion
+    at_start, at_nodes = (bending_moment_of(initial, s) for s in (start, inside))
+    # The moments at the points of a piece are one column of unknowns.
+    return torsion._replace(moments=(at_start, at_nodes.T.reshape(model.n_pieces, -1).T))
 
 
-def _torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> Shape:
+def _unloaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
     problem, arm = initial.collocated()
-    last = float(problem.assembly.total_length)
-    start, inside = np.minimum(start, last), np.minimum(inside, last)
+    tip = float(problem.assembly.total_length)
+    start, inside = np.minimum(start, tip), np.minimum(inside, tip)
     theta = arms.interpolate(problem, arm, start).T
     twist = arms.torque_at(problem, arm, start) / [tube.torsional_stiffness for tube in initial.robot.tubes]
-    return theta, twist.T, arms.interpolate(problem, arm, inside).T
+    return StartValues(theta, twist.T, arms.interpolate(problem, arm, inside).T)
 
 
-def _torsion_under_load(initial: InitialEquilibrium, start: Array, inside: Array) -> tuple[Array, Array, Array]:
-    """theta, w (n, P) at arc lengths (P,) and theta (n, N) at arc lengths (N,) of an equilibrium, off its points."""
+def _loaded_torsion(initial: InitialEquilibrium, start: Array, inside: Array) -> StartValues:
+    """Torsion of an equilibrium under load, interpolated between its shape points."""
     s = initial.arm.arc_length
     theta, w = initial.arm.rotation - initial.robot.assembly(initial.translations).wound(s).T, initial.arm.torsion
     if is_general(initial.robot):
-        # Without the natural twist, which ends where a tube does, and as it would be at the stiffness of the tube.
+        # The unknowns have no natural twist, and refer to the stiffness where a tube is clamped.
         w = np.gradient(theta, s, axis=1)
     between = scipy.interpolate.CubicHermiteSpline(s, theta, w, axis=1)(np.clip(inside, s[0], s[-1]))
-    at_start = [np.array([np.interp(start, s, row) for row in table]) for table in (theta, w)]
-    return at_start[0], at_start[1], between
+    rotation, torsion = (np.array([np.interp(start, s, row) for row in table]) for table in (theta, w))
+    return StartValues(rotation, torsion, between)
 
 
-def _bending_of(initial: InitialEquilibrium, start: Array, inside: Array) -> tuple[Array, Array]:
-    """Bending moments (2, P) and (2, N), N m, that a load makes, at arc lengths (P,) and (N,)."""
+def bending_moment_of(initial: InitialEquilibrium, arc_length: Array) -> Array:
+    """Bending moment (2, S) that a load causes at arc lengths (S,) of an equilibrium, N m."""
     if initial.load is None:
-        return np.zeros((2, len(start))), np.zeros((2, len(inside)))
+        return np.zeros((2, len(arc_length)))
     assembly = initial.robot.assembly(initial.translations)
     known, at = initial.points, initial.points.point
-    here = assembly.cross_sections(at, at)
-    theta, kb = known.point_rotation - here.wound + here.phase, here.stiffness
-    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, here.moment)[0]
+    sections = assembly.cross_sections(at, at)
+    theta, kb = known.point_rotation - sections.wound + sections.phase, sections.stiffness
+    unloaded = section_function("curvature", len(kb), kb.shape[1], False)(theta, kb, sections.moment)[0]
     bending = (known.point_curvature - unloaded) * kb.sum(1)[:, None]
-    return tuple(np.array([np.interp(s, at, row) for row in bending.T]) for s in (start, inside))  # type: ignore[return-value]
+    return np.array([np.interp(arc_length, at, row) for row in bending.T])
 
 
-def columns_of(inside: Array, pieces: int) -> Array:
-    """(2 K, P) of (2, P K): what is given of the points of a piece, in one column."""
-    return np.asarray(inside.T.reshape(pieces, -1).T)
+class ArmSample(NamedTuple):
+    """A solved arm at S arc lengths."""
+
+    rotation: Array
+    """theta (n, S), rad; of tubes made of pieces the elastic rotation."""
+    torsion: Array
+    """w (n, S), rad/m."""
+    curvature: Array
+    """u (2, S), 1/m."""
 
 
-def sample(model: Model, arc_length: Array) -> tuple[Array, Array, Array]:
-    """theta and w, (n, len(arc_length)) each, of tubes of pieces the elastic rotation, and the curvature (2, ...) of a
-    solved arm at places along it, m."""
-    start, _ = points_of(model)
+def sample(model: Model, arc_length: Array) -> ArmSample:
+    """Rotation, torsion and curvature of a solved arm at arc lengths (S,), m."""
+    start, _ = collocation_points(model)
     inside = functions.inside_function(model.grid)
     base = np.array([1.0, 0, 0, 0]), np.zeros(3)
-    theta, twist, curvature = [], [], []
+    columns = []
     for s in arc_length:
         k = max(int(np.searchsorted(start, s, side="right")) - 1, 0)
         x = min((s - start[k]) / model.lengths[k], 1.0) if model.lengths[k] > 0 else 0.0
-        out = inside(*base, x, *model.piece(k))
-        theta.append(np.array(out[2]).ravel())
-        twist.append(np.array(out[3]).ravel())
-        curvature.append(np.array(out[4]).ravel())
-    return np.array(theta).T, np.array(twist).T, np.array(curvature).T
+        _, _, *values = inside(*base, x, *model.piece(k))[:5]
+        columns.append([np.array(value).ravel() for value in values])
+    return ArmSample(*(np.array(table).T for table in zip(*columns, strict=True)))
 
 
 def poses_of(model: Model) -> tuple[Array, Array]:
-    """(4, P - 1), (3, P - 1) poses where the pieces but the first begin, by integration."""
+    """Quaternions (4, P - 1) and positions (3, P - 1) where all pieces but the first begin, by integration."""
     step = functions.pose_function(model.grid)
     q, p = np.array([1.0, 0, 0, 0]), np.zeros(3)
-    out = []
+    turns, positions = np.zeros((4, model.n_pieces - 1)), np.zeros((3, model.n_pieces - 1))
     for k in range(model.n_pieces - 1):
         q, p = (np.array(part).ravel() for part in step(q, p, *model.piece(k)))
-        out.append((q, p))
-    return np.array([q for q, _ in out]).reshape(-1, 4).T, np.array([p for _, p in out]).reshape(-1, 3).T
+        turns[:, k], positions[:, k] = q, p
+    return turns, positions
 
 
-def fields_of(model: Model, margin: float) -> tuple[Array, Array, Array]:
-    """Jacobi fields of tubes softened by `margin`, every piece from y = 1 where it ends: v / y (n n (P - 1),) where the
-    pieces but the first begin, and y (n n K P,) at the points, by columns."""
+class JacobiFields(NamedTuple):
+    """Unknowns of a margin constraint, by columns; see `add_margin`."""
+
+    ratio: Array
+    """v / y (n n (P - 1),) where all pieces but the first begin, 1/m."""
+    inside: Array
+    """y (n n K P,) at the points."""
+    determinants: Array
+    """y (n n P,) where pieces begin, then y - |beta| v (n n,) at the plate: matrices with positive determinants."""
+
+
+def jacobi_fields(model: Model, margin: float) -> JacobiFields:
+    """Jacobi fields of tubes softened by `margin`; every piece starts from y = 1 at its distal end."""
     n, m, degree = field_size(model.grid), field_rows(model.grid), model.grid.degree
     step, matrix = functions.fields_function(model.grid), functions.field_matrix_function(model.grid)
     softness = [np.hsplit(np.array(part), model.n_pieces) for part in model.softness(margin)]
     fields: Any = np.concatenate([np.eye(n), np.zeros((n, n))])
-    out, points, ahead = [], [], []
+    ratios, points, begins = [], [], []
     for k in reversed(range(model.n_pieces)):
         inputs = [model.lengths[k], *(part[k] for part in softness)]
+        # The collocated equations are linear in y at the points: their defect at y = 0, then one solve.
         forced = np.array(step(fields, np.zeros((m, degree * n)), *inputs)[1])
         columns = forced.reshape(m, n, degree).transpose(2, 0, 1).reshape(degree * m, n)
-        own = -np.linalg.solve(np.array(matrix(*inputs)), columns)
-        inner = own.reshape(degree, m, n).transpose(1, 2, 0).reshape(m, n * degree)
+        solved = -np.linalg.solve(np.array(matrix(*inputs)), columns)
+        inner = solved.reshape(degree, m, n).transpose(1, 2, 0).reshape(m, n * degree)
         y, v = np.split(np.array(step(fields, inner, *inputs)[0]), 2)
-        ahead.append(y.ravel(order="F"))
+        begins.append(y.ravel(order="F"))
         ratio = v @ np.linalg.pinv(y)
         fields = np.concatenate([np.eye(n), ratio])
-        out.append(ratio.ravel(order="F"))
+        ratios.append(ratio.ravel(order="F"))
         points.append(inner.ravel(order="F"))
-    held = y - np.array(model.held_at_the_plate).reshape(-1, 1) * v
-    ratios = np.concatenate([*reversed(out[:-1]), np.zeros(0)])
-    return ratios, np.concatenate([*reversed(points)]), np.concatenate([*reversed(ahead), held.ravel(order="F")])
+    plate = y - np.array(model.plate_compliance).reshape(-1, 1) * v
+    return JacobiFields(
+        ratio=np.concatenate([*reversed(ratios[:-1]), np.zeros(0)]),
+        inside=np.concatenate(points[::-1]),
+        determinants=np.concatenate([*reversed(begins), plate.ravel(order="F")]),
+    )

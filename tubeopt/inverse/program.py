@@ -27,15 +27,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..block.transcription.chain import slid
-from ..block.transcription.collocated import Grid, shape_of, symbols, torsion_of
+from ..block.transcription.chain import shifted_columns
+from ..block.transcription.collocated import Grid, shape_of, symbolic_piece, torsion_of
 from ..block.transcription.explicit import marched_fields
 from ..block.transcription.functions import determinant_function
 from ..block.transcription.model import TorsionModel
 from ..block.transcription.program import (
     Structure,
     add_torsion,
-    ease_at_plate,
+    compliance_ratio_at_plate,
     structure_of,
     torsion_guess,
     torsion_numbers,
@@ -91,10 +91,10 @@ def inverse_program(question: Question, thread: int) -> Problem:
 
     Variables: `rotations` (n,), `translations` (G,) of the carriages, `margin` where it is maximised, and the torsion.
     Parameters beside those of the torsion: `lengths at 0` (P,), `lengths per translation` (P, G), `transmission at 0`
-    (n,) at translations 0; of tubes made of pieces `ease` (n,) at the plate, and `cuts` (P + 1,) between the pieces
-    where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,); `position`,
-    `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights` of the
-    joints; `order` (closings, G) and its `bound`.
+    (n,) at translations 0; of tubes made of pieces `compliance ratio` (n,) at the plate, and `cuts` (P + 1,) between
+    the pieces where the `translations of the mesh` (n,) are those of the start, with the `lengths of the mesh` (P,);
+    `position`, `direction`, `direction weight`, `least margin`, `clearance`, `radius` (P,); `reference` and `weights`
+    of the joints; `order` (closings, G) and its `bound`.
     """
     return (_among_bodies if question.obstacles else _in_free_space)(question, thread)
 
@@ -119,11 +119,11 @@ def _program(question: Question, _thread: int) -> Problem:
         "lengths": given("lengths at 0", pieces) + given("lengths per translation", pieces, groups) @ shift,
     }
     if structure.grid.detail:
-        own["transmission"] += (1 - given("ease", n)) * moved
+        own["transmission"] += (1 - given("compliance ratio", n)) * moved
         passed = ca.vertcat(0, ca.cumsum(own["lengths"])) - given("cuts", pieces + 1)
         out = moved - given("translations of the mesh", n)
         table = given("along", *structure.shapes["along"])
-        own["along"] = slid(table, structure.grid.detail, given("lengths of the mesh", pieces), (passed, out))
+        own["along"] = shifted_columns(table, structure.grid.detail, given("lengths of the mesh", pieces), passed, out)
     arm = add_torsion(problem, structure, turn, own)
     frame, tip, points, bend = _shape(arm)
     direction, wanted, weight = frame[:, 2], given("direction", 3), given("direction weight")
@@ -199,7 +199,7 @@ def _shape(arm: TorsionModel) -> tuple[Any, Any, Any, Any]:
 @lru_cache(maxsize=16)
 def _piece_shape(grid: Grid) -> ca.Function:
     """(R, p, arguments of a piece) -> R, p where it ends, points (3, 2 STEPS) in it, and its int |u|^2 ds."""
-    torsion = torsion_of(symbols(grid))
+    torsion = torsion_of(symbolic_piece(grid))
     frame, begin = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3)
     h, points, before, ahead = torsion.piece.length / STEPS, [], begin, frame[:, 2]
     for turn, shift, _ in shape_of(torsion, steps=STEPS):
@@ -234,7 +234,7 @@ def _jacobi(arm: TorsionModel, coupled: tuple[bool, ...], margin: Any) -> Any:
 @lru_cache(maxsize=16)
 def _piece_fields(grid: Grid) -> ca.Function:
     """(fields (2n, n) where a piece ends, margin, its arguments) -> fields where it begins."""
-    torsion, n = torsion_of(symbols(grid)), grid.n_tubes
+    torsion, n = torsion_of(symbolic_piece(grid)), grid.n_tubes
     fields, margin = ca.SX.sym("fields", 2 * n, n), ca.SX.sym("margin")
     marched = marched_fields(torsion, fields, margin)
     return ca.Function("fields", [fields, margin, *torsion.piece.arguments], [marched], {"cse": True})
@@ -358,12 +358,12 @@ def posed(goal: Goal, at: Posture, order: Order) -> Problem:
     if problem.assembly.general:
         cuts = np.append(mesh.start, problem.assembly.total_length)
         numbers |= {
-            "ease": ease_at_plate(problem),
+            "compliance ratio": compliance_ratio_at_plate(problem),
             "cuts": cuts,
             "lengths of the mesh": mesh.length,
             "translations of the mesh": shift,
         }
-    numbers["transmission at 0"] = numbers.pop("transmission") + numbers.get("ease", 1.0) * shift
+    numbers["transmission at 0"] = numbers.pop("transmission") + numbers.get("compliance ratio", 1.0) * shift
     del numbers["lengths"]
     numbers |= {
         "lengths at 0": order.length,

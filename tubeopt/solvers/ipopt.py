@@ -15,12 +15,12 @@ import numpy as np
 from ..block.transcription import loaded as under_load
 from ..block.transcription.arm import Profile, torques_at
 from ..block.transcription.loaded import LoadedProblem, LoadedState
-from ..block.transcription.model import equation, mapped, places_in_words
+from ..block.transcription.model import equation, location_labels, mapped
 from ..block.transcription.program import (
     Structure,
     add_torsion,
     structure_of,
-    torsion_given,
+    torsion_constants,
     torsion_guess,
     torsion_numbers,
 )
@@ -62,7 +62,7 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
     """
     grid, pieces = structure.grid, len(structure.section)
     n, degree = grid.n_tubes, grid.degree
-    inputs = torsion_given(problem, structure, {})
+    inputs = torsion_constants(problem, structure, {})
     base = problem.variable("torsion of the transmissions", n)
     theta = ca.reshape(problem.variable("rotation", n * pieces), n, pieces)
     inner, twist = (
@@ -73,7 +73,7 @@ def _add_energy(problem: Problem, structure: Structure, rotations: Any) -> None:
     row = [kt, lengths.T, inputs["along"]] if grid.detail else [inputs["stiffness"], inputs["moment"], kt, lengths.T]
     defect, end, energy = mapped("motion", grid, pieces)(theta, inner, twist, *row)
     tubes = [f"tube {i + 1}" for i in range(n)]
-    after, points = places_in_words(pieces, degree, structure.section)
+    after, points = location_labels(pieces, degree, structure.section)
     for each in (
         equation("rotation equation", tubes, points, defect, 1.0),
         equation("continuity of rotation", tubes, after, theta[:, 1:] - end[:, :-1], 1.0),

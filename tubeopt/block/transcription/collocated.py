@@ -1,50 +1,50 @@
-"""One piece of an arm as CasADi expressions: the collocated torsion, the pose that it adds, its energy.
+"""One piece of an arm as CasADi expressions: collocated torsion, change of pose, elastic energy.
 
 On a piece of length h that begins at rotations theta and torsions w (per length of the tube), with Runge-Kutta matrix
 A, weights b, and A~ the adjoint of A (itself for Gauss points),
 
     theta_k = theta + h sum_j A_kj g_j w_j,      w_k = w + h sum_j A~_kj M_j / kt,
 
-and the same with b to the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Every other
-module has the equations, the energy, the shape and all their derivatives from here.
+and with b in place of A at the end of the piece. The rotations theta_k inside are the unknowns; w_k follows. Equations,
+energy, shape and all their derivatives elsewhere are generated from these expressions.
 
-Of tubes made of pieces theta is the elastic rotation, to which the natural turn is added where a tube pulls; their
-torsional stiffness is kt of the tube over an ease c that varies, so that c stands beside g: theta' = g c w.
+Of tubes made of pieces, theta is the elastic rotation; the natural turn is added to it for the direction of the
+precurvature. Their torsional stiffness is kt / c with a compliance ratio c that varies: theta' = g c w.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ...physics.shape import GAUSS_POINTS, magnus_quaternion, rotation_matrix
 from ...physics.torsion import CrossSection, bent_anyhow, section_functions, symbolic_section
-from .chain import Local, local, width
+from .chain import LocalTubes, column_length, local_tubes
 from .tableau import Tableau, tableau
 
 STEPS = 4
 """Steps of the shape per piece, as those of `forward_kinematics`."""
 
 ENDS = np.arange(STEPS + 1) / STEPS
-"""Fractions of a piece at which its shape points lie, its beginning included."""
+"""Fractions of a piece at which its shape points lie, its start included."""
 
 THROUGH_ENDS = np.linalg.inv(np.vander(ENDS, increasing=True))
-"""(5, 5) powers of a fraction by this: weights of the values at ENDS in the polynomial through them."""
+"""Matrix (5, 5): powers of a fraction times it are the weights of the values at ENDS, in their polynomial."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What makes the pieces of two arms the same functions but for numbers: tubes, collocation, offsets, and of tubes
-    made of pieces the `detail`, coefficients of what varies along them (0: nothing does); whether they bear a load."""
+    """Structure of a piece: pieces with equal grids share their functions."""
 
     n_tubes: int
     family: str = "gauss"
     degree: int = 6
     eccentric: bool = False
     detail: int = 0
+    """Number of coefficients a channel of tubes made of pieces; 0 for tubes of one curvature."""
     loaded: bool = False
 
     @property
@@ -54,7 +54,7 @@ class Grid:
 
     @property
     def stretched(self) -> bool:
-        """Whether theta' is another one than w."""
+        """True if theta' differs from w."""
         return self.eccentric or self.detail > 0
 
 
@@ -62,13 +62,14 @@ class Grid:
 class Piece:
     """Symbols or numbers of one piece.
 
-    theta, twist: (n,) where it begins.  inner: (n, K) theta at its points.  stiffness, moment: (n,) kb_i of the tubes
-    present, m_i of the tubes curved.  torsional_stiffness: (n,).  length: h.  place: offset and angle (n,), or nothing.
-    along: what varies along tubes made of pieces, as `panel.local` reads it, in place of stiffness and moment.
+    theta, twist: rotations and torsion (n,) where it begins.  inner: theta (n, K) at its points.
+    stiffness, moment: kb of the tubes present, m of the tubes curved, (n,).  torsional_stiffness: (n,).  length: h, m.
+    offsets: offset and angle (n,) of eccentric tubes, or ().
+    along: column of coefficients of tubes made of pieces, see `local_tubes`; replaces stiffness and moment.
     """
 
     grid: Grid
-    """Its points, and what is modelled there."""
+    """Structure of the piece."""
     theta: Any
     twist: Any
     inner: Any
@@ -76,109 +77,109 @@ class Piece:
     moment: Any
     torsional_stiffness: Any
     length: Any
-    place: tuple[Any, ...] = ()
+    offsets: tuple[Any, ...] = ()
     along: Any = None
 
     @property
     def data(self) -> list[Any]:
-        """What is given of the piece."""
+        """Constants of the piece, in the order in which functions take them."""
         if self.along is not None:
             return [self.torsional_stiffness, self.length, self.along]
-        return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.place]
+        return [self.stiffness, self.moment, self.torsional_stiffness, self.length, *self.offsets]
 
     @property
     def arguments(self) -> list[Any]:
-        """What the functions of this module take, in order."""
+        """Arguments of the functions of a piece, in order."""
         return [self.theta, self.twist, self.inner, *self.data]
 
-    def local(self, x: Any) -> Local:
+    def local(self, x: Any) -> LocalTubes:
         """The tubes at the fraction x of this piece."""
         if self.along is None:
-            return Local(self.stiffness, self.moment)
-        return local(self.along, self.torsional_stiffness, self.grid.detail, x)
+            return LocalTubes(self.stiffness, self.moment)
+        return local_tubes(self.along, self.torsional_stiffness, self.grid.detail, x)
 
     def section(self, theta: Any, x: Any) -> CrossSection:
-        """The cross-section at the fraction x of this piece, at rotations (n,)."""
-        here = self.local(x)
-        return symbolic_section(theta + here.wound, here.stiffness, here.moment, *self.place)
+        """Cross-section at the fraction x of this piece and rotations (n,)."""
+        tubes = self.local(x)
+        return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, *self.offsets)
 
     def balance(self, theta: Any, x: Any) -> Any:
-        """M, dM/dtheta (n, n), where theta' is another than w g c, of eccentric tubes dg/dtheta (n, n): at the fraction
-        x."""
-        here, n = self.local(x), self.grid.n_tubes
+        """M (n,) and dM/dtheta (n, n) at the fraction x.
+
+        If theta' differs from w, also theta' / w (n,); of eccentric tubes also its derivative by theta (n, n).
+        """
+        tubes, n = self.local(x), self.grid.n_tubes
         if self.along is not None:
-            moment, slope = bent_anyhow(n)(theta + here.wound, here.stiffness, here.moment)
-            return [moment, slope, here.ease]
-        functions = section_functions(n, bool(self.place))
-        moment, slope, _, *stretch = functions["balance"](theta, here.stiffness, here.moment, *self.place)
+            moment, slope = bent_anyhow(n)(theta + tubes.natural_turn, tubes.stiffness, tubes.moment)
+            return [moment, slope, tubes.compliance_ratio]
+        functions = section_functions(n, bool(self.offsets))
+        moment, slope, _, *stretch = functions["balance"](theta, tubes.stiffness, tubes.moment, *self.offsets)
         return [moment, slope, *stretch]
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedPiece(Piece):
-    """A piece of tubes on the centreline that bears a load.
+    """A piece of concentric tubes under a load."""
 
-    bend: (2,) bending moment where it begins, N m.  bent: (2, K) at its points.  push: (3, K) force on the
-    cross-sections there, N, in the frame in which the piece begins.
-    """
-
-    bend: Any = None
-    bent: Any = None
-    push: Any = None
+    moment_start: Any = None
+    """Bending moment (2,) where it begins, N m."""
+    moment_inside: Any = None
+    """Bending moment (2, K) at its points, N m."""
+    force: Any = None
+    """Force (3, K) on the cross-sections at its points, N, in the frame where it begins."""
 
     @property
     def data(self) -> list[Any]:
-        """What is given of the piece."""
-        return [*super().data, self.bend, ca.vec(self.bent), ca.vec(self.push)]
+        """Constants of the piece, then its bending moments and forces."""
+        return [*super().data, self.moment_start, ca.vec(self.moment_inside), ca.vec(self.force)]
 
     def section(self, theta: Any, x: Any) -> CrossSection:
-        """The cross-section at the fraction x, where the moment is that between its points."""
-        moment = ca.horzcat(self.bend, self.bent) @ ca.vertcat(*_between([0.0, *self.grid.tableau.nodes.tolist()], x))
-        here = self.local(x)
-        return symbolic_section(theta + here.wound, here.stiffness, here.moment, load=moment)
+        """Cross-section at the fraction x, with the bending moment interpolated there."""
+        nodes = [0.0, *self.grid.tableau.nodes.tolist()]
+        weights = []
+        for k, node in enumerate(nodes):
+            # Lagrange's formula, since x may be a symbol.
+            weight: Any = 1.0
+            for other in nodes[:k] + nodes[k + 1 :]:
+                weight = weight * (x - other) / (node - other)
+            weights.append(weight)
+        load = ca.horzcat(self.moment_start, self.moment_inside) @ ca.vertcat(*weights)
+        tubes = self.local(x)
+        return symbolic_section(theta + tubes.natural_turn, tubes.stiffness, tubes.moment, load=load)
 
 
-def _between(nodes: list[float], x: Any) -> list[Any]:
-    """Weights at x of values at the nodes, whose polynomial is meant."""
-    weights = []
-    for k, own in enumerate(nodes):
-        weight: Any = 1.0
-        for other in nodes[:k] + nodes[k + 1 :]:
-            # Lagrange's formula: few nodes, and x may be a symbol.
-            weight = weight * (x - other) / (own - other)
-        weights.append(weight)
-    return weights
-
-
-def symbols(grid: Grid) -> Piece:
-    """A piece of symbols."""
+def symbolic_piece(grid: Grid) -> Piece:
+    """A piece whose fields are symbols."""
     n = grid.n_tubes
     theta, twist, kb, m, kt, d, phi = (ca.SX.sym(s, n) for s in ("theta", "w", "kb", "m", "kt", "d", "phi"))
-    place = (d, phi) if grid.eccentric else ()
+    offsets = (d, phi) if grid.eccentric else ()
     inner = ca.SX.sym("inner", n, grid.degree)
-    along = ca.SX.sym("along", width(n, grid.detail)) if grid.detail else None
-    inputs = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), place, along
+    along = ca.SX.sym("along", column_length(n, grid.detail)) if grid.detail else None
+    fields = grid, theta, twist, inner, kb, m, kt, ca.SX.sym("h"), offsets, along
     if not grid.loaded:
-        return Piece(*inputs)
-    return LoadedPiece(
-        *inputs, ca.SX.sym("bend", 2), ca.SX.sym("bent", 2, grid.degree), ca.SX.sym("push", 3, grid.degree)
-    )
+        return Piece(*fields)
+    moments = ca.SX.sym("moment_start", 2), ca.SX.sym("moment_inside", 2, grid.degree)
+    return LoadedPiece(*fields, *moments, ca.SX.sym("force", 3, grid.degree))
 
 
 @dataclass(frozen=True, eq=False)
 class Torsion:
-    """theta and w of a piece as polynomials: `twist` (n, K) at its points, `gain` (n, K) M / kt and `extra` (n, K)
-    (g c - 1) w there, `defect` (n, K) of the collocated equations, `end` theta and w (n,) where the piece ends."""
+    """theta and w of a piece as polynomials."""
 
     piece: Piece
     twist: Any
+    """w (n, K) at the points, rad/m."""
     gain: Any
+    """w' = M / kt (n, K) at the points."""
     extra: Any
+    """theta' - w = (g c - 1) w (n, K) at the points."""
     defect: Any
+    """Defect (n, K) of the collocated equations, rad."""
     end: tuple[Any, Any]
+    """theta and w (n,) where the piece ends."""
 
     def rotation(self, x: Any) -> Any:
-        """theta (n, len(x)) at fractions x of the piece, numbers or symbols."""
+        """Rotations theta (n, len(x)) at fractions x of the piece, numbers or symbols."""
         piece, at = self.piece, ca.vec(x) if isinstance(x, ca.SX) else ca.DM(x)
         # theta + h x w + h^2 int int M / kt, with the polynomial of M through the points.
         theta = ca.repmat(piece.theta, 1, at.numel()) + piece.length * piece.twist @ at.T
@@ -188,22 +189,22 @@ class Torsion:
         return theta
 
     def torsion(self, x: Any) -> Any:
-        """w (n, len(x)) at fractions x of the piece."""
+        """Torsion w (n, len(x)) at fractions x of the piece."""
         turned = self.piece.length * self.gain @ _lagrange(self.piece.grid, x, 1).T
         return ca.repmat(self.piece.twist, 1, turned.shape[1]) + turned
 
     def curvature(self, x: Any) -> Any:
-        """u (2, len(x)) at fractions x of the piece."""
+        """Curvature u (2, len(x)) at fractions x of the piece."""
         theta = self.rotation(x)
         return ca.horzcat(*(self.piece.section(theta[:, k], x[k]).curvature for k in range(theta.shape[1])))
 
 
 def _lagrange(grid: Grid, x: Any, integrals: int) -> Any:
-    """`Tableau.lagrange` at numbers, or at symbols by powers of x."""
+    """`Tableau.lagrange` at fractions x, numbers or symbols."""
     if not isinstance(x, ca.SX):
         return grid.tableau.lagrange(x, integrals=integrals)
     at = ca.vec(x)
-    # A polynomial of this degree is fixed by as many values: it is exact in powers of x.
+    # At symbols by powers of x, exactly: a polynomial is given by as many values as it has coefficients.
     nodes = np.linspace(0.0, 1.0, grid.degree + integrals)
     powers = np.linalg.solve(np.vander(nodes, increasing=True), grid.tableau.lagrange(nodes, integrals=integrals))
     return ca.horzcat(*(at**k for k in range(len(nodes)))) @ ca.DM(powers)
@@ -213,11 +214,11 @@ def torsion_of(piece: Piece) -> Torsion:
     """The collocated torsion of a piece."""
     t, h, count = piece.grid.tableau, piece.length, piece.grid.degree
     sections = [piece.section(piece.inner[:, k], x) for k, x in enumerate(t.nodes)]
-    gain = ca.horzcat(*(here.moment / piece.torsional_stiffness for here in sections))
-    # w takes the adjoint A~, which makes the equations those of a least collocated energy.
+    gain = ca.horzcat(*(section.moment / piece.torsional_stiffness for section in sections))
+    # With the adjoint A~ for w the collocated equations are those of minimal collocated energy.
     twist = ca.repmat(piece.twist, 1, count) + h * gain @ t.adjoint.T
-    eases = [piece.local(x).ease for x in t.nodes]
-    stretch = ca.horzcat(*(ca.SX(here.stretch * ease) for here, ease in zip(sections, eases, strict=True)))
+    ratios = [piece.local(x).compliance_ratio for x in t.nodes]
+    stretch = ca.horzcat(*(ca.SX(section.stretch * c) for section, c in zip(sections, ratios, strict=True)))
     slope = stretch * twist
     defect = piece.inner - ca.repmat(piece.theta, 1, count) - h * slope @ t.matrix.T
     end = piece.theta + h * slope @ t.weights, piece.twist + h * gain @ t.weights
@@ -225,32 +226,45 @@ def torsion_of(piece: Piece) -> Torsion:
 
 
 def bending_of(torsion: Torsion) -> tuple[Any, Any]:
-    """The collocated bending moment of a piece that bears a load: defect (2, K), moment (2,) where the piece ends.
+    """Collocated bending moment of a piece under a load: defect (2, K), and moment (2,) where the piece ends.
 
-    m_x' = -u_y t + nu_y,  m_y' = u_x t - nu_x  with the torque t of all tubes and the force nu in the frame there.
+    m_x' = -u_y t + nu_y,  m_y' = u_x t - nu_x  with the torque t of all tubes and the force nu in the local frame.
     """
     piece, t = torsion.piece, torsion.piece.grid.tableau
     assert isinstance(piece, LoadedPiece)
-    felt = [(here.curvature, torque, nu) for here, torque, nu in felt_of(torsion)]
-    # m' = -u x m - e_3 x nu in the moving frame, its x and y.
-    rates = [ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]) for u, torque, nu in felt]
+    rates = []
+    for section, torque, nu in loaded_points(torsion):
+        # m' = -u x m - e_3 x nu in the moving frame, its x and y.
+        u = section.curvature
+        rates.append(ca.vertcat(nu[1] - u[1] * torque, u[0] * torque - nu[0]))
     rate = piece.length * ca.horzcat(*rates)
-    defect = piece.bent - ca.repmat(piece.bend, 1, len(rates)) - rate @ t.matrix.T
-    return defect, piece.bend + rate @ t.weights
+    defect = piece.moment_inside - ca.repmat(piece.moment_start, 1, len(rates)) - rate @ t.matrix.T
+    return defect, piece.moment_start + rate @ t.weights
 
 
-def felt_of(torsion: Torsion) -> list[tuple[CrossSection, Any, Any]]:
-    """At the points of a piece that bears a load: cross-section, torque of all tubes, force (3,) in the frame there."""
+class LoadedPoint(NamedTuple):
+    """A collocation point of a piece under a load."""
+
+    section: CrossSection
+    torque: Any
+    """Torque of all tubes, N m."""
+    force: Any
+    """Force (3,) on the cross-section in its own frame, N."""
+
+
+def loaded_points(torsion: Torsion) -> list[LoadedPoint]:
+    """Collocation points of a piece under a load."""
     piece, t = torsion.piece, torsion.piece.grid.tableau
     assert isinstance(piece, LoadedPiece)
-    turn, before, felt = ca.SX([1, 0, 0, 0]), 0.0, []
+    turn, before, points = ca.SX([1, 0, 0, 0]), 0.0, []
     for k, x in enumerate(t.nodes.tolist()):
         u = torsion.curvature(before + (x - before) * GAUSS_POINTS)
         # From point to point: the frame turns by at most the bend of one piece, so one step is enough.
         turn, _ = magnus_quaternion(turn, ca.SX.zeros(3), u, piece.length * (x - before))
-        before, nu = x, rotation_matrix(turn).T @ piece.push[:, k]
-        felt.append((piece.section(piece.inner[:, k], x), ca.dot(piece.torsional_stiffness, torsion.twist[:, k]), nu))
-    return felt
+        before, force = x, rotation_matrix(turn).T @ piece.force[:, k]
+        torque = ca.dot(piece.torsional_stiffness, torsion.twist[:, k])
+        points.append(LoadedPoint(piece.section(piece.inner[:, k], x), torque, force))
+    return points
 
 
 def energy_of(torsion: Torsion) -> Any:
@@ -264,21 +278,41 @@ def energy_of(torsion: Torsion) -> Any:
     return piece.length * total
 
 
-def motion_of(piece: Piece, twist: Any) -> tuple[Any, Any, Any]:
-    """A piece of concentric tubes whose torsion `twist` (n, K) at its points is a control: defect (n, K) of theta,
-    theta (n,) where it ends, elastic energy, J."""
+class ControlledTorsion(NamedTuple):
+    """A piece whose torsion is a control."""
+
+    defect: Any
+    """Defect (n, K) of theta' = c w."""
+    end: Any
+    """theta (n,) where the piece ends."""
+    energy: Any
+    """Elastic energy, J."""
+
+
+def controlled_torsion(piece: Piece, twist: Any) -> ControlledTorsion:
+    """A piece of concentric tubes with the torsion `twist` (n, K) at its points as a control."""
     t, h = piece.grid.tableau, piece.length
-    extra = twist * (ca.horzcat(*(ca.SX.ones(piece.grid.n_tubes) * piece.local(x).ease for x in t.nodes)) - 1)
+    ratios = [ca.SX.ones(piece.grid.n_tubes) * piece.local(x).compliance_ratio for x in t.nodes]
+    extra = twist * (ca.horzcat(*ratios) - 1)
     slope = twist + extra
     defect = piece.inner - ca.repmat(piece.theta, 1, piece.grid.degree) - h * slope @ t.matrix.T
     # As a control, w is independent of M: the gain that would change it along the piece is 0.
     free = Torsion(piece, twist, ca.SX.zeros(*twist.shape), extra, defect, (piece.theta, twist))
-    return defect, piece.theta + h * slope @ t.weights, energy_of(free)
+    return ControlledTorsion(defect, piece.theta + h * slope @ t.weights, energy_of(free))
 
 
-def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = STEPS) -> list[tuple[Any, Any, Any]]:
-    """(quaternion (4,), position (3,), fraction) relative to where the piece begins, after each of `steps` up to
-    `fraction` of it, which may be a symbol."""
+class RelativePose(NamedTuple):
+    """Pose at a fraction of a piece, relative to its start."""
+
+    turn: Any
+    """Quaternion (4,)."""
+    shift: Any
+    """Position (3,), m."""
+    fraction: Any
+
+
+def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = STEPS) -> list[RelativePose]:
+    """Poses after each of `steps` Magnus steps from the start of a piece to `fraction` of it, a number or symbol."""
     turn, shift = ca.SX([1, 0, 0, 0]), ca.SX.zeros(3)
     out = []
     step = fraction / steps
@@ -286,24 +320,24 @@ def shape_of(torsion: Torsion, fraction: Any = 1.0, *, steps: int = STEPS) -> li
         x = (k + GAUSS_POINTS) / steps
         u = torsion.curvature(fraction * ca.SX(ca.DM(x)) if isinstance(fraction, ca.SX) else fraction * x)
         turn, shift = magnus_quaternion(turn, shift, u, torsion.piece.length * step)
-        out.append((turn, shift, (k + 1) * step))
+        out.append(RelativePose(turn, shift, (k + 1) * step))
     return out
 
 
 def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any, inner: Any) -> tuple[Any, Any]:
     """A Jacobi field of a piece of softened tubes, collocated as its torsion is.
 
-    The fields y, v are those of d theta and d w at the state of the piece, with torsional stiffness (1 - margin) kt
-    where w changes: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). With y = 1, v = 0 at the
-    tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
+    The fields y = d theta, v = d w are linearised at the state of the piece, with torsional stiffness (1 - margin) kt
+    in the equation of w: y' = g c v + w (dg/dtheta) y,  v' = (dM/dtheta) y / ((1 - margin) kt). From y = 1, v = 0 at
+    the tip, det y > 0 along the arm and det(y - |beta| v) > 0 at the plate if and only if the margin is larger.
 
     Args:
-        softness: (n, n K) (dM/dtheta) / ((1 - margin) kt) at the points; of eccentric tubes also (n, n K) w dg/dtheta,
-            and of these and of tubes made of pieces (n, K) g c.
-        end: (2n,) y above v where the piece ends.  inner: (n, K) y at its points.
+        softness: (dM/dtheta) / ((1 - margin) kt) (n, n K) at the points; of eccentric tubes also w dg/dtheta (n, n K),
+            and of these and of tubes made of pieces g c (n, K).
+        end: y above v (2n,) where the piece ends.  inner: y (n, K) at its points.
 
     Returns:
-        (2n,) y above v where the piece begins; (n, K) defect of the collocated equations.
+        y above v (2n,) where the piece begins, and the defect (n, K) of the collocated equations.
     """
     t, n, count = grid.tableau, grid.n_tubes, grid.degree
     gain, *stretching = softness
@@ -320,6 +354,6 @@ def softened_fields(grid: Grid, length: Any, softness: tuple[Any, ...], end: Any
 
 
 def _at_points(matrices: Any, columns: Any) -> Any:
-    """(n, K) products of matrices (n, n K), side by side, with columns (n, K)."""
+    """Products (n, K) of matrices (n, n K), side by side, with columns (n, K)."""
     n = columns.shape[0]
     return ca.horzcat(*(matrices[:, k * n : (k + 1) * n] @ columns[:, k] for k in range(columns.shape[1])))

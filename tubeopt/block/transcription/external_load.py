@@ -1,11 +1,11 @@
-"""An arm in a program that bears a load: what its pieces feel, and the equations of its bending moment.
+"""An arm in a program under a load: forces on its pieces, and the equations of its bending moment.
 
-Dead forces fix the force n on every cross-section in advance. With the bending moment m in the Bishop frame, nu = R'n
-and the torque t of all tubes (Rucker, Jones, Webster, IEEE T-RO 26 (2010)),
+Dead forces determine the force n on every cross-section. With the bending moment m in the Bishop frame, nu = R'n and
+the torque t of all tubes (Rucker, Jones, Webster, IEEE T-RO 26 (2010)),
 
     u = (m + sum a_i) / sum kb_i,    m_x' = -u_y t + nu_y,    m_y' = u_x t - nu_x,    R m = M at the tip,
 
-where the part of M along the tip acts on the tube that ends last. Quaternions begin every piece, as without load.
+where the axial part of M acts on the tube that ends last. Poses where pieces begin are unknowns, as without load.
 """
 
 from __future__ import annotations
@@ -21,98 +21,107 @@ from ...physics.shape import rotation_matrix
 from ...typing import Array
 from .collocated import Grid
 from .functions import FRAME
-from .model import Equation, Model, equation, model_of, places_in_words
+from .model import Equation, LayoutNumbers, Model, equation, location_labels, model_of
 
 
 @dataclass(frozen=True, eq=False)
-class Push:
-    """A load, SI: force and moment (3,) at the tip, in world axes or `turning` with the tip; force per length (3,), and
-    per length of each tube (n, 3), in world axes; the tube that ends last; a typical bending stiffness, N m^2."""
+class BlockLoad:
+    """A load on a block, in world axes unless it follows the tip."""
 
     force: Any
+    """Force (3,) at the tip, N."""
     moment: Any
-    turning: bool
-    along: Array
+    """Moment (3,) at the tip, N m."""
+    following: bool
+    """True if force and moment at the tip turn with it."""
+    per_length: Array
+    """Force (3,) per length of the arm, N/m."""
     weight: Array
+    """Weight (n, 3) per length of each tube, N/m."""
     tip_tube: int
-    typical: float
+    """Tube that ends last, on which the axial moment acts."""
+    stiffness: float
+    """Typical bending stiffness, N m^2, which scales the moments."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedModel(Model):
-    """An arm under load.
+    """An arm under load."""
 
-    bend (2, P), bent (2 K, P): bending moment where pieces begin and at their points, N m.  push: (3 K, P) force at the
-    points, N, each in the frame where its piece begins.  wrench: (3,) bending moment and torque at the tip, in its own
-    frame.  torque: (n,) which tube feels that torque.
-    """
-
-    bend: Any
-    bent: Any
-    push: Any
-    wrench: Any
-    torque: Any
-    typical: float = 1.0
+    moment_start: Any
+    """Bending moment (2, P) where pieces begin, N m."""
+    moment_inside: Any
+    """Bending moment (2 K, P) at their points, N m."""
+    force: Any
+    """Force (3 K, P) at the points, N, each in the frame where its piece begins."""
+    tip_moment: Any
+    """Moment (3,) at the tip in its own frame, N m."""
+    on_tip_tube: Any
+    """1 for the tube on which the axial moment at the tip acts, else 0, (n,)."""
+    bending_stiffness: float = 1.0
+    """Typical bending stiffness, N m^2, which scales the moments."""
 
     @property
     def data(self) -> list[Any]:
-        """What is given of the pieces to their functions, side by side."""
-        return [*super().data, self.bend, self.bent, self.push]
+        """Constants of all pieces side by side, then their moments and forces."""
+        return [*super().data, self.moment_start, self.moment_inside, self.force]
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
-        """What the Jacobi fields need: (2 N, 2 N K P) rates at all points."""
-        inputs = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.typical)]
+        """Coefficients of the Jacobi fields: rates (2 N, 2 N K P) at all points."""
+        inputs = [ca.repmat(part, 1, self.n_pieces) for part in (margin, self.bending_stiffness)]
         return (self.mapped("rates")(*inputs, *self.arguments),)
 
     @property
-    def held_at_the_plate(self) -> Any:
-        """(N,) by how much of its rate a Jacobi field is away from 0 at the plate: the frame is held there."""
+    def plate_compliance(self) -> Any:
+        """Ratio (N,) of a Jacobi field to its rate at the plate, where the frame is fixed."""
         return ca.vertcat(self.transmission, ca.DM.zeros(FRAME))
 
     def equations(self, rotations: Any, reach: float) -> list[Equation]:
-        """Those of torsion and shape, and of the bending moment."""
+        """Equations of torsion, shape and bending moment, with `reach` as typical length, m."""
         defect, end = self.mapped("bending")(*self.arguments)
-        typical, tubes = self.typical / reach, range(self.theta.shape[0])
-        after, points = places_in_words(self.n_pieces, self.grid.degree)
-        tip = self.ends[2][:, -1] - self.torque * self.wrench[2] / self.torsional_stiffness[:, -1]
-        own = [
+        typical, tubes = self.bending_stiffness / reach, range(self.theta.shape[0])
+        after, points = location_labels(self.n_pieces, self.grid.degree)
+        continuity = self.moment_start[:, 1:] - end[:, :-1]
+        tip = self.ends.twist[:, -1] - self.on_tip_tube * self.tip_moment[2] / self.torsional_stiffness[:, -1]
+        added = [
             equation("torsion at the end", [f"tube {i + 1}" for i in tubes], None, tip, 1 / reach),
             equation("moment equation", ["x", "y"], points, defect, typical),
-            equation("continuity of bending moment", ["x", "y"], after, self.bend[:, 1:] - end[:, :-1], typical),
-            equation("bending moment at the end", ["x", "y"], None, end[:, -1] - self.wrench[:2], typical),
+            equation("continuity of bending moment", ["x", "y"], after, continuity, typical),
+            equation("bending moment at the end", ["x", "y"], None, end[:, -1] - self.tip_moment[:2], typical),
         ]
-        free = own[0].name
-        return [each for each in super().equations(rotations, reach) if each.name != free] + own
+        # The torque at the tip replaces the condition w = 0.
+        return [each for each in super().equations(rotations, reach) if each.name != added[0].name] + added
 
 
-def arm_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
-    """`model_of`, with the load that is `inputs` as "push", if any."""
-    model, push = model_of(grid, numbers, unknowns, inputs), inputs.get("push")
-    return model if push is None else _under(model, unknowns[5:], push)
-
-
-def _under(model: Model, unknowns: tuple[Any, ...], push: Push) -> LoadedModel:
-    """The same arm under a load."""
-    degree, pieces = model.grid.degree, model.n_pieces
-    inputs = {field.name: getattr(model, field.name) for field in fields(model)}
-    bend, bent = unknowns
-    torque = np.zeros(model.theta.shape[0])
-    torque[push.tip_tube] = 1.0
-    nothing = ca.DM.zeros(3 * degree, pieces), ca.vertcat(0, 0, 0)
+def arm_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
+    """`model_of`, under the `BlockLoad` that is in `inputs` as "load", if any."""
+    model, load = model_of(grid, numbers, unknowns, inputs), inputs.get("load")
+    if load is None:
+        return model
+    degree, pieces = grid.degree, model.n_pieces
+    on_tip_tube = np.zeros(grid.n_tubes)
+    on_tip_tube[load.tip_tube] = 1.0
     arm = LoadedModel(
-        **inputs, bend=bend, bent=bent, push=nothing[0], wrench=nothing[1], torque=ca.DM(torque), typical=push.typical
+        **{field.name: getattr(model, field.name) for field in fields(model)},
+        moment_start=unknowns[5],
+        moment_inside=unknowns[6],
+        force=ca.DM.zeros(3 * degree, pieces),
+        tip_moment=ca.vertcat(0, 0, 0),
+        on_tip_tube=ca.DM(on_tip_tube),
+        bending_stiffness=load.stiffness,
     )
-    # Where the tip points does not ask for the forces, but for the moments that they make.
-    tip, force, moment = rotation_matrix(arm.pose_ends[0][:, -1]), push.force, push.moment
-    wrench = moment if push.turning else tip.T @ moment
-    force = tip @ force if push.turning else force
-    per_length = ca.repmat(ca.DM(push.along), 1, pieces) + ca.DM(push.weight.T) @ model.present
-    whole = per_length * ca.repmat(ca.reshape(model.lengths, 1, pieces), 3, 1)
-    ahead = ca.repmat(ca.sum2(whole), 1, pieces) - ca.cumsum(whole, 1)
+    # The pose at the tip depends on the moments, which are unknowns, but not on the forces, so these follow from it.
+    tip = rotation_matrix(arm.pose_ends[0][:, -1])
+    tip_moment = load.moment if load.following else tip.T @ load.moment
+    tip_force = tip @ load.force if load.following else load.force
+    per_length = ca.repmat(ca.DM(load.per_length), 1, pieces) + ca.DM(load.weight.T) @ model.present
+    on_piece = per_length * ca.repmat(ca.reshape(model.lengths, 1, pieces), 3, 1)
+    beyond = ca.repmat(ca.sum2(on_piece), 1, pieces) - ca.cumsum(on_piece, 1)
     columns = []
     for k in range(pieces):
-        back = rotation_matrix(arm.poses[0][:, k]).T
-        rest = (force + ahead[:, k], whole[:, k])
-        felt = [back @ (rest[0] + (1 - x) * rest[1]) for x in model.grid.tableau.nodes.tolist()]
-        columns.append(ca.vertcat(*felt))
-    return replace(arm, push=ca.horzcat(*columns), wrench=wrench)
+        to_piece = rotation_matrix(arm.poses[0][:, k]).T
+        ahead = tip_force + beyond[:, k]
+        columns.append(
+            ca.vertcat(*(to_piece @ (ahead + (1 - x) * on_piece[:, k]) for x in grid.tableau.nodes.tolist()))
+        )
+    return replace(arm, force=ca.horzcat(*columns), tip_moment=tip_moment)

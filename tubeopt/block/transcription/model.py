@@ -1,8 +1,8 @@
-"""An arm in a program, all its pieces side by side: its equations as expressions, or its numbers at a solution.
+"""An arm in a program, all pieces side by side: its equations as expressions, or its numbers at a solution.
 
-Every piece is the same function of what holds where it begins: lifted into unknowns, so that all derivatives are local.
-The base gives theta(0) = alpha + |beta| w(0), the tip w = 0 for every tube (a tube that has ended feels no moment, so
-w = 0 at the tip is w = 0 at its own end).
+Every piece is the same function of its state at its start; these states are unknowns, so that all derivatives are
+local. Boundary conditions are theta(0) = alpha + |beta| w(0) at the plate, and w = 0 at the tip for every tube: beyond
+its end a tube has no moment, so that this is w = 0 at its own end.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,31 +26,33 @@ from .mesh import piece_counts
 
 # --- Pieces in the sections of an arm ---------------------------------------------------------------------------------
 
-# How the pieces of a block lie in the sections of an arm: numbers that change where breakpoints change their order.
-#
-# The lengths of the pieces are linear in the places of the breakpoints, and which tubes are present and curved on each
-# are numbers too, so that one program serves every order.
+# The pieces of a block lie in the sections of an arm. Their lengths are linear in the positions of the breakpoints, and
+# which tubes are present and curved on each are numbers too. A new order of the breakpoints changes these numbers only,
+# so that one program serves every order.
 
 FREE_REFINEMENT = 1
-"""How often pieces are halved where lengths, curvatures or stiffnesses are free, so that they may grow."""
+"""Number of times that pieces are halved if lengths, curvatures or stiffnesses are free: they may grow in a solve."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
     """P pieces of an arm with b breakpoints.
 
-    order: of the breakpoints.  section: (P,) the section of each piece.  length: (P, 2n) coefficients of (transition,
-    end) in the lengths of the pieces.  gap: (b, 2n) of those in the lengths of the sections and in how far breakpoints
-    behind the plate lie behind it: all must be >= 0.  present, curved: (n, P), 0 or 1. Where tubes are made of pieces
-    length and gap have further columns, for their joints, and (B, P) `curved` picks the panel of each tube, 0 or 1.
+    Columns of `length` and `distance` are transitions and ends of n tubes, then joints of tubes made of pieces.
     """
 
     order: Order
+    """Order of the breakpoints."""
     section: tuple[int, ...]
+    """Section (P,) of each piece."""
     length: Array
-    gap: Array
+    """Coefficients (P, 2n) of breakpoint positions in the lengths of the pieces."""
+    distance: Array
+    """Coefficients (b, 2n) of breakpoint positions in section lengths, then in distances behind the plate; all >= 0."""
     present: Array
+    """1 where a tube is present on a piece, else 0, (n, P)."""
     curved: Array
+    """1 where a tube is curved on a piece, else 0, (n, P); of tubes made of pieces the panel of each tube, (B, P)."""
 
     @property
     def n_pieces(self) -> int:
@@ -58,44 +60,52 @@ class Layout:
         return len(self.section)
 
     def numbers(self) -> Array:
-        """All that a reordering changes, as one column: length, gap, present, curved, each by columns."""
-        parts = (self.length, self.gap, self.present, self.curved)
+        """Numbers that depend on the order, as one column: length, distance, present, curved, each by columns."""
+        parts = (self.length, self.distance, self.present, self.curved)
         return np.concatenate([part.ravel(order="F") for part in parts])
 
 
 def layout(
-    assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0, least: int = 0
+    assembly: Assembly, order: Order, *, pieces: int | None = None, refinement: int = 0, min_pieces: int = 0
 ) -> Layout:
-    """Pieces in every section, short enough for coupling and bend at the given places; sections without length get one.
-    `pieces`: how many there must be in all; None is as many as are needed, and `least` at least."""
-    where = where_of(assembly)
-    lengths = np.maximum(order.lengths(where), 0.0)
+    """Pieces in every section, short enough for coupling and bend; sections without length get one piece.
+
+    Args:
+        pieces: total number of pieces; None is the number needed, but at least `min_pieces`.
+
+    Raises:
+        InputError: the order has more sections than `pieces`.
+    """
+    positions = where_of(assembly)
+    lengths = np.maximum(order.lengths(positions), 0.0)
     start = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
-    # The order may be one of other numbers than these: sections that would be negative have no length.
+    # The order may belong to other joint values: sections whose length would be negative have none.
     cut = replace(assembly, start=start, length=lengths, present=order.present, curved=order.curved)
     counts = piece_counts(cut, refinement)
     if pieces is not None:
         if pieces < len(counts):
             raise InputError(f"the block has {pieces} pieces; the order of its breakpoints needs {len(counts)}")
         counts = _fit(counts, lengths, pieces)
-    elif counts.sum() < least:
-        counts = _fit(counts, lengths, least)
+    elif counts.sum() < min_pieces:
+        counts = _fit(counts, lengths, min_pieces)
     section = np.repeat(np.arange(len(counts)), counts)
-    gap = gap_rows(order, assembly.n_tubes, len(where))
-    curved = picked(order, assembly) if assembly.general else order.curved
+    distance = _distance_rows(order, assembly.n_tubes, len(positions))
+    curved = _selected_panels(order, assembly) if assembly.general else order.curved
     return Layout(
         order=order,
         section=tuple(section.tolist()),
-        length=gap[: len(order.front)][section] / counts[section][:, None],
-        gap=gap,
+        length=distance[: len(order.front)][section] / counts[section][:, None],
+        distance=distance,
         present=order.present[section].T.astype(float),
         curved=curved[section].T.astype(float),
     )
 
 
-def picked(order: Order, assembly: Assembly) -> Array:
-    """(m, B) in which panel of each tube every section lies, 0 or 1: B panels, tube by tube, the straight part first;
-    the last one where a tube has ended."""
+def _selected_panels(order: Order, assembly: Assembly) -> Array:
+    """1 for the panel of each tube in which a section lies, else 0, (m, B).
+
+    B panels, tube by tube, the straight part first; beyond the end of a tube its last panel is selected.
+    """
     counts = [1 + (len(own) + 1) * has_curve(assembly, i) for i, own in enumerate(joints_of(assembly))]
     out = np.zeros((len(order.front), sum(counts)))
     for i, first in enumerate(np.cumsum([0, *counts[:-1]]).tolist()):
@@ -104,34 +114,33 @@ def picked(order: Order, assembly: Assembly) -> Array:
 
 
 def _fit(counts: NDArray[np.intp], lengths: Array, pieces: int) -> NDArray[np.intp]:
-    """Counts whose sum is `pieces`: of too many the longest pieces are spared, too few halve the longest."""
+    """Counts with the sum `pieces`, changed so that the longest piece stays as short as possible."""
     counts = counts.copy()
     while counts.sum() != pieces:
         if counts.sum() < pieces:
             counts[int(np.argmax(lengths / counts))] += 1
         else:
-            # The piece that grows least when a section loses one; a section keeps at least one.
+            # Remove a piece from the section whose pieces stay shortest; every section keeps one.
             shorter = np.where(counts > 1, lengths / np.maximum(counts - 1, 1), np.inf)
             counts[int(np.argmin(shorter))] -= 1
     return counts
 
 
-def gap_rows(order: Order, n: int, width: int) -> Array:
-    """(b, width) coefficients of the places of transitions, ends and joints in the lengths of the sections, then in how
-    far behind the plate the other breakpoints lie."""
+def _distance_rows(order: Order, n: int, width: int) -> Array:
+    """Coefficients (b, width) of `Layout.distance`."""
     rows = np.zeros((len(order.front) + len(order.behind), width))
     for k, point in enumerate(order.front):
         rows[k, point.place(n)] += 1.0
         if k:
             rows[k, order.front[k - 1].place(n)] -= 1.0
     for k, point in enumerate(order.behind, start=len(order.front)):
-        # Behind the plate a place is negative: the gap is minus that.
+        # Behind the plate the arc length is negative.
         rows[k, point.place(n)] = -1.0
     return rows
 
 
-def gap_names(order: Order) -> list[str]:
-    """What each row of `gap` says, in words."""
+def order_labels(order: Order) -> list[str]:
+    """Names of the constraints that the rows of `Layout.distance` are >= 0."""
     names = []
     for k, point in enumerate(order.front):
         before = "the plate" if not k else str(order.front[k - 1])
@@ -139,8 +148,8 @@ def gap_names(order: Order) -> list[str]:
     return names + [f"order of breakpoints: {point} is not in front of the plate" for point in order.behind]
 
 
-def sides(order: Order, row: int) -> tuple[Breakpoint, ...]:
-    """The breakpoints between which a row of the gaps lies; one alone where the other side is the plate."""
+def neighbours(order: Order, row: int) -> tuple[Breakpoint, ...]:
+    """Breakpoints whose distance a row of `Layout.distance` is; one if it is the distance from the plate."""
     front = len(order.front)
     if row >= front:
         return (order.behind[row - front],)
@@ -148,8 +157,10 @@ def sides(order: Order, row: int) -> tuple[Breakpoint, ...]:
 
 
 def may_swap(order: Order, row: int) -> bool:
-    """Whether the breakpoint of a row of the gaps may change places with its neighbour, or with the plate: those of one
-    tube stay in their order, and some tube in front of the plate."""
+    """True if the breakpoint of a row of `Layout.distance` may be swapped with its neighbour, or with the plate.
+
+    Breakpoints of one tube keep their order, and some tube stays in front of the plate.
+    """
     front = len(order.front)
     if row >= front:
         return not any(order.behind[row - front].before(other) for other in order.behind)
@@ -157,21 +168,21 @@ def may_swap(order: Order, row: int) -> bool:
 
 
 def swapped(order: Order, row: int) -> Order:
-    """The order after the breakpoint of `row` of the gaps has changed places with its neighbour, or with the plate."""
+    """Order after the breakpoint of a row of `Layout.distance` is swapped with its neighbour, or with the plate."""
     front, behind = list(order.front), list(order.behind)
     if row >= len(front):
         front.insert(0, behind.pop(row - len(front)))
     elif row == 0:
         behind.append(front.pop(0))
     else:
-        # Neighbours that meet change places without a jump: the section between them has no length.
+        # Neighbours that meet are swapped without a jump: the section between them has no length.
         front[row - 1], front[row] = front[row], front[row - 1]
     return arrange(front, behind, order.present.shape[1])
 
 
 @dataclass(frozen=True)
 class Equation:
-    """expression == 0, of size `scale`, with words for each entry."""
+    """expression == 0 of typical size `scale`, with a label for each entry."""
 
     name: str
     entries: tuple[str, ...]
@@ -179,14 +190,25 @@ class Equation:
     scale: float
 
 
+class PieceEnds(NamedTuple):
+    """Collocated torsion at the ends of P pieces."""
+
+    defect: Any
+    """Defect (n, P K) of the collocated equations."""
+    theta: Any
+    """Rotations (n, P) where pieces end, rad."""
+    twist: Any
+    """Torsion (n, P) where pieces end, rad/m."""
+
+
 @dataclass(frozen=True, eq=False)
 class TorsionModel:
     """The torsion of P pieces with K points and n tubes; expressions or arrays.
 
-    theta, twist: (n, P) where pieces begin.  inner: (n, P K) theta at their points.
-    stiffness, moment, torsional_stiffness: (n, P) kb_i of the tubes present, m_i of the tubes curved, kt_i.
-    lengths: (P,).  transmission: (n,).  place: offset and angle (n,), or nothing.
-    along: (X, P) what varies along tubes made of pieces, for which stiffness and moment are None; else None.
+    theta, twist: rotations and torsion (n, P) where pieces begin.  inner: theta (n, P K) at their points.
+    stiffness, moment, torsional_stiffness: kb of the tubes present, m of the tubes curved, kt, (n, P).
+    lengths: (P,) of the pieces.  transmission: |beta| (n,).  offsets: offset and angle (n,) of eccentric tubes, or ().
+    along: coefficients (X, P) of tubes made of pieces, for which stiffness and moment are None; else None.
     """
 
     grid: Grid
@@ -198,7 +220,7 @@ class TorsionModel:
     torsional_stiffness: Any
     lengths: Any
     transmission: Any
-    place: tuple[Any, ...]
+    offsets: tuple[Any, ...]
     along: Any
 
     @property
@@ -208,70 +230,69 @@ class TorsionModel:
 
     @property
     def data(self) -> list[Any]:
-        """What is given of the pieces to their functions, side by side."""
+        """Constants of all pieces side by side, in the order of `Piece.data`."""
         if self.along is not None:
             return [self.torsional_stiffness, self.lengths.reshape((1, -1)), self.along]
-        beside = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.place]
-        return [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.reshape((1, -1)), *beside]
+        offsets = [ca.repmat(ca.vec(v), 1, self.n_pieces) for v in self.offsets]
+        return [self.stiffness, self.moment, self.torsional_stiffness, self.lengths.reshape((1, -1)), *offsets]
 
     @property
     def arguments(self) -> list[Any]:
-        """Of the functions of a piece, all pieces side by side."""
+        """Arguments of the functions of a piece, all pieces side by side."""
         return [self.theta, self.twist, self.inner, *self.data]
 
     def piece(self, k: int) -> list[Any]:
-        """The arguments of one piece."""
-        degree = self.grid.degree
-        own = [self.theta[:, k], self.twist[:, k], self.inner[:, k * degree : (k + 1) * degree]]
-        return [*own, *(part[:, k] for part in self.data)]
+        """Arguments of one piece."""
+        inner = self.inner[:, k * self.grid.degree : (k + 1) * self.grid.degree]
+        return [self.theta[:, k], self.twist[:, k], inner, *(part[:, k] for part in self.data)]
 
     def mapped(self, name: str) -> ca.Function:
-        """A function of `transcription.functions` for all pieces at once."""
+        """Function of `transcription.functions` for all pieces at once."""
         return mapped(name, self.grid, self.n_pieces)
 
     @cached_property
-    def ends(self) -> tuple[Any, Any, Any]:
-        """Defect (n, P K), theta and w (n, P) where pieces end."""
-        defect, theta, twist = self.mapped("torsion")(*self.arguments)
-        return defect, theta, twist
+    def ends(self) -> PieceEnds:
+        """Defects of the torsion, and theta and w where pieces end."""
+        return PieceEnds(*self.mapped("torsion")(*self.arguments))
 
     def softness(self, margin: Any) -> tuple[Any, ...]:
-        """What the Jacobi fields of tubes softened by `margin` need, side by side for all points."""
+        """Coefficients of the Jacobi fields of tubes softened by `margin`, side by side for all points."""
         count, degree = self.n_pieces, self.grid.degree
         data = [ca.horzcat(*(ca.repmat(part[:, k], 1, degree) for k in range(count))) for part in self.data]
-        places = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
-        # Where g is 1, nothing depends on the torsion.
-        # dg/dtheta is multiplied by w; on the centreline that term is 0.
-        twist = self.mapped("twist")(*self.arguments) if self.place else ca.DM.zeros(*self.inner.shape)
+        nodes = ca.DM(np.tile(self.grid.tableau.nodes, count)[None])
+        # The torsion w enters through w dg/dtheta only, which is 0 on the centreline.
+        twist = self.mapped("twist")(*self.arguments) if self.offsets else ca.DM.zeros(*self.inner.shape)
         function = mapped("softness", self.grid, count * degree)
-        out = function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, places, *data])
-        return tuple(out)
+        return tuple(function.call([ca.repmat(margin, 1, count * degree), self.inner, twist, nodes, *data]))
 
     @property
-    def held_at_the_plate(self) -> Any:
-        """(n,) by how much of its rate a Jacobi field of each tube is away from 0 at the plate."""
+    def plate_compliance(self) -> Any:
+        """Ratio (n,) of a Jacobi field to its rate at the plate: a transmission twists by |beta| w."""
         return self.transmission
 
     @property
     def energy(self) -> Any:
         """Elastic energy of the arm and of the transmissions, J."""
-        bending = ca.sum2(self.mapped("energy")(*self.arguments))
-        return bending + ca.dot(self.torsional_stiffness[:, 0] * self.transmission, self.twist[:, 0] ** 2) / 2
+        arm = ca.sum2(self.mapped("energy")(*self.arguments))
+        return arm + ca.dot(self.torsional_stiffness[:, 0] * self.transmission, self.twist[:, 0] ** 2) / 2
 
     def torsion_equations(self, rotations: Any, reach: float, sections: Sequence[int] | None = None) -> list[Equation]:
-        """All that hold at an equilibrium whose tubes are held at `rotations`; `reach`: a typical length, m.
+        """Equations of an equilibrium whose tubes are clamped at `rotations` (n,), rad.
 
-        Where the `sections` (from 0) are given of which the pieces are parts, words are of them."""
+        Args:
+            reach: typical length, m.
+            sections: section (P,) of each piece, from 0, for labels; by default labels count pieces.
+        """
         defect, theta, twist = self.ends
         tubes = [f"tube {i + 1}" for i in range(self.theta.shape[0])]
-        after, points = places_in_words(self.n_pieces, self.grid.degree, sections)
+        after, points = location_labels(self.n_pieces, self.grid.degree, sections)
         # theta(0) = alpha + |beta| w(0), the straight part below the plate under constant torque.
-        wound = self.transmission * self.twist[:, 0]
+        transmission_twist = self.transmission * self.twist[:, 0]
         return [
             equation("torsion equation", tubes, points, defect, 1.0),
             equation("continuity of rotation", tubes, after, self.theta[:, 1:] - theta[:, :-1], 1.0),
             equation("continuity of torsion", tubes, after, self.twist[:, 1:] - twist[:, :-1], 1 / reach),
-            equation("base rotation", tubes, None, self.theta[:, 0] - rotations - wound, 1.0),
+            equation("base rotation", tubes, None, self.theta[:, 0] - rotations - transmission_twist, 1.0),
             equation("torsion at the end", tubes, None, twist[:, -1], 1 / reach),
         ]
 
@@ -280,21 +301,22 @@ class TorsionModel:
 class Model(TorsionModel):
     """An arm with its shape, and b breakpoints.
 
-    q, p: (4, P - 1), (3, P - 1), where pieces but the first begin.  natural: (n, P) precurvature, of tubes made of
-    pieces 0, since `along` tells it.  present: (n, P).  gaps: (b,).  held: (n,) lengths from where the tubes are held
-    to the plate, m; `transmission` is that times kt and the mean of 1 / kt.
+    q, p: quaternions (4, P - 1) and positions (3, P - 1) where all pieces but the first begin.
+    natural: precurvature (n, P); 0 for tubes made of pieces, whose precurvature is in `along`.
+    present: 1 where a tube is present, (n, P).  distances: of breakpoints (b,), m, see `Layout.distance`.
+    clamp_distance: distance (n,) of the clamps from the plate, m; `transmission` is that times kt and the mean of 1/kt.
     """
 
     q: Any
     p: Any
     natural: Any
     present: Any
-    gaps: Any
-    held: Any
+    distances: Any
+    clamp_distance: Any
 
     @property
     def poses(self) -> tuple[Any, Any]:
-        """Quaternions (4, P) and positions (3, P) where the pieces begin."""
+        """Quaternions (4, P) and positions (3, P) where pieces begin."""
         return ca.horzcat(ca.DM([1, 0, 0, 0]), self.q), ca.horzcat(ca.DM.zeros(3), self.p)
 
     @cached_property
@@ -304,9 +326,9 @@ class Model(TorsionModel):
         return q, p
 
     def equations(self, rotations: Any, reach: float) -> list[Equation]:
-        """Those of the torsion, and of the shape."""
+        """Equations of torsion and shape, with `reach` as typical length, m."""
         q, p = self.pose_ends
-        after, _ = places_in_words(self.n_pieces, self.grid.degree)
+        after, _ = location_labels(self.n_pieces, self.grid.degree)
         return [
             *self.torsion_equations(rotations, reach),
             equation("continuity of orientation", list("wxyz"), after, self.q - q[:, :-1], 1.0),
@@ -314,25 +336,25 @@ class Model(TorsionModel):
         ]
 
     def at(self, value: Callable[[Any], Any]) -> Model:
-        """The numbers of this arm that `value` gives to its expressions."""
-        names = [name for name in self.__dataclass_fields__ if name not in ("grid", "place", "typical")]
+        """This arm in numbers; `value` evaluates an expression."""
+        names = [name for name in self.__dataclass_fields__ if name not in ("grid", "offsets", "bending_stiffness")]
         parts = {name: getattr(self, name) for name in names}
         numbers: dict[str, Any] = {
             name: None if part is None else np.array(value(part)).reshape(part.shape) for name, part in parts.items()
         }
-        for name in ("lengths", "gaps", "transmission", "held"):
+        for name in ("lengths", "distances", "transmission", "clamp_distance"):
             numbers[name] = numbers[name].ravel()
         return replace(self, **numbers)
 
 
-def places_in_words(pieces: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
-    """Words for where pieces but the first begin, and for all points; of the `sections` of which they are parts."""
+def location_labels(pieces: int, degree: int, sections: Sequence[int] | None = None) -> tuple[list[str], list[str]]:
+    """Labels of the starts of all pieces but the first, and of all points; by `sections` of the pieces if passed."""
     if sections is None:
         after = [f"after piece {k + 1}" for k in range(pieces - 1)]
         return after, [f"piece {k + 1}, point {c + 1}" for k in range(pieces) for c in range(degree)]
-    begun = [k - list(sections).index(section) for k, section in enumerate(sections)]
+    rank = [k - list(sections).index(section) for k, section in enumerate(sections)]
     points = [
-        f"section {section + 1}, point {begun[k] * degree + c + 1}"
+        f"section {section + 1}, point {rank[k] * degree + c + 1}"
         for k, section in enumerate(sections)
         for c in range(degree)
     ]
@@ -340,7 +362,7 @@ def places_in_words(pieces: int, degree: int, sections: Sequence[int] | None = N
 
 
 def equation(name: str, rows: list[str], columns: list[str] | None, expression: Any, scale: float) -> Equation:
-    """A matrix that is 0, with words for its entries by columns; a single column needs none."""
+    """Equation that a matrix is 0, with labels by rows and columns; a single column needs no label."""
     tails = [""] if columns is None else [f", {column}" for column in columns]
     labels = tuple(f"{name}, {row}{tail}" for tail in tails for row in rows)
     return Equation(name, labels, ca.vec(expression), scale)
@@ -348,15 +370,13 @@ def equation(name: str, rows: list[str], columns: list[str] | None, expression: 
 
 @lru_cache(maxsize=256)
 def mapped(name: str, grid: Grid, pieces: int) -> ca.Function:
-    """A function of `transcription.functions`, by name, for so many pieces side by side: one for all arms, and so are
-    its derivatives."""
+    """Function of `transcription.functions`, by name, mapped over pieces; arms share it and its derivatives."""
     function: ca.Function = getattr(functions, f"{name}_function")(grid)
     return function.map(pieces)
 
 
 def unknowns_of(grid: Grid, pieces: int) -> dict[str, tuple[int, int]]:
-    """Shapes of the columns of unknowns of an arm: theta and w where pieces begin, theta at their points, and the pose
-    where all pieces but the first begin; under load the bending moment where pieces begin, and at their points."""
+    """Shapes of the unknowns of an arm, by name; under load they include the bending moment."""
     n, degree = grid.n_tubes, grid.degree
     torsion = {"rotation": (n, pieces), "torsion": (n, pieces), "rotation inside": (n, pieces * degree)}
     pose = {"orientation": (4, pieces - 1), "position": (3, pieces - 1)}
@@ -364,39 +384,48 @@ def unknowns_of(grid: Grid, pieces: int) -> dict[str, tuple[int, int]]:
     return {**torsion, **pose, **(bending if grid.loaded else {})}
 
 
-def numbers_of(layout: Layout, column: Any = None) -> tuple[Any, Any, Any, Any]:
-    """length, gap, present and curved of a layout, as numbers, or read off the `column` of a parameter."""
-    parts = (layout.length, layout.gap, layout.present, layout.curved)
+class LayoutNumbers(NamedTuple):
+    """Matrices of a `Layout`, as numbers or expressions."""
+
+    length: Any
+    distance: Any
+    present: Any
+    curved: Any
+
+
+def layout_numbers(layout: Layout, column: Any = None) -> LayoutNumbers:
+    """Matrices of a layout, as numbers, or as parts of `column`, a parameter with `Layout.numbers`."""
+    parts = (layout.length, layout.distance, layout.present, layout.curved)
     if column is None:
-        return ca.DM(layout.length), ca.DM(layout.gap), ca.DM(layout.present), ca.DM(layout.curved)
-    stops = np.cumsum([0, *(part.size for part in parts)]).tolist()
-    own = ca.vertsplit(column, stops)
-    length, gap, present, curved = (ca.reshape(own[k], *part.shape) for k, part in enumerate(parts))
-    return length, gap, present, curved
+        return LayoutNumbers(*(ca.DM(part) for part in parts))
+    columns = ca.vertsplit(column, np.cumsum([0, *(part.size for part in parts)]).tolist())
+    return LayoutNumbers(*(ca.reshape(own, *part.shape) for own, part in zip(columns, parts, strict=True)))
 
 
-def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
-    """The arm with these unknowns, as matrices, on a layout's `numbers`, with these joint values and dimensions.
+def model_of(grid: Grid, numbers: LayoutNumbers, unknowns: tuple[Any, ...], inputs: Mapping[str, Any]) -> Model:
+    """The arm with unknowns as matrices, in the order of `unknowns_of`, at joint values and dimensions.
 
-    `inputs` has also the `place` of eccentric tubes, and the `chain` of tubes made of pieces, with their PIECES.
+    Args:
+        inputs: joint values and dimensions by name, the `offsets` of eccentric tubes, and the `chain` of tubes made of
+            pieces with their PIECES.
     """
-    length, gap, present, curved = numbers
-    held, transition, end = places(inputs["translations"], inputs["straight_length"], inputs["curved_length"])
+    length, distance, present, curved = numbers
+    clamped, transition, end = places(inputs["translations"], inputs["straight_length"], inputs["curved_length"])
     chain, pieces = inputs.get("chain"), present.shape[1]
-    stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, held
+    stiffness, moment, natural, along, transmission = None, None, ca.DM.zeros(present.shape), None, clamped
     if chain is None:
-        where = ca.vertcat(transition, end)
-        lengths = length @ where
+        positions = ca.vertcat(transition, end)
+        lengths = length @ positions
         kb = ca.repmat(inputs["bending_stiffness"], 1, pieces)
         # Masks are numbers, so the expression is the same for every order of breakpoints.
         natural = ca.repmat(inputs["curvature"], 1, pieces) * curved
         stiffness, moment = kb * present, kb * natural
     else:
         laid = panels(chain, inputs)
-        where = ca.vertcat(transition, end, *joints(chain, laid, held))
-        lengths = length @ where
-        transmission = transmissions(chain, laid, (held, curved[:, 0]), inputs["torsional_stiffness"])
-        along = columns(chain, laid, (curved, present), (held, ca.vertcat(0, ca.cumsum(lengths))))
+        positions = ca.vertcat(transition, end, *joints(chain, laid, clamped))
+        lengths = length @ positions
+        transmission = transmissions(chain, laid, clamped, curved[:, 0], inputs["torsional_stiffness"])
+        along = columns(chain, laid, curved, present, clamped, ca.vertcat(0, ca.cumsum(lengths)))
     theta, twist, inner, q, p = unknowns[:5]
     return Model(
         grid,
@@ -411,9 +440,9 @@ def model_of(grid: Grid, numbers: tuple[Any, ...], unknowns: tuple[Any, ...], in
         natural=natural,
         present=present,
         lengths=lengths,
-        gaps=gap @ where,
+        distances=distance @ positions,
         transmission=transmission,
-        held=held,
-        place=inputs.get("place", ()),
+        clamp_distance=clamped,
+        offsets=inputs.get("offsets", ()),
         along=along,
     )

@@ -1,7 +1,7 @@
 """The torsion of an arm in a nonlinear program: its unknowns and equations, on the mesh of a reduced problem.
 
-What is given of the arm are parameters of the program or expressions of its other variables, so that one program serves
-all arms of one structure.
+Constants of the arm are parameters of the program or expressions of its other variables, so that one program serves all
+arms of one structure.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from ...typing import Array
 from .arm import Profile, rotations_at
-from .chain import at_points, width
+from .chain import column_length, interpolated_columns
 from .collocated import Grid
 from .model import TorsionModel, unknowns_of
 from .reduced import ReducedProblem
@@ -26,7 +26,7 @@ class Program(Protocol):
     """A nonlinear program under construction."""
 
     def variable(self, name: str, size: int = 1, *, guess: ArrayLike = 0.0, scale: ArrayLike = 1.0) -> Any:
-        """A column of `size` unknowns."""
+        """Column of `size` unknowns."""
 
     def subject_to(
         self,
@@ -37,40 +37,41 @@ class Program(Protocol):
         scale: ArrayLike = 1.0,
         entries: Sequence[str] | None = None,
     ) -> None:
-        """Demand 0 <= expression <= upper; `entries` are words for each row."""
+        """Constrain 0 <= expression <= upper; `entries` are the labels of its rows."""
 
     def parameter(self, name: str, value: ArrayLike) -> Any:
-        """A column of numbers that may be changed between solves."""
+        """Column of numbers that may be changed between solves."""
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Give a parameter other numbers."""
+        """Set the numbers of a parameter."""
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Start the next solve there."""
+        """Set the start of a variable."""
 
     def rename(self, name: str, entries: Sequence[str]) -> None:
-        """Give the rows of a constraint other words."""
+        """Set the labels of the rows of a constraint."""
 
     def enter(self, block: Any) -> str:
-        """Take note of a block, which can be asked about its solution; returns what to call it."""
+        """Register a block, whose breakpoints the program may reorder; returns its default name."""
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What makes the arms of two problems the same program but for numbers: the section (from 0) of each piece, and
-    whether its torsion is more than linear."""
+    """Structure of an arm in a program: arms of equal structure share a program and differ in its parameters."""
 
     grid: Grid
     section: tuple[int, ...]
+    """Section of each piece, from 0."""
     coupled: tuple[bool, ...]
+    """True for pieces whose torsion is more than linear."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """Of what is given of an arm, by its name in `TorsionModel`."""
+        """Shapes of the constants of an arm, by their names in `TorsionModel`."""
         n, pieces = self.grid.n_tubes, len(self.section)
         shapes = {"transmission": (n, 1), "lengths": (pieces, 1), "torsional_stiffness": (n, pieces)}
         if self.grid.detail:
-            return {**shapes, "along": (width(n, self.grid.detail), pieces)}
+            return {**shapes, "along": (column_length(n, self.grid.detail), pieces)}
         shapes |= {"stiffness": (n, pieces), "moment": (n, pieces)}
         return {**shapes, **({"offset": (n, 1), "angle": (n, 1)} if self.grid.eccentric else {})}
 
@@ -84,7 +85,7 @@ def structure_of(problem: ReducedProblem) -> Structure:
 
 
 def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
-    """What is given of the arm of a problem, each by columns."""
+    """Constants of the arm of a problem by name, each by columns."""
     assembly, mesh = problem.assembly, problem.mesh
     if assembly.general:
         kt = assembly.held_stiffness
@@ -92,9 +93,9 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
             "transmission": problem.here.transmission * kt,
             "lengths": mesh.length,
             "torsional_stiffness": np.tile(kt, len(mesh.length)),
-            "along": at_points(problem.here.sections, mesh.tableau.nodes),
+            "along": interpolated_columns(problem.here.sections, mesh.tableau.nodes),
         }
-    place = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
+    offsets = {"offset": assembly.offset, "angle": assembly.offset_angle} if assembly.eccentric else {}
     stiffness, moment = problem.on_pieces
     return {
         "transmission": assembly.transmission,
@@ -102,46 +103,47 @@ def torsion_numbers(problem: ReducedProblem) -> dict[str, Array]:
         "stiffness": stiffness.ravel(),
         "moment": moment.ravel(),
         "torsional_stiffness": np.tile(assembly.torsional_stiffness, len(mesh.length)),
-        **place,
+        **offsets,
     }
 
 
-def torsion_given(program: Program, structure: Structure, own: Mapping[str, Any]) -> dict[str, Any]:
-    """What is given of an arm, by name: `own` are expressions of the program, the rest parameters, all 0."""
-    inputs = dict(own)
+def torsion_constants(program: Program, structure: Structure, expressions: Mapping[str, Any]) -> dict[str, Any]:
+    """Constants of an arm by name: `expressions` of the program, the others as parameters with the value 0."""
+    constants = dict(expressions)
     for name, (rows, columns) in structure.shapes.items():
-        if name not in own:
-            inputs[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
-    return inputs
+        if name not in expressions:
+            constants[name] = ca.reshape(program.parameter(name, np.zeros(rows * columns)), rows, columns)
+    return constants
 
 
-def add_torsion(program: Program, structure: Structure, rotations: Any, own: Mapping[str, Any]) -> TorsionModel:
-    """Add the torsion of an arm whose tubes are held at `rotations` (n,): a square system if all is given.
+def add_torsion(program: Program, structure: Structure, rotations: Any, expressions: Mapping[str, Any]) -> TorsionModel:
+    """Add the torsion of an arm whose tubes are clamped at `rotations` (n,): as many equations as unknowns.
 
-    Of what is given of it `own` are expressions of the program; the rest become parameters, of the same names.
+    Args:
+        expressions: constants of the arm that are expressions of the program, by name; the others become parameters.
     """
-    inputs = torsion_given(program, structure, own)
-    place = tuple(inputs.pop(name) for name in ("offset", "angle") if name in inputs)
-    inputs = {"stiffness": None, "moment": None, "along": None, **inputs}
+    constants = torsion_constants(program, structure, expressions)
+    offsets = tuple(constants.pop(name) for name in ("offset", "angle") if name in constants)
+    constants = {"stiffness": None, "moment": None, "along": None, **constants}
     theta, twist, inner = (
         ca.reshape(program.variable(name, rows * columns), rows, columns)
         for name, (rows, columns) in list(unknowns_of(structure.grid, len(structure.section)).items())[:3]
     )
-    arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, place=place, **inputs)
+    arm = TorsionModel(structure.grid, theta=theta, twist=twist, inner=inner, offsets=offsets, **constants)
     for each in arm.torsion_equations(rotations, 1.0, structure.section):
         program.subject_to(each.name, each.expression, upper=0.0, entries=each.entries)
     return arm
 
 
 def torsion_guess(problem: ReducedProblem, profile: Profile) -> dict[str, Array]:
-    """The unknowns of an arm, by name and by columns, at a torsion profile on the same mesh."""
+    """Start of the unknowns of an arm by name, by columns, from a torsion profile on the same mesh."""
     theta = rotations_at(problem, profile, tuple(problem.mesh.tableau.nodes.tolist()))
     twist = profile.torque / problem.assembly.held_stiffness
     return {"rotation": profile.rotation.ravel(), "torsion": twist.ravel(), "rotation inside": theta.ravel()}
 
 
-def ease_at_plate(problem: ReducedProblem) -> Array:
-    """(n,) how much softer in torsion tubes made of pieces are at the plate than where they are held."""
+def compliance_ratio_at_plate(problem: ReducedProblem) -> Array:
+    """Torsional compliance (n,) of tubes made of pieces at the plate, relative to that at the clamp."""
     assert problem.assembly.lengthwise is not None
-    here = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
-    return np.asarray(problem.assembly.held_stiffness / here)
+    stiffness = problem.assembly.lengthwise.values(problem.assembly.transmission[None])[1][0]
+    return np.asarray(problem.assembly.held_stiffness / stiffness)
