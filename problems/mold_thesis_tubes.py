@@ -13,7 +13,8 @@ from pathlib import Path
 
 import tubeopt
 from tubeopt.shaping import rank_mold_materials
-from tubeopt.show.plots.mold import plot_materials, plot_mold, plot_setup_sheet
+from tubeopt.show.plots.mold import plot_materials, plot_mold
+from tubeopt.show.plots.sheets import plot_setup_sheet
 
 ROOT = Path(__file__).resolve().parents[1]
 ROBOTS = ROOT / "configs" / "robots"

@@ -21,7 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from tests.command_line import COLOUR, Outcome, Run
 from tubeopt.cli.app import main
 from tubeopt.show.page import WIDTH
-from tubeopt.show.plots import shape, style
+from tubeopt.show.plots import scene, style
 from tubeopt.show.plots.trajectory import save_film
 from tubeopt.show.surfaces import Detail, plate_part, robot_parts
 from tubeopt.solvers.compiled.library import cache_directory
@@ -137,8 +137,8 @@ def draw_quickly(patch: pytest.MonkeyPatch) -> None:
     they take a third of the time."""
     patch.setattr(style, "DPI", 50)
     patch.setitem(style.RC, "pdf.fonttype", 3)
-    patch.setattr(shape, "robot_parts", lambda arm, _, window: robot_parts(arm, Detail(8, 30, even=True), window))
-    patch.setattr(shape, "plate_part", lambda radius, **_: plate_part(radius, sides=32))
+    patch.setattr(scene, "robot_parts", lambda arm, _, window: robot_parts(arm, Detail(8, 30, even=True), window))
+    patch.setattr(scene, "plate_part", lambda radius, **_: plate_part(radius, sides=32))
     lay_out_once(patch)
 
 

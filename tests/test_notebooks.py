@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 SMALL = """
-from tubeopt.show.plots import figure, style
-figure.SCREEN_DPI, style.LAYOUT_PASSES = 30, 1
+from tubeopt.show.plots import figure, layout
+figure.SCREEN_DPI, layout.MAX_PASSES = 30, 1
 del figure, style
 """
 """What is compared is text: pictures are small, and laid out once."""

@@ -16,7 +16,8 @@ from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_
 from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, solid_off_curve
 from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.fabrication_report import MandrelReport
-from tubeopt.show.plots.mold import plot_mandrel, plot_mandrel_sheet
+from tubeopt.show.plots.mold import plot_mandrel
+from tubeopt.show.plots.sheets import plot_setup_sheet
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("manifold3d")
@@ -140,7 +141,7 @@ def test_pictures(name: str, tmp_path: Path) -> None:
     """Of one that is turned, and of one that is printed."""
     mandrel = plan_mandrel(TUBES[name], MoldSpec(springback=BACK))
     plot_mandrel(mandrel, tmp_path / "mandrel.png")
-    plot_mandrel_sheet(mandrel, tmp_path / "setup.png")
+    plot_setup_sheet(mandrel, tmp_path / "setup.png")
     assert all((tmp_path / name).stat().st_size > 10_000 for name in ("mandrel.png", "setup.png"))
 
 

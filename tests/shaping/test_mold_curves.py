@@ -28,7 +28,7 @@ from tubeopt import (
 )
 from tubeopt.shaping import Springback, write_mold
 from tubeopt.shaping.mold.gcode import groove_gcode, toolpath_deviation
-from tubeopt.show.plots.mold import plot_setup_sheet
+from tubeopt.show.plots.sheets import plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")
 trimesh = pytest.importorskip("trimesh")

@@ -26,7 +26,8 @@ from tubeopt.shaping.mold.files import (
 )
 from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode, toolpath_deviation
 from tubeopt.shaping.mold.groove import Arc
-from tubeopt.show.plots.mold import plot_mold, plot_setup_sheet
+from tubeopt.show.plots.mold import plot_mold
+from tubeopt.show.plots.sheets import plot_setup_sheet
 
 ezdxf = pytest.importorskip("ezdxf")
 trimesh = pytest.importorskip("trimesh")

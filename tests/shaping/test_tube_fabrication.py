@@ -15,7 +15,7 @@ from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
-from tubeopt.show.plots.mold import before, safety, sheet_numbers, time_line
+from tubeopt.show.plots.sheets import heating_numbers, preparation, safety, time_line
 
 from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
@@ -68,9 +68,9 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert len(seen) == 5
     for time, value in seen:
         assert value == pytest.approx(np.interp(time, plan.time, middle), abs=1.5)
-    current = dict(sheet_numbers(made_of(plan)))["current while on / rms of 10 s (A)"]
+    current = heating_numbers(made_of(plan))["current while on / rms of 10 s (A)"]
     assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
-    words = " ".join(before(made_of(plan)) + safety(plan))
+    words = " ".join(preparation(made_of(plan)) + safety(plan))
     assert f"{plan.rig.battery.voltage:.2f} V" in words
     assert "Polarity: battery plus, fuse, proximal clamp" in words
 

@@ -23,9 +23,10 @@ from tubeopt.runs.heating_study import LedHeating
 from tubeopt.shaping import plan_mandrel, rank_mold_materials
 from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.page import TITLED, WIDTH
-from tubeopt.show.plots import style
-from tubeopt.show.plots.figure import faults
+from tubeopt.show.plots import layout, style
+from tubeopt.show.plots.labels import note
 from tubeopt.show.plots.style import entitle, headed, new_figure, picture
+from tubeopt.show.plots.texts import faults
 
 ROOT = Path(__file__).resolve().parents[2]
 TURN = np.radians([200.0, 30.0, 0.0])
@@ -72,6 +73,7 @@ def drawings() -> dict[str, Callable[[], Any]]:
     from tubeopt.show.plots import mold as molds
     from tubeopt.show.plots import workspace
     from tubeopt.show.plots.heating import plot_wiring
+    from tubeopt.show.plots.sheets import plot_setup_sheet
 
     robot = pose().robot
     loaded = tubeopt.forward_kinematics(robot, TURN, load=tubeopt.Load(force=(0.01, 0.0, 0.02)))
@@ -89,7 +91,7 @@ def drawings() -> dict[str, Callable[[], Any]]:
         "energy": lambda: plots.plot_energy_maps([tubeopt.energy_map(pair(), [2.0, 0.0], samples=7)] * 2),
         "workspace": lambda: workspace.plot_workspace(tubeopt.workspace(robot, samples=60, seed=1)),
         "mold": lambda: molds.plot_mold(mold()),
-        "setup sheet": lambda: molds.plot_setup_sheet(mold()),
+        "setup sheet": lambda: plot_setup_sheet(mold()),
         "materials": lambda: molds.plot_materials(rank_mold_materials(robot.tubes[0])),
         "mandrel": lambda: molds.plot_mandrel(plan_mandrel(helix())),
         "wiring": lambda: plot_wiring(led()),
@@ -128,7 +130,7 @@ def test_no_text_overlaps_another_or_is_clipped(kind: str, width_mm: float) -> N
 def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """What is wrong with pictures that are drawn meanwhile, each at three widths; nothing is saved."""
     found: list[str] = []
-    fitted = style.fitted
+    fitted = layout.fitted
 
     def _fitted(draw: Callable[[], Any]) -> Any:
         for width_mm in (60, 88, 180):
@@ -138,7 +140,7 @@ def measured(patch: pytest.MonkeyPatch) -> Iterator[list[str]]:
             found.extend(f"{heading} at {width_mm} mm: {fault}" for fault in faults(figure))
         return figure
 
-    patch.setattr(style, "fitted", _fitted)
+    patch.setattr(layout, "fitted", _fitted)
     patch.setattr(style, "saved", lambda figure, _: figure)
     with page(60):
         yield found
@@ -186,6 +188,34 @@ def test_faults_are_found() -> None:
     figure.text(0.5, 0.5, "two")
     figure.text(0.95, 0.2, "outside")
     assert [fault.kind for fault in faults(figure)] == ["high", "clipped", "overlap"]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_text_in_the_area_of_another_panel_is_found(order: int) -> None:
+    """Drawn below the other panel, whose face hides it, or above it."""
+    figure = new_figure(4.0, 3.0)
+    left, right = figure.subplots(1, 2)
+    right.set_zorder(order)
+    left.text(0.9, 0.5, "a text as long as it is wide")
+    inset = right.inset_axes((0.5, 0.5, 0.4, 0.4))
+    inset.text(0.5, 0.5, "in its own panel")
+    right.set_title("neighbour", loc="left")
+    assert [str(fault) for fault in faults(figure)] == ["covered: 'a text as long as it is wide' and 'neighbour'"]
+
+
+@picture
+def neighbours(words: str) -> Any:
+    """Two panels, of which the left one names a point beside the right one."""
+    figure = new_figure(4.0, 3.0)
+    left, right = figure.subplots(1, 2)
+    left.set(xlim=(0, 1), ylim=(0, 1))
+    note(left, words, (0.9, 0.5), (5.0, 0.0)).set_in_layout(False)
+    right.plot([0, 1], [0, 1])
+    return figure
+
+
+def test_names_are_moved_out_of_other_panels() -> None:
+    assert faults(neighbours("a long name")) == []
 
 
 def test_what_is_crowded_is_relieved() -> None:

@@ -18,10 +18,10 @@ from tests.conftest import LAID_OUT
 from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, Tube, forward_kinematics, load_robot
 from tubeopt.robots.load import PointLoad
 from tubeopt.show.plots import plot_shape, plot_shapes, plot_torsion, save_figure, tube_colour
-from tubeopt.show.plots.shape import breakpoints, pushes, robot_mesh
+from tubeopt.show.plots.scene import SWEEPING, load_arrows, robot_mesh
+from tubeopt.show.plots.shape import breakpoints
 from tubeopt.show.plots.stage import Box, Mesh, View, facets_of, rule_step, widest_view
 from tubeopt.show.plots.style import number
-from tubeopt.show.plots.trajectory import SWEEPING
 from tubeopt.show.surfaces import Centreline, ring_surface, robot_parts, tube_surface, visible
 
 ROBOT = ConcentricRobot(
@@ -269,8 +269,9 @@ def test_neither_display_nor_pyplot_is_needed(tmp_path: Path) -> None:
         "import sys\n"
         "from tubeopt import ConcentricRobot, Tube, forward_kinematics\n"
         "from tubeopt.show.plots import plot_shape, style\n"
-        "style.DPI, style.LAYOUT_PASSES = 50, 1\n"
         "assert 'matplotlib' not in sys.modules\n"
+        "from tubeopt.show.plots import layout\n"
+        "style.DPI, layout.MAX_PASSES = 50, 1\n"
         "robot = ConcentricRobot((Tube(2e-3, 1e-3, 0.02, 0.1, 20.0),))\n"
         "plot_shape(forward_kinematics(robot, (0.0,)), sys.argv[1])\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
@@ -307,7 +308,7 @@ def test_forces_are_drawn_and_named() -> None:
     """An arrow from the tip along the force as it is seen, and force and gravity in words."""
     load = Load((0.02, 0.03, 0.0), points=(PointLoad(0.05, (0.0, 0.01, 0.0), (0.0, 0.0, 0.002)),))
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=load)
-    tip, along, moment = pushes(arm)
+    tip, along, moment = load_arrows(arm)
     np.testing.assert_allclose(np.cross(moment.end - moment.start, (0.0, 0.0, 1.0)), 0.0, atol=1e-12)
     np.testing.assert_allclose(moment.start, along.start)
     np.testing.assert_allclose(tip[0], arm.tip_position)
@@ -325,7 +326,7 @@ def test_forces_are_drawn_and_named() -> None:
 
 def test_a_following_force_turns_with_the_tip_in_the_picture() -> None:
     arm = forward_kinematics(ROBOT, (0.0, 0.5, 1.0), load=Load((0.0, 0.0, 0.02), frame="tip"))
-    ((start, end, *_),) = pushes(arm)
+    ((start, end, *_),) = load_arrows(arm)
     np.testing.assert_allclose(np.cross(end - start, arm.tip_rotation[:, 2]), 0.0, atol=1e-12)
 
 
@@ -342,9 +343,9 @@ def test_a_load_per_length_is_a_comb_of_arrows_with_one_number() -> None:
     """Half as long as that of a force where it is largest, in proportion elsewhere; moments have two heads."""
     robot = load_robot("configs/robots/thesis_ctr.yaml")
     arm = forward_kinematics(robot, [0, 1, 2], load=Load(distributed=lambda s: (0, 0, 0, 0, 0.1 * s, 0)))
-    comb = pushes(arm)
+    comb = load_arrows(arm)
     length = float(arm.arc_length[-1])
-    assert [arrow.told for arrow in comb] == [False] * 9 + [True]
+    assert [arrow.labelled for arrow in comb] == [False] * 9 + [True]
     sizes = [float(np.linalg.norm(arrow.end - arrow.start)) for arrow in comb]
     assert sizes == pytest.approx([0.1 * length * (2 * k + 1) / 19 for k in range(10)])
     assert comb[-1].size == pytest.approx(0.1 * 0.95 * length)

@@ -10,7 +10,8 @@ from PIL import Image
 
 from tests.examples import MM, THESIS, eccentric_robot
 from tubeopt import IkSession, InputError, InverseOptions, inverse_kinematics
-from tubeopt.show.plots.workspace import TARGET, arc_length, plot_inverse, plot_targets
+from tubeopt.show.plots.scene import TARGET
+from tubeopt.show.plots.workspace import path_length, plot_inverse, plot_targets
 
 POINT = np.array([50.0, 30.0, 150.0]) * MM
 
@@ -44,7 +45,7 @@ def test_a_path_of_targets(tmp_path: Path) -> None:
     assert "a line: 3 targets" in figure.get_suptitle()
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[1:] == ["rotation (deg)", "translation (mm)", "margin"]
-    way = arc_length(np.array([each.target_position for each in found]))
+    way = path_length(np.array([each.target_position for each in found]))
     assert way[-1] == pytest.approx(2 * np.hypot(1e-3, 5e-4))
     margin = figure.axes[3].lines[0].get_ydata()
     np.testing.assert_allclose(margin, [each.margin for each in found])

@@ -335,7 +335,7 @@ def test_hysteresis_shows_tip_energy_and_margin(ways: tuple[Path, Path]) -> None
     forth, back = ways
     figure = plot_hysteresis((forth, back), angles_deg=ANGLES, axis="y", title="a turn")
     tip, energy, margin = figure.axes
-    assert [axes.get_ylabel() for axes in figure.axes] == ["tip y (mm)", "elastic energy (mJ)", "stability margin"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["tip y (mm)", "elastic energy (mJ)", "margin"]
     first = np.asarray(tip.lines[0].get_xydata(), dtype=float)
     np.testing.assert_allclose(first[5], [ANGLES[5], forth.equilibria[5].tip_position[1] * 1e3])
     for axes, values in (

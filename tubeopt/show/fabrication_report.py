@@ -132,7 +132,7 @@ class MoldReport(Report[RobotMold]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write mold.json, base and lid as DXF, SVG, STL and G-code, and the set-up sheet setup.pdf."""
-        from .plots.mold import plot_setup_sheet
+        from .plots.sheets import plot_setup_sheet
 
         paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
         plot_setup_sheet(self.answer.mold, directory / "setup.pdf", title=self.answer.name)
@@ -343,10 +343,10 @@ class MandrelReport(Report[Mandrel]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write mandrel.json and mandrel.stl, of a turned one mandrel.csv and mandrel.nc, and the sheet setup.pdf."""
-        from .plots.mold import plot_mandrel_sheet
+        from .plots.sheets import plot_setup_sheet
 
         paths = [self.save_record(directory), *write_mandrel(self.answer, directory)]
-        plot_mandrel_sheet(self.answer, directory / "setup.pdf")
+        plot_setup_sheet(self.answer, directory / "setup.pdf")
         return [*paths, directory / "setup.pdf"]
 
 
@@ -426,7 +426,7 @@ class FabricationReport(Report[Fabrication]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write robot.yaml, fabrication.json, and for tube N mold/, heating/, rig.yaml and sheet.pdf in tube_N/."""
-        from .plots.mold import plot_fabrication_sheet
+        from .plots.sheets import plot_fabrication_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]

@@ -1,4 +1,4 @@
-"""Width, title and colours of pictures."""
+"""Settings of pictures that hold for all of them: width, headings, fonts and colours."""
 
 from __future__ import annotations
 
@@ -7,36 +7,49 @@ from contextvars import ContextVar
 import numpy as np
 
 WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
-"""Of pictures, m, where they are to be laid out anew for a page; letters keep their size. None leaves each as it is."""
+"""Width of pictures for a page, m; letters keep their size. None: every picture has its own width."""
+
+NARROW = 0.12
+"""Width of a picture, m, below which it is laid out for a column, with half as many rules on its scales."""
+
+
+def narrow() -> bool:
+    """Whether pictures are laid out for a column."""
+    width = WIDTH.get()
+    return width is not None and width < NARROW
+
 
 TITLED: ContextVar[bool] = ContextVar("TITLED", default=True)
-"""Whether pictures have a heading; a paper has a caption below."""
+"""Whether pictures have headings; a paper has captions instead."""
 
 HEADINGS: ContextVar[list[str] | None] = ContextVar("HEADINGS", default=None)
-"""Where pictures without a heading leave it, for their captions."""
+"""List that collects the headings of pictures drawn without them, for captions; None: not collected."""
 
 FONTS: ContextVar[tuple[str, ...]] = ContextVar("FONTS", default=())
-"""Families of letters, the best first; of those that are not installed the next is taken."""
+"""Font families in order of preference; those not installed are skipped."""
 
 SCALE = "scale"
-"""`gid` of the numbers along the edges of a scene, of which some may be left out."""
+"""`gid` of the numbers along the edges of a scene, some of which may be hidden."""
+
+INK = "#222222"
+FAINT = "#8A8A8A"
 
 
 Colour = tuple[int, int, int]
-"""Red, green and blue from 0 to 255."""
+"""Red, green and blue, 0 to 255."""
 
 TUBE_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#E69F00", "#CC79A7", "#56B4E9")
-"""Tubes, inner to outer; from the palette of Okabe and Ito (2008), told apart with any kind of colour vision."""
+"""Colours of tubes, inner to outer, distinct for every kind of colour vision (Okabe and Ito, 2008)."""
 
 
 def tube_colour(index: int) -> str:
-    """Colour of the tube with this index (0 is the innermost), as #RRGGBB."""
+    """Colour #RRGGBB of a tube; index 0 is the innermost."""
     # From the seventh tube on colours repeat.
     return TUBE_COLOURS[index % len(TUBE_COLOURS)]
 
 
 def rgb(colour: str) -> Colour:
-    """#RRGGBB as three numbers from 0 to 255."""
+    """Colour of a text #RRGGBB."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return red, green, blue
 

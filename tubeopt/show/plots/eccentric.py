@@ -1,4 +1,4 @@
-"""What an eccentric robot reaches, and how little it matters which of its tubes does what."""
+"""Pictures of eccentric robots: reached tips, and the effect of permuting the tubes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..page import tube_colour
 from ..surfaces import Centreline
-from .shape import draw_plate
+from .labels import note
+from .scene import draw_plate
 from .stage import View
 from .style import FAINT, INK, Axes, Figure, colour_bar, headed, new_figure, number, picture
 
@@ -30,15 +31,15 @@ class Curve:
     """A line in space, coloured by values."""
 
     points: Array
-    """(k, 3) m."""
+    """(k, 3) positions, m."""
     value: Array | float
-    """(k,), or one for all."""
+    """(k,) values, or one for all points."""
     tip: bool = True
-    """Whether its end is a tip."""
+    """Its end is a tip."""
 
 
 def arm_curve(equilibrium: Equilibrium, value: float) -> Curve:
-    """The centreline of an equilibrium as a smooth curve of one colour."""
+    """Centreline of an equilibrium as a smooth curve of one colour."""
     line = Centreline(equilibrium)
     return Curve(line.position(np.linspace(0.0, line.length, ARM_POINTS)), value)
 
@@ -55,7 +56,7 @@ def plot_reach(
     """Figure of many arms, or of curves of tips: in space, from above, and in the half-plane through z.
 
     Args:
-        curves: what to draw, coloured by their values.
+        curves: lines, coloured by their values.
         title: heading.
         label: name of the values, with their unit.
         view: elevation and azimuth of the viewer of the scene, deg.
@@ -75,7 +76,7 @@ def plot_reach(
     _draw_curves(scene, [(curve, seen.project(curve.points)) for curve in curves], scale, opacity)
     flat = [(curve, curve.points * TO_MM) for curve in curves]
     _draw_curves(above, flat, scale, opacity)
-    # A line around the axis is a point in the meridian: its mark is drawn there even where it is no tip.
+    # A line around the axis is a point in the half-plane: its mark is drawn even where it is no tip.
     _draw_curves(side, [(replace(curve, tip=True), _meridian(at)) for curve, at in flat], scale, opacity)
     for axes, across, up in ((above, "x (mm)", "y (mm)"), (side, "distance from the axis (mm)", "z (mm)")):
         axes.set(xlabel=across, ylabel=up)
@@ -86,13 +87,13 @@ def plot_reach(
 
 
 def _meridian(points: Array) -> Array:
-    """Points (k, 3) turned about z into one plane: distance from the axis, height, and nothing towards the viewer."""
+    """(k, 3) points turned about z into one plane: distance from the axis, height, and 0 towards the viewer."""
     distance = np.hypot(points[:, 0], points[:, 1])
     return np.column_stack([distance, points[:, 2], np.zeros(len(points))])
 
 
 def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Normalize, opacity: float) -> None:
-    """Curves as (curve, its points (k, 3) as seen, mm), pieces farther from the viewer first; then the tips."""
+    """Draw curves with their points (k, 3) as seen, mm, farther pieces first; then the tips."""
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
@@ -115,55 +116,51 @@ def _draw_curves(axes: Axes, curves: Sequence[tuple[Curve, Array]], scale: Norma
 
 @dataclass(frozen=True, eq=False)
 class Permutations:
-    """What `permuted_tips` gives for one mirror actuation, and how far tips get from the reference elsewhere."""
+    """Tips of one mirror actuation with the tubes in every order, and largest deviations of tips elsewhere."""
 
     tips: Array
-    """(6, 3) of the assignments, m."""
+    """(6, 3) tips of the assignments, m."""
     reference: Array
-    """(3,) tip at d = 0, m."""
+    """(3,) tip at offset d = 0, m."""
     names: Sequence[str]
-    """Of the assignments, six."""
+    """Names of the six assignments."""
     frame: Array
-    """(3, 3) of the tip: the picture looks along its last column."""
+    """(3, 3) frame of the tip, seen along its last column."""
     separation: Array
-    """(k,) rad."""
+    """(k,) separations of the deviations, rad."""
     deviation: Array
     """(k,) largest distance from the reference over all directions, m."""
     shown: float
-    """Separation of the tips that are drawn, rad."""
+    """Separation of the drawn tips, rad."""
     published: tuple[float, str]
-    """A published largest distance, m, and who says so."""
+    """Published largest distance, m, and its source."""
 
 
 @picture
 def plot_permutations(data: Permutations, *, title: str, arms: Sequence[Equilibrium] = ()) -> Figure:
-    """Picture of the six tips of one mirror actuation around that of the robot at d = 0, and of the largest distance.
+    """Picture of the six tips of one mirror actuation around the tip at d = 0, and of the largest distance.
 
     Args:
         title: heading.
-        arms: the six and the reference, for a picture at true scale.
+        arms: the six arms and the reference, drawn to scale.
     """
     figure = new_figure(7.4, 3.3)
     headed(figure, title)
     scene, hexagon, curve = figure.subplots(1, 3, width_ratios=[1.0, 1.15, 1.45])
-    _draw_arms(scene, arms)
+    # In the meridian of their bend, where nobody can tell the arms apart.
+    for k, arm in enumerate(arms):
+        x, y, _ = _meridian(arm_curve(arm, 0.0).points * TO_MM).T
+        scene.plot(x, y, color=tube_colour(k) if k < 6 else INK, lw=1.2, ls="-" if k < 6 else ":")
+    scene.set(xlabel="distance from the axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
+    scene.set_aspect("equal")
     _draw_hexagon(hexagon, data)
     _draw_deviation(curve, data)
     return figure
 
 
-def _draw_arms(axes: Axes, arms: Sequence[Equilibrium]) -> None:
-    """All arms in the meridian of their bend, where nobody can tell them apart."""
-    for k, arm in enumerate(arms):
-        seen = _meridian(arm_curve(arm, 0.0).points * TO_MM)
-        axes.plot(seen[:, 0], seen[:, 1], color=tube_colour(k) if k < 6 else INK, lw=1.2, ls="-" if k < 6 else ":")
-    axes.set(xlabel="distance from the axis (mm)", ylabel="z (mm)", title="all seven arms, to scale")
-    axes.set_aspect("equal")
-
-
 def _draw_hexagon(axes: Axes, data: Permutations) -> None:
-    """The tips in the plane across the tip of the arm, in micrometres from the reference."""
-    # Components along the first two axes of the section: differences along the arm are not seen.
+    """Draw the tips in the plane across the arm, in micrometres from the reference."""
+    # Components along the first two axes of the cross-section: differences along the arm are not seen.
     seen = (data.tips - data.reference) @ data.frame[:, :2] * MICRO
     # By angle about the reference: otherwise the hexagon's outline would cross itself.
     order = np.argsort(np.arctan2(seen[:, 1], seen[:, 0]))
@@ -171,10 +168,9 @@ def _draw_hexagon(axes: Axes, data: Permutations) -> None:
     reach = float(np.abs(seen).max())
     for k, (at, name) in enumerate(zip(seen, data.names, strict=True)):
         axes.plot(*at, "o", ms=5, color=tube_colour(k))
-        outward = 14 * at / np.linalg.norm(at)
-        axes.annotate(name, at, outward, textcoords="offset points", ha="center", va="center", color=tube_colour(k))
+        note(axes, name, at, 7 * at / np.linalg.norm(at), colour=tube_colour(k))
     axes.plot(0, 0, "+", ms=8, mew=1.2, color=INK)
-    axes.annotate("d = 0", (0, 0), (7, 0), textcoords="offset points", ha="left", va="center")
+    note(axes, "d = 0", (0, 0), (7, 0))
     axes.set(xlim=(-1.6 * reach, 1.6 * reach), ylim=(-1.6 * reach, 1.6 * reach))
     axes.set(xlabel="across the arm (µm)", ylabel="across the arm (µm)")
     axes.set_title(f"tips at separation {number(float(np.degrees(data.shown)), 1)}°")
@@ -182,17 +178,16 @@ def _draw_hexagon(axes: Axes, data: Permutations) -> None:
 
 
 def _draw_deviation(axes: Axes, data: Permutations) -> None:
-    """Largest distance from the reference over separation, beside the published one."""
+    """Draw the largest distance from the reference over separation, and the published one."""
     x, y = np.degrees(data.separation), data.deviation * TO_MM
     axes.semilogy(x, y, color=tube_colour(2), lw=1.6)
     k = int(np.argmax(y))
     axes.plot(x[k], y[k], "o", color=tube_colour(2), ms=4)
-    largest = f"{y[k]:.4f} mm at {number(float(x[k]), 0)}°"
-    axes.annotate(largest, (x[k], y[k]), (0, 6), textcoords="offset points", ha="left", color=tube_colour(2))
+    note(axes, f"{y[k]:.4f} mm at {number(float(x[k]), 0)}°", (x[k], y[k]), (3, 6), colour=tube_colour(2))
     value, source = data.published
     axes.axhline(value * TO_MM, color=tube_colour(0), lw=1.2, ls="--")
     text = f"{source}: {number(value * TO_MM, 3)} mm"
-    axes.annotate(text, (x[0], value * TO_MM), (6, 4), textcoords="offset points", color=tube_colour(0))
+    note(axes, text, (x[0], value * TO_MM), (6, 4), colour=tube_colour(0))
     axes.set(xlabel="separation (deg)", ylabel="mm", title="largest distance from d = 0", xlim=(x[0], x[-1]))
     axes.set_ylim(bottom=1e-4, top=2 * value * TO_MM)
     axes.set_xticks(np.arange(x[0], x[-1] + 1, 30))

@@ -1,4 +1,4 @@
-"""Heatings: a plan over time and along the tube, one that a sensor leads, and how a calibrated rig fits its log."""
+"""Pictures of heatings: a plan, a controlled heating, a calibration, and the wiring."""
 
 from __future__ import annotations
 
@@ -15,18 +15,27 @@ from ...shaping.firmware.boards import Wiring, parts_list
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.heating.robust import Band
+from .labels import legend_above
+from .panels import Scale, draw_band, draw_bars, draw_over, share_x
 from .style import FAINT, INK, Axes, Figure, headed, narrow, new_figure, picture
 
 TUBE, IDEAL, WINDOW, BATTERY, COLD = "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#56B4E9"
 WINDOW_ALPHA = 0.16
 
+SMALL: dict[str, Any] = {"fontsize": 7, "columnspacing": 1.2}
+"""Look of the legends."""
+
+
+TEMPERATURE = Scale("temperature (°C)", low=0.0)
+
 
 @picture
 def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = "") -> Figure:
-    """Picture of a plan: temperature and duty over time, battery voltage, temperature along the tube as the hold ends.
+    """Picture of a plan: temperature, duty and battery voltage over time, and temperature along the tube.
 
     Args:
-        plan: what to draw. band: what it may do on uncertain rigs, drawn behind.
+        plan: result of `plan_heating`.
+        band: temperatures on uncertain rigs, drawn behind.
         title: heading; default the rig's name.
     """
     figure = new_figure(9.4, 6.4)
@@ -34,146 +43,124 @@ def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = ""
     over_time = figure.add_subplot(grid[0, 0])
     close, duty, battery = (figure.add_subplot(grid[k, 0], sharex=over_time) for k in (1, 2, 3))
     draw_temperature(over_time, plan, band)
-    _draw_close(close, plan)
+    _draw_hold(close, plan)
     draw_duty(duty, plan)
-    _draw_battery(battery, plan)
-    for axes in (over_time, close, duty):
-        axes.tick_params(labelbottom=False)
+    # Between pulses the battery recovers to its voltage at rest, which would hide the sag.
+    on = plan.duty > 0
+    draw_over(battery, plan.time[on], plan.voltage[on], VOLTAGE, color=BATTERY, lw=1.1)
+    share_x((over_time, close, duty, battery), plan.time)
     _draw_along(figure.add_subplot(grid[:, 1]), plan)
-    headed(figure, _heading(plan, title, band))
+    low, high = plan.spec.window_degC
+    verdict = plan.verdict
+    if band is not None:
+        verdict += f" by the rig of the file, and by {100 * band.probability:.0f} % of uncertain rigs"
+    window = f"{title or plan.rig.name or 'rig'}:  {low:g} to {high:g} °C for {plan.spec.hold_time:g} s: {verdict}"
+    curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
+    headed(figure, f"{window}\n{curved},  hottest point {plan.hottest:.1f} °C")
     return figure
 
 
-def _heading(plan: HeatingPlan, title: str, band: Band | None) -> str:
+VOLTAGE = Scale("battery,\nwhile on (V)", min_span=0.2)
+DUTY = Scale("duty (of 255)", low=0.0)
+
+
+def _draw_window(axes: Axes, plan: HeatingPlan, *, name: bool = True) -> None:
+    """Draw the temperature window and the limit."""
     low, high = plan.spec.window_degC
-    wanted = f"{low:g} to {high:g} °C for {plan.spec.hold_time:g} s"
-    kept = plan.verdict
-    if band is not None:
-        kept += f" by the rig of the file, and by {100 * band.probability:.0f} % of uncertain rigs"
-    curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
-    return f"{title or plan.rig.name or 'rig'}:  {wanted}: {kept}\n{curved},  hottest point {plan.hottest:.1f} °C"
+    axes.axhspan(low, high, color=WINDOW, alpha=WINDOW_ALPHA, lw=0, label="window" if name else None)
+    axes.axhline(plan.spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit" if name else None)
 
 
-def _window(axes: Axes, plan: HeatingPlan, *, label: bool = True) -> None:
-    low, high = plan.spec.window_degC
-    axes.axhspan(low, high, color=WINDOW, alpha=WINDOW_ALPHA, lw=0, label="window" if label else None)
-    axes.axhline(plan.spec.limit, color=INK, lw=0.8, ls=(0, (5, 3)), label="limit" if label else None)
-
-
-def _legend_above(axes: Axes, columns: int) -> None:
-    """Put the legend above the axes, where it hides no curve."""
-    axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, fontsize=7, borderaxespad=0.1, columnspacing=1.2
-    )
+def _draw_curved_part(axes: Axes, plan: HeatingPlan, **look: Any) -> None:
+    """Draw the range of temperatures in the curved part, and lines where the hold starts and ends."""
+    curved = plan.temperature[:, plan.curved]
+    draw_band(axes, plan.time, curved.min(1), curved.max(1), TUBE, **look)
+    for at in (plan.hold_start, plan.hold_end):
+        axes.axvline(at, color=FAINT, lw=0.6, ls=":")
 
 
 def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) -> None:
-    """Curved part and clamps over time, with the window."""
-    _window(axes, plan)
+    """Draw curved part and clamps over time, with the window."""
+    _draw_window(axes, plan)
     if band is not None:
-        lower, upper = band.quantiles()
-        axes.fill_between(band.time, lower, upper, color=FAINT, alpha=0.3, lw=0, label="90 % of uncertain rigs")
-    curved = plan.temperature[:, plan.curved]
-    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, lw=1.2, label="curved part")
-    axes.plot(plan.time, plan.clamp_temperature, color=COLD, lw=1.0, label="clamps")
-    for at in (plan.hold_start, plan.hold_end):
-        axes.axvline(at, color=FAINT, lw=0.6, ls=":")
-    # What follows the hold is how the tube would cool in its mold; the table tells of the quench.
-    axes.annotate(
-        "not\nquenched", (1.0, 0.0), (-2, 10), "axes fraction", "offset points", fontsize=7, ha="right", color=INK
-    )
-    axes.set_ylabel("temperature (°C)")
-    axes.set(ylim=(0, None), xlim=(0, plan.time[-1]))
-    _legend_above(axes, 5)
+        draw_band(axes, band.time, *band.quantiles(), FAINT, name="90 % of uncertain rigs")
+    _draw_curved_part(axes, plan, name="curved part", alpha=1.0, width=1.2)
+    draw_over(axes, plan.time, plan.clamp_temperature, TEMPERATURE, name="clamps", color=COLD, lw=1.0)
+    # After the hold the curves are those of a tube that cools in its mold; the table has the quench.
+    corner: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "right"}
+    axes.annotate("not\nquenched", (1.0, 0.0), (-2, 10), fontsize=7, color=INK, **corner)
+    axes.set_xlim(0, plan.time[-1])
+    legend_above(axes, 5, **SMALL)
 
 
-def _draw_close(axes: Axes, plan: HeatingPlan) -> None:
-    """The window from near: counts against ideal duty."""
-    _window(axes, plan, label=False)
-    curved, ideal = plan.temperature[:, plan.curved], plan.ideal_temperature[:, plan.curved]
-    # With an edge, the band is seen where coldest and hottest place are equally warm; dashes leave it visible.
-    axes.fill_between(plan.time, curved.min(1), curved.max(1), color=TUBE, alpha=0.6, lw=1.4, label="counts")
-    axes.plot(plan.time, ideal.max(1), color=IDEAL, lw=0.8, ls=(0, (4, 2)), label="ideal duty, coldest and hottest")
-    axes.plot(plan.time, ideal.min(1), color=IDEAL, lw=0.8, ls=(0, (4, 2)))
-    for at in (plan.hold_start, plan.hold_end):
-        axes.axvline(at, color=FAINT, lw=0.6, ls=":")
+def _draw_hold(axes: Axes, plan: HeatingPlan) -> None:
+    """Draw the window enlarged: temperatures by counts, and by the ideal duty."""
+    _draw_window(axes, plan, name=False)
+    # With an edge, the band is seen where coldest and hottest point are equally warm; dashes leave it visible.
+    _draw_curved_part(axes, plan, name="counts", alpha=0.6, width=1.4)
+    ideal = plan.ideal_temperature[:, plan.curved]
+    for values, name in ((ideal.max(1), "ideal duty, coldest and hottest"), (ideal.min(1), "_")):
+        axes.plot(plan.time, values, color=IDEAL, lw=0.8, ls=(0, (4, 2)), label=name)
     low, high = min(plan.spec.window_degC[0], plan.lowest), max(plan.spec.limit, plan.hottest)
     axes.set_ylim(low - 0.25 * (high - low), high + 0.12 * (high - low))
     axes.set_ylabel("in the hold (°C)")
-    _legend_above(axes, 2)
+    legend_above(axes, 2, **SMALL)
 
 
 def draw_duty(axes: Axes, plan: HeatingPlan) -> None:
-    """Counts over time, and the ideal ones."""
+    """Draw counts over time, and the ideal duty."""
     # A count acts from its instant to the next: the value is after the step.
-    axes.step(plan.time, plan.duty, where="post", color=TUBE, lw=0.8, label="counts")
+    draw_over(axes, plan.time, plan.duty, DUTY, name="counts", color=TUBE, lw=0.8, drawstyle="steps-post")
     # The ideal duty is the mean of its slot, and belongs to the middle.
-    axes.plot(plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, color=IDEAL, lw=0.9, label="ideal")
-    axes.set_ylabel("duty (of 255)")
-    axes.set_ylim(0, None)
-    _legend_above(axes, 2)
-
-
-def _draw_battery(axes: Axes, plan: HeatingPlan) -> None:
-    # Between pulses the battery recovers to its voltage at rest, which would hide the sag.
-    on = plan.duty > 0
-    axes.plot(plan.time[on], plan.voltage[on], color=BATTERY, lw=1.1)
-    axes.set(ylabel="battery,\nwhile on (V)", xlabel="time (s)")
-    if on.any():
-        pad = max(0.1, 0.3 * float(np.ptp(plan.voltage[on])))
-        axes.set_ylim(plan.voltage[on].min() - pad, plan.voltage[on].max() + pad)
+    draw_over(axes, plan.time + 0.5 * plan.spec.slot, plan.ideal_duty, DUTY, name="ideal", color=IDEAL, lw=0.9)
+    legend_above(axes, 2, **SMALL)
 
 
 def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
+    """Draw temperature along the tube at both ends of the hold, with the names of the zones."""
     x = plan.position * TO_MM
-    # First and last instant of the hold.
     start, end = (int(np.flatnonzero(plan.in_hold)[k]) for k in (0, -1))
-    _window(axes, plan, label=False)
-    axes.plot(x, plan.temperature[start], color=COLD, lw=1.1, label="hold begins")
-    axes.plot(x, plan.temperature[end], color=TUBE, lw=1.4, label="hold ends")
-    axes.plot(x, plan.ideal_temperature[end], color=IDEAL, lw=0.8, ls="--", label="ideal duty")
-    _mark_zones(axes, plan)
-    axes.set(xlim=(0, float(x[-1] + x[0])), ylim=(0, 1.18 * plan.spec.limit))
-    axes.set(xlabel="along the tube, from the end of a clamp (mm)", ylabel="temperature (°C)")
-    _legend_above(axes, 3)
-
-
-def _mark_zones(axes: Axes, plan: HeatingPlan) -> None:
-    """Names of clamp, clearance, lead and curved part, and the lines between them."""
-    rig, tube = plan.rig, plan.tube
-    lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, tube.curved_length]
+    _draw_window(axes, plan, name=False)
+    for values, name, look in (
+        (plan.temperature[start], "hold begins", {"color": COLD, "lw": 1.1}),
+        (plan.temperature[end], "hold ends", {"color": TUBE}),
+        (plan.ideal_temperature[end], "ideal duty", {"color": IDEAL, "lw": 0.8, "ls": "--"}),
+    ):
+        draw_over(axes, x, values, TEMPERATURE, name=name, **look)
+    rig = plan.rig
+    lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, plan.tube.curved_length]
     edges = np.cumsum(lengths) * TO_MM
     # Clamp, clearance and lead lie on both sides of the curved part.
     total = float(2 * sum(lengths[:3]) + lengths[3]) * TO_MM
     for at in (*edges[:3], *(total - edges[:3])):
         axes.axvline(at, color=FAINT, lw=0.5, ls=":")
-    top = axes.get_xaxis_transform()
-    names: list[tuple[str, float]] = [
-        ("clamp", 0.5 * edges[0]),
-        ("bare", 0.5 * (edges[0] + edges[1])),
-        ("lead", 0.5 * (edges[1] + edges[2])),
-        ("curved part", 0.5 * total),
-    ]
-    style: dict[str, Any] = {"transform": top, "fontsize": 6, "color": INK, "ha": "center", "va": "top"}
-    for name, at in names:
-        axes.text(float(at), 0.985, name, rotation=0 if name == "curved part" else 90, **style)
+    middles = {"clamp": edges[0] / 2, "bare": edges[:2].mean(), "lead": edges[1:3].mean(), "curved part": total / 2}
+    style: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "fontsize": 6, "ha": "center", "va": "top"}
+    for name, at in middles.items():
+        axes.text(float(at), 0.985, name, rotation=0 if name == "curved part" else 90, color=INK, **style)
+    axes.set(xlim=(0, float(x[-1] + x[0])), ylim=(0, 1.18 * plan.spec.limit))
+    axes.set_xlabel("along the tube, from the end of a clamp (mm)")
+    legend_above(axes, 3, **SMALL)
 
 
 @picture
 def plot_rig_fit(fit: RigFit) -> Figure:
-    """Picture of a log and of what the rig predicts, before and after the calibration; a row for every channel."""
+    """Picture of a log and of the predictions before and after the calibration; a panel for every channel."""
     names = {"voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
     figure = new_figure(7.0, 1.1 + 1.9 * len(channels))
-    rows = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (name, logged) in zip(rows, channels.items(), strict=True):
+    panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, logged) in zip(panels, channels.items(), strict=True):
         zero = ZERO_CELSIUS if name.startswith("temperature") else 0.0
-        axes.plot(fit.log.time, logged - zero, ".", ms=3, color=INK, label="logged")
-        axes.plot(fit.log.time, fit.before[name] - zero, color=FAINT, lw=1.0, ls="--", label="rig file")
-        axes.plot(fit.log.time, fit.after[name] - zero, color=TUBE, lw=1.2, label="calibrated")
-        axes.set_ylabel(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
-    rows[0].legend(fontsize=7, ncols=3, loc="lower right")
-    rows[-1].set_xlabel("time (s)")
+        scale = Scale(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
+        for values, label, look in (
+            (logged, "logged", {"ls": "", "marker": ".", "ms": 3}),
+            (fit.before[name], "rig file", {"color": FAINT, "lw": 1.0, "ls": "--"}),
+            (fit.after[name], "calibrated", {"color": TUBE, "lw": 1.2}),
+        ):
+            draw_over(axes, fit.log.time, values - zero, scale, name=label, **look)
+    panels[0].legend(fontsize=7, ncols=3, loc="lower right")
+    share_x(panels, fit.log.time)
     words = ",  ".join(f"{e.name.replace('_', ' ')} × {e.factor:.3f}" for e in fit.estimates if not e.held)
     headed(figure, f"{fit.rig.name or 'rig'}:  {words or 'nothing is determined'}")
     return figure
@@ -181,50 +168,47 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 
 @picture
 def plot_feedback(answer: LedHeating) -> Figure:
-    """Picture of a led heating: curved parts of uncertain rigs over time, near the window, and what moves them."""
+    """Picture of a controlled heating: curved parts of uncertain rigs over time, and what moves them."""
     feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
     whole = figure.add_subplot(grid[0, 0])
     close = figure.add_subplot(grid[1, 0])
     history = feedback.history
-    inside = history.in_hold(feedback.law)
+    in_hold = history.in_hold(feedback.law)
     for axes in (whole, close):
-        _window(axes, answer.plan)
+        _draw_window(axes, answer.plan)
     # NaN breaks the line where the heating of a rig has ended. Rigs end at different times.
     running = np.where(history.place < len(feedback.law.planned), 1.0, np.nan)
-    # Column 0 is the nominal rig, which is no sample.
-    whole.plot(history.time, (history.hottest * running)[:, 1:], color=TUBE, lw=0.3, alpha=0.35)
-    whole.plot([], [], color=TUBE, label=f"hottest of the curve, {feedback.samples} rigs")
-    held = np.where(inside, 1.0, np.nan)
-    close.plot(history.time, (history.hottest * held)[:, 1:], color=TUBE, lw=0.3, alpha=0.35)
-    close.plot(history.time, (history.coldest * held)[:, 1:], color=COLD, lw=0.3, alpha=0.35)
-    close.plot([], [], color=TUBE, label="hottest of the curve in the hold")
-    close.plot([], [], color=COLD, label="coldest")
+    during_hold = np.where(in_hold, 1.0, np.nan)
+    for axes, values, colour, name in (
+        (whole, history.hottest * running, TUBE, f"hottest of the curve, {feedback.samples} rigs"),
+        (close, history.hottest * during_hold, TUBE, "hottest of the curve in the hold"),
+        (close, history.coldest * during_hold, COLD, "coldest"),
+    ):
+        # Column 0 is the nominal rig, which is no sample.
+        axes.plot(history.time, values[:, 1:], color=colour, lw=0.3, alpha=0.35)
+        axes.plot([], [], color=colour, label=name)
+        axes.set_ylabel(TEMPERATURE.name)
     low, high = answer.plan.spec.window_degC
     close.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
-    times = history.time[inside.any(axis=1)]
+    times = history.time[in_hold.any(axis=1)]
     if len(times) > 1:
         close.set_xlim(times[0], times[-1])
     close.set_xlabel("time (s)")
-    for axes in (whole, close):
-        axes.set_ylabel("temperature (°C)")
-        axes.legend(loc="lower right" if axes is whole else "lower left", fontsize=7, ncols=2)
-    _draw_contributions(figure.add_subplot(grid[:, 1]), answer)
+    whole.legend(loc="lower right", fontsize=7, ncols=2)
+    close.legend(loc="lower left", fontsize=7, ncols=2)
+    items = feedback.contributions
+    names = [item.name.replace("_", " ") for item in items]
+    deviations = [item.deviation for item in items]
+    quantity = "moves the hold by (K, standard deviation)"
+    draw_bars(figure.add_subplot(grid[:, 1]), names, deviations, quantity, colours=IDEAL)
     low_p, high_p = feedback.interval
-    kept = f"{100 * feedback.probability:.1f} % of {feedback.samples} rigs keep the window"
-    sure = f"({100 * low_p:.1f} to {100 * high_p:.1f} %),  {100 * feedback.open_loop:.0f} % without it"
-    headed(figure, f"{answer.plan.rig.name or 'rig'}, led by a {feedback.sensor.name}:  {kept} {sure}")
+    success = f"{100 * feedback.probability:.1f} % of {feedback.samples} rigs keep the window"
+    interval = f"({100 * low_p:.1f} to {100 * high_p:.1f} %),  {100 * feedback.open_loop:.0f} % without it"
+    rig = answer.plan.rig.name or "rig"
+    headed(figure, f"{rig}, controlled by a {feedback.sensor.name}:  {success} {interval}")
     return figure
-
-
-def _draw_contributions(axes: Axes, answer: LedHeating) -> None:
-    items = answer.feedback.contributions[::-1]
-    axes.barh(
-        [item.name.replace("_", " ") for item in items], [item.deviation for item in items], color=IDEAL, height=0.6
-    )
-    axes.set_xlabel("moves the hold by (K, standard deviation)")
-    axes.tick_params(labelsize=8)
 
 
 Path = Sequence[tuple[float, float]]
@@ -240,7 +224,7 @@ BOXES = {
     "board": (0.22, 0.03, 0.5, 0.13),
     "thermometer": (0.835, 0.03, 0.15, 0.13),
 }
-"""Where the parts stand: left, bottom, width, height."""
+"""Positions of the parts: left, bottom, width, height."""
 
 CURRENT: tuple[Path, ...] = (
     ((0.17, 0.72), (0.22, 0.72)),
@@ -250,10 +234,10 @@ CURRENT: tuple[Path, ...] = (
     ((0.84, 0.33), (0.84, 0.28), (0.2, 0.28), (0.2, 0.51), (0.17, 0.51)),
     ((0.54, 0.72), (0.54, 0.87), (0.81, 0.87), (0.81, 0.72)),
 )
-"""Ways of the tube's current; the last but one is the ground, the last the way through the diode when it is off."""
+"""Wires of the tube's current; the last but one is the ground, the last the path through the diode when it is off."""
 
 GROUND: tuple[Path, ...] = (((0.64, 0.37), (0.64, 0.28)), ((0.68, 0.16), (0.68, 0.28)))
-"""From the gate driver and the board to the ground."""
+"""Wires from the gate driver and the board to the ground."""
 
 JOINTS = ((0.335, 0.72), (0.54, 0.72), (0.81, 0.72), (0.64, 0.28), (0.68, 0.28))
 TERMINALS = {
@@ -264,12 +248,14 @@ TERMINALS = {
     "GND": (0.68, 0.14),
 }
 DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
-"""Middle of its sign; its bar is towards the battery's plus."""
+"""Centre and half width of its symbol, whose bar is towards the battery's plus."""
 
 
 @picture
 def plot_wiring(answer: LedHeating) -> Figure:
-    """How the parts are wired, with poles, the pins of the board, and the ratings for the plan's currents."""
+    """Picture of the wiring: parts, poles, pins of the board, and ratings for the plan's currents."""
+    from matplotlib.patches import Polygon
+
     figure = new_figure(9.8, 5.8)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.9, 1.0))
     axes, text = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
@@ -278,7 +264,10 @@ def plot_wiring(answer: LedHeating) -> Figure:
     axes.set(xlim=(0, 1), ylim=(-0.09, 0.97))
     _draw_parts(axes, answer.wiring.known.title)
     _draw_wires(axes, answer.wiring)
-    _draw_diode(axes)
+    (x, y), half = DIODE, DIODE_SIZE
+    axes.add_patch(Polygon([(x + half, y - half), (x + half, y + half), (x - half, y)], color=TUBE, zorder=2))
+    axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
+    axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
     lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
     text.text(0, 0.97, "\n\n".join(textwrap.fill(line, 46) for line in lines), fontsize=8, va="top", color=INK)
     return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
@@ -297,7 +286,7 @@ def _draw_parts(axes: Axes, board: str) -> None:
 
 
 def _thick() -> float:
-    """Width of the wires of the tube's current, points: letters shrink on a narrow page, and would be covered."""
+    """Width of the wires of the tube's current, points: thin where letters are small, which they would cover."""
     return 1.0 if narrow() else 2.4
 
 
@@ -306,14 +295,14 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     power: dict[str, Any] = {"color": TUBE, "lw": thick, "zorder": 0.5}
     ground: dict[str, Any] = {"color": INK, "lw": 1.0, "zorder": 0.5}
     signal: dict[str, Any] = {"color": IDEAL, "lw": 1.0, "zorder": 0.5}
-    for ways, look, label in ((CURRENT, power, "current of the tube"), (GROUND, ground, "ground")):
-        for path in ways:
+    for wires, look, label in ((CURRENT, power, "current of the tube"), (GROUND, ground, "ground")):
+        for path in wires:
             axes.plot(*zip(*path, strict=True), **look)
         axes.plot([], [], label=label, **look)
     axes.plot(*zip(*JOINTS, strict=True), "o", color=INK, ms=1.7 * thick)
     pins = wiring.known.pins
     read = f"pin {pins['select']}, SPI" if wiring.converter != "analog" else f"pin {pins['temperature']}"
-    wires: tuple[tuple[Path, str, tuple[float, float]], ...] = (
+    signals: tuple[tuple[Path, str, tuple[float, float]], ...] = (
         (((0.6, 0.16), (0.6, 0.37)), f"pin {pins['gate']}", (0.607, 0.2)),
         (((0.67, 0.43), (0.76, 0.43)), "gate", (0.69, 0.44)),
         (((0.43, 0.66), (0.43, 0.56), (0.52, 0.56), (0.52, 0.16)), f"pin {pins['current']}", (0.525, 0.2)),
@@ -323,7 +312,7 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         (((0.96, 0.16), (0.96, 0.58), (0.675, 0.58), (0.675, 0.65)), "on the tube", (0.86, 0.59)),
         (((0.835, 0.095), (0.72, 0.095)), read, (0.732, 0.105)),
     )
-    for path, label, at in wires:
+    for path, label, at in signals:
         axes.plot(*zip(*path, strict=True), **signal)
         axes.text(*at, label, fontsize=7, color=INK)
     axes.plot([], [], label="signals", **signal)
@@ -334,12 +323,3 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
     )
     axes.text(0.03, 0.0, words, fontsize=7, color=INK, va="top")
     axes.legend(loc="upper left", fontsize=7, bbox_to_anchor=(0.0, 1.0))
-
-
-def _draw_diode(axes: Axes) -> None:
-    from matplotlib.patches import Polygon
-
-    (x, y), half = DIODE, DIODE_SIZE
-    axes.add_patch(Polygon([(x + half, y - half), (x + half, y + half), (x - half, y)], color=TUBE, zorder=2))
-    axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
-    axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)

@@ -1,4 +1,4 @@
-"""Pictures of stability: maps over joint values, and a branch of equilibria."""
+"""Pictures of stability: maps of energy and margin, and branches of equilibria."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ...stability import Branch, EnergyMap, StabilityMap
 from ...stability.maps import APPROACH, pieces, rim
 from ...typing import Array, Mask
 from ..page import tube_colour
-from .stage import note
+from .labels import arrow, note
 from .style import (
     FAINT,
     INK,
@@ -43,39 +43,41 @@ MAP = "cividis"
 SNAP_COLOUR = "#D55E00"
 HATCH_COLOUR = INK
 ENERGY_LEVELS = 24
-MOST_MAPS = 4
+MAX_MAPS = 4
 FINE = 361
 """Points per axis of a map as it is drawn: one per degree."""
 
 BETWEEN = 8
-"""Points of the boundary that are drawn for each that was computed."""
+"""Drawn points of the boundary for each computed one."""
 
 CORNER = np.pi / 2
-"""Turn from one corner of a map to the next, rad."""
+"""Angle from one corner of a map to the next, rad."""
 
 SNAPS = "snap on the straight path from home"
 
 MARKS = (("o", "minimum: stable"), ("X", "saddle: unstable"), ("^", "maximum: unstable"))
-"""Sign and name of an equilibrium, by its index; the last one for all that are higher."""
+"""Marker and name of equilibria by their index; the last one for all higher indices."""
 
 
 @picture
 def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -> Figure:
     """Filled contours of elastic energy over two tip angles, up to four maps at one scale of colours.
 
-    Levels are closer where the energy is low. The line through each saddle, above which a robot must be lifted to leave
-    its minimum, is drawn white.
+    Levels are closer where the energy is low. The white line through each saddle is the energy that a robot needs to
+    leave its minimum.
 
     Args:
-        maps: of `energy_map`.
+        maps: results of `energy_map`.
         titles: a heading for each; default its joint rotations.
 
     Raises:
         InputError: no map or more than four, titles of another number, a name of the picture that does not end in a
             known format.
     """
-    if not 1 <= len(maps) <= MOST_MAPS:
-        raise InputError(f"{len(maps)} maps are given; there must be 1 to {MOST_MAPS}")
+    from matplotlib.lines import Line2D
+
+    if not 1 <= len(maps) <= MAX_MAPS:
+        raise InputError(f"{len(maps)} maps are given; there must be 1 to {MAX_MAPS}")
     if titles and len(titles) != len(maps):
         raise InputError(f"{len(titles)} titles are given for {len(maps)} maps; the numbers must be equal")
     columns = min(2, len(maps))
@@ -88,19 +90,22 @@ def plot_energy_maps(maps: Sequence[EnergyMap], *, titles: Sequence[str] = ()) -
             panel.axis("off")
             continue
         filled = _draw_energy(panel, maps[k], levels)
-        own = "".join(rotations_in_words(e.rotations) for e in maps[k].equilibria[:1])
-        panel.set_title(titles[k] if titles else own, loc="left")
+        title = "".join(rotations_in_words(e.rotations) for e in maps[k].equilibria[:1])
+        panel.set_title(titles[k] if titles else title, loc="left")
     if len({(*each.tubes, *each.first[[0, -1]], *each.second[[0, -1]]) for each in maps}) == 1:
         for panel in panels.ravel():
             panel.label_outer()
     bar = colour_bar(figure, filled, "elastic energy (mJ)", ax=panels, shrink=0.8, aspect=30, pad=0.02)
     bar.set_ticks(levels[::4].tolist(), labels=[f"{level:.1f}" for level in levels[::4]])
-    _name_marks(figure, maps)
+    present = sorted({min(e.index, len(MARKS) - 1) for each in maps for e in each.equilibria})
+    look: dict[str, Any] = {"ls": "", "ms": 7, "mfc": "white", "mec": INK, "mew": 0.9}
+    handles = [Line2D([], [], marker=MARKS[k][0], label=MARKS[k][1], **look) for k in present]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
 
 def energy_levels(energies: Sequence[Array]) -> Array:
-    """Levels (mJ) for maps of energy in J, spread as the square root from the least: even rings around a minimum."""
+    """Levels, mJ, for maps of energy, J, that give evenly spaced rings around a minimum."""
     low = min(float(energy.min()) for energy in energies) * TO_MILLI
     high = max(float(energy.max()) for energy in energies) * TO_MILLI
     # Levels must increase, also where the energy is constant.
@@ -110,7 +115,7 @@ def energy_levels(energies: Sequence[Array]) -> Array:
 
 
 def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet:
-    """One map, with its equilibria marked; returns the filled contours."""
+    """Filled contours of a map, drawn with its equilibria."""
     from matplotlib.colors import BoundaryNorm
 
     first, second = np.degrees(energy_map.first), np.degrees(energy_map.second)
@@ -131,26 +136,15 @@ def _draw_energy(axes: Axes, energy_map: EnergyMap, levels: Array) -> ContourSet
     return filled
 
 
-def _name_marks(figure: Figure, maps: Sequence[EnergyMap]) -> None:
-    """Names of the signs that occur, below all panels."""
-    from matplotlib.lines import Line2D
-
-    found = sorted({min(e.index, len(MARKS) - 1) for each in maps for e in each.equilibria})
-    handles = [
-        Line2D([], [], ls="", marker=MARKS[k][0], ms=7, mfc="white", mec=INK, mew=0.9, label=MARKS[k][1]) for k in found
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-
-
 @picture
 def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figure:
-    """Margin over the rotations of two tubes relative to the others, turned together straight from home.
+    """Picture of the margin over the rotations of two tubes relative to the others, on straight paths from home.
 
-    What is hatched is reached through a snap; the line is where the robot snaps, computed exactly.
+    Hatched points are reached through a snap; the line is the exact snap boundary.
 
     Args:
-        stability_map: of `stability_map`.
-        title: a heading.
+        stability_map: result of `stability_map`.
+        title: heading.
     """
     figure = new_figure(5.6, 4.9)
     axes = figure.add_subplot()
@@ -162,10 +156,10 @@ def plot_stability_map(stability_map: StabilityMap, *, title: str = "") -> Figur
 
 
 def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]]:
-    """Fill `axes` with a map; return the image, for a colour bar, and what a legend explains.
+    """Image of a map, for a colour bar, and the handles of its legend.
 
     Both sides of the boundary are filled from their own points: before a snap the margin falls to 0 there, behind it
-    the map begins with where the robot lands. The boundary cuts the one picture out of the other.
+    the map starts with the landing. The boundary cuts one image out of the other.
     """
     angles = np.degrees(stability_map.angles)
     fine = np.linspace(angles[0], angles[-1], max(FINE, len(angles)))
@@ -189,17 +183,20 @@ def draw_map(axes: Axes, stability_map: StabilityMap) -> tuple[Any, list[Artist]
 
 
 class Curve(NamedTuple):
-    """A piece of the boundary as it is drawn: directions (k,), rad, and rotations (k, 2), deg, of its points; known
-    margins on the ways to it: where (m, 2), deg, and their squares (m,)."""
+    """Drawn piece of the snap boundary, with known margins on the paths to it."""
 
     directions: Array
+    """(k,) rad."""
     points: Array
+    """(k, 2) rotations, deg."""
     known: Array
+    """(m, 2) rotations with a known margin, deg."""
     square: Array
+    """(m,) squares of these margins."""
 
 
 def _smooth(directions: Array, points: Array, approach: Array) -> Curve:
-    """A piece of the boundary with more points between those that were computed, and the same ahead of them."""
+    """Piece of the boundary with interpolated points, and points of known margin in front of it."""
     parts = [np.linspace(*two, BETWEEN, endpoint=False) for two in itertools.pairwise(directions)]
     dense = np.concatenate([*parts, directions[-1:]])
     distance, square = np.hypot(*points.T), approach**2
@@ -209,43 +206,46 @@ def _smooth(directions: Array, points: Array, approach: Array) -> Curve:
     ray = np.column_stack([np.cos(dense), np.sin(dense)])
     # Distances at which the margin ahead of the snap was computed; the last, 0, is the snap with margin 0.
     before = distance[:, None] - np.append(APPROACH, 0.0)
-    known, there = before[..., None] * ray[:, None], before >= 0
+    known, ahead = before[..., None] * ray[:, None], before >= 0
     values = np.column_stack([square, np.zeros(len(dense))])
-    return Curve(dense, np.degrees(distance[:, None] * ray), np.degrees(known[there]), values[there])
+    return Curve(dense, np.degrees(distance[:, None] * ray), np.degrees(known[ahead]), values[ahead])
 
 
-def _filled(stability_map: StabilityMap, fine: Array, mine: Mask, curves: Sequence[Curve]) -> Array:
-    """(F, F) margins at angles (F,) deg, rows by the second tube, from the points (N, N) that are `mine` and what is
-    known ahead of curves. It is the square of the margin that is smooth, since it falls like a root at a fold."""
+def _filled(stability_map: StabilityMap, fine: Array, selected: Mask, curves: Sequence[Curve]) -> Array:
+    """(F, F) margins at angles (F,), deg, rows by the second tube.
+
+    They are interpolated between the selected points (N, N) and the known margins in front of curves. The square of the
+    margin is interpolated: the margin itself falls like a root at a fold.
+    """
     angles = np.degrees(stability_map.angles)
-    first, second = (axis[mine] for axis in np.meshgrid(angles, angles, indexing="ij"))
+    first, second = (axis[selected] for axis in np.meshgrid(angles, angles, indexing="ij"))
     known = np.vstack([np.column_stack([first, second]), *(curve.known for curve in curves)])
     # At a fold margin^2 is linear in the distance to it (saddle-node), which a cubic follows; a root it cannot.
-    own = np.clip(stability_map.margin[mine], 0, 1) ** 2
+    own = np.clip(stability_map.margin[selected], 0, 1) ** 2
     square = np.concatenate([own, *(curve.square for curve in curves)])
     if not len(known):
         return np.full((len(fine), len(fine)), np.nan)
-    places = np.stack(np.meshgrid(fine, fine), axis=-1).reshape(-1, 2)
-    found = _interpolated(known, square, places)
-    return np.asarray(np.sqrt(np.clip(found, 0, 1)).reshape(len(fine), len(fine)))
+    points = np.stack(np.meshgrid(fine, fine), axis=-1).reshape(-1, 2)
+    interpolated = _interpolated(known, square, points)
+    return np.asarray(np.sqrt(np.clip(interpolated, 0, 1)).reshape(len(fine), len(fine)))
 
 
 @small
-def _interpolated(known: Array, values: Array, places: Array) -> Array:
-    """Smoothly between known points, and as the nearest of them beyond."""
+def _interpolated(known: Array, values: Array, points: Array) -> Array:
+    """Values at points (P, 2): smooth between known points (K, 2), and of the nearest one beyond them."""
     nearest = scipy.interpolate.NearestNDInterpolator(known, values)
     # Fewer points may have no triangulation with an inside.
     if len(known) < 4:
-        return np.asarray(nearest(places))
-    out: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(places)
+        return np.asarray(nearest(points))
+    out: Array = scipy.interpolate.CloughTocher2DInterpolator(known, values)(points)
     # Outside of the convex hull of the points there is no triangle, and the result is NaN.
     beyond = ~np.isfinite(out)
-    out[beyond] = nearest(places[beyond])
+    out[beyond] = nearest(points[beyond])
     return out
 
 
 def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
-    """Leave of a picture what lies behind the boundary, and hatch it; returns its name."""
+    """Clip an image to the region behind the boundary and hatch it; returns the handle of the region for a legend."""
     from matplotlib.patches import Patch, PathPatch
     from matplotlib.path import Path
 
@@ -254,7 +254,7 @@ def _cut_out(axes: Axes, behind: Artist, curves: Sequence[Curve]) -> Artist:
         # The square's rim between two directions has its corners at odd multiples of 45 deg.
         corners = np.arange(np.ceil(directions[0] / CORNER - 0.5), directions[-1] / CORNER - 0.5) * CORNER + CORNER / 2
         outer = np.degrees(rim(np.sort(np.append(directions, corners))))
-        # Along the boundary, and back along the rim of the map: what lies between is behind the snap.
+        # Along the boundary, and back along the rim of the map: the region between is behind the snap.
         rings.append(Path(np.vstack([points, outer[::-1], points[:1]]), closed=True))
     region = Path.make_compound_path(*rings)
     look: Any = {"facecolor": "none", "edgecolor": HATCH_COLOUR, "hatch": "////", "linewidth": 0}
@@ -279,14 +279,14 @@ def plot_branch(
 ) -> Figure:
     """Picture of a branch of equilibria: the tip angle of one tube over its input angle, deg.
 
-    Stable parts are solid, unstable ones dashed. At each fold an arrow shows the jump of a robot that is turned slowly:
-    up to the first stable part that the curve has at the same input beyond the fold. Inputs between folds, where two
-    shapes are stable and history decides, are shaded.
+    Stable parts are solid, unstable ones dashed. At each fold an arrow shows the jump of a slowly turned robot: to the
+    first stable part of the curve at the same input. Inputs between folds, where two shapes are stable and the history
+    decides, are shaded.
 
     Args:
-        branch: of `trace_branch`.
-        tube: the tube that turns, 0 is the innermost.
-        reference: the tube from which both angles are measured; by default the outermost, or the innermost if the
+        branch: result of `trace_branch`.
+        tube: index of the turning tube; 0 is the innermost.
+        reference: tube from which both angles are measured; by default the outermost, or the innermost if the
             outermost turns.
         dots: (k, 2) input and tip angles, rad, of another computation, for comparison; `dots_label` names them.
 
@@ -305,7 +305,13 @@ def plot_branch(
         raise InputError(f"tube {tube} does not turn against tube {base} along the branch; choose one that does")
     figure = new_figure(6.0, 4.6)
     axes = figure.add_subplot()
-    _draw_curve(axes, inputs, tips, curve.margin, tube_colour(tube))
+    named: set[bool] = set()
+    for first, last, stable in stable_parts(curve.margin):
+        part = slice(first, last + 1)
+        label = "_" if stable in named else "stable" if stable else "unstable"
+        look: dict[str, Any] = {"ls": "-", "lw": 2.0} if stable else {"ls": (0, (4, 2)), "lw": 1.4}
+        axes.plot(inputs[part], tips[part], color=tube_colour(tube), label=label, zorder=3, **look)
+        named.add(stable)
     _draw_folds(axes, curve, inputs, tips)
     if dots is not None:
         x, y = np.degrees(np.asarray(dots, dtype=float)).T
@@ -320,11 +326,11 @@ def plot_branch(
 
 
 def smooth(branch: Branch) -> Branch:
-    """The branch with many more points, on a cubic spline through its own, which are kept."""
+    """Branch with more points on a cubic spline through its own points, which are kept."""
     columns = np.column_stack([branch.fraction, branch.rotations, branch.tip_rotations])
     # Over its own length a branch is single-valued, also at folds, where it turns back in the input.
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(columns, axis=0), axis=1))])
-    # A point that was found twice has no length from the last, and splines need increasing places.
+    # A point that was found twice is at distance 0 from the last one, and splines need increasing abscissae.
     along, keep = np.unique(along, return_index=True)
     fine = np.union1d(along, np.linspace(0.0, along[-1], FINE_POINTS))
     values = scipy.interpolate.CubicSpline(along, columns[keep])(fine)
@@ -340,83 +346,67 @@ def smooth(branch: Branch) -> Branch:
 
 
 def fold_points(branch: Branch) -> list[int]:
-    """Numbers of the points of a branch that are its folds."""
+    """Indices of the points of a branch that are folds."""
     distances = [np.abs(branch.tip_rotations - fold.tip_rotations).max(1) for fold in branch.folds]
     return [int(np.argmin(distance)) for distance in distances]
 
 
-def landing(branch: Branch, fold: int) -> tuple[float, Array] | None:
-    """Where a robot lands that loses point `fold`: a fractional point number, and the tip rotations (n,) there.
+def landing(branch: Branch, fold: int) -> float | None:
+    """Landing point of a robot that snaps at point `fold`, as a fractional index; None if the branch has none.
 
-    That is the first stable point with the same input on the far side of the unstable part that begins at the fold;
-    None where the branch has none.
+    It is the first stable point with the same input on the far side of the unstable part that starts at the fold.
     """
     count = len(branch.fraction)
     # Into the unstable part: the side of the fold with the smaller margin.
     step = 1 if branch.margin[min(fold + 1, count - 1)] < branch.margin[max(fold - 1, 0)] else -1
-    gap = branch.fraction - branch.fraction[fold]
+    offset = branch.fraction - branch.fraction[fold]
     k = fold + step
     while 0 <= k + step < count:
         # A change of sign: between both points the branch has the input of the fold again.
-        if gap[k] * gap[k + step] <= 0 and gap[k] != gap[k + step]:
-            part = gap[k] / (gap[k] - gap[k + step])
-            margin = branch.margin[k] + part * (branch.margin[k + step] - branch.margin[k])
-            if margin > 0:
-                tips = branch.tip_rotations
-                return k + step * float(part), tips[k] + part * (tips[k + step] - tips[k])
+        if offset[k] * offset[k + step] <= 0 and offset[k] != offset[k + step]:
+            part = offset[k] / (offset[k] - offset[k + step])
+            if branch.margin[k] + part * (branch.margin[k + step] - branch.margin[k]) > 0:
+                return k + step * float(part)
         k += step
     return None
 
 
-def _ahead(branch: Branch, fold: int) -> bool:
-    """Whether the branch comes to the fold from lower fractions, so that a robot snaps there on its way forth."""
-    beside = branch.fraction[[max(fold - 1, 0), min(fold + 1, len(branch.fraction) - 1)]]
-    return bool(beside.mean() < branch.fraction[fold])
+class Part(NamedTuple):
+    """Part of a curve of equilibria that are all stable or all unstable."""
+
+    first: int
+    last: int
+    stable: bool
 
 
-def stable_parts(margin: Array) -> list[tuple[int, int, bool]]:
-    """First and last point of every part of a curve that is all stable or all unstable, and whether it is stable."""
+def stable_parts(margin: Array) -> list[Part]:
+    """Parts of a curve, from the margins (k,) of its points."""
     # A segment from a fold (margin 0) is of the kind of its other end.
     stable = margin[:-1] + margin[1:] > 0
     cuts = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1).tolist(), len(stable)]
-    return [(first, last, bool(stable[first])) for first, last in pairwise(cuts)]
-
-
-def _draw_curve(axes: Axes, inputs: Array, tips: Array, margin: Array, colour: str) -> None:
-    """The curve, cut where stability changes."""
-    named: set[bool] = set()
-    for first, last, kind in stable_parts(margin):
-        part = slice(first, last + 1)
-        label = "_" if kind in named else "stable" if kind else "unstable"
-        line = "-" if kind else (0, (4, 2))
-        axes.plot(inputs[part], tips[part], color=colour, ls=line, lw=2.0 if kind else 1.4, label=label, zorder=3)
-        named.add(kind)
+    return [Part(first, last, bool(stable[first])) for first, last in pairwise(cuts)]
 
 
 def _draw_folds(axes: Axes, curve: Branch, inputs: Array, tips: Array) -> None:
-    """Folds, the jumps from them, and a band over the inputs between two folds."""
+    """Draw folds, the jumps from them, and a band over the inputs between two folds."""
     folds = fold_points(curve)
     if folds:
         axes.plot(inputs[folds], tips[folds], "o", ms=5.5, mfc="white", mec=INK, mew=1.2, zorder=5, label="fold")
-    for k in folds:
-        _draw_jump(axes, curve, inputs, tips, k, outward=1 if _ahead(curve, k) == (inputs[-1] > inputs[0]) else -1)
+    for fold in folds:
+        x, y = float(inputs[fold]), float(tips[fold])
+        neighbours = curve.fraction[[max(fold - 1, 0), min(fold + 1, len(curve.fraction) - 1)]]
+        # Names stand where the robot comes from no more: beyond the fold as the input grows or falls.
+        forth = bool(neighbours.mean() < curve.fraction[fold])
+        outward = 1 if forth == (inputs[-1] > inputs[0]) else -1
+        words = f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}")
+        note(axes, words, (x, y), (9.0 * outward, 0.0))
+        landed = landing(curve, fold)
+        if landed is not None:
+            end = float(np.interp(landed, np.arange(len(tips)), tips))
+            arrow(axes, (x, y), (x, end), INK, head=11, margins=(4, 1))
+            words = f"snap: tip turns {number(abs(end - y), 1)}°"
+            note(axes, words, (x, (y + end) / 2), (5.0 * outward, 0.0), colour=FAINT)
     for first, second in pairwise(folds):
         if curve.margin[(first + second) // 2] < 0:
             name = "more than one stable shape" if first == folds[0] else None
             axes.axvspan(*sorted(inputs[[first, second]]), color=BAND, lw=0, zorder=0, label=name)
-
-
-def _draw_jump(axes: Axes, branch: Branch, inputs: Array, tips: Array, fold: int, *, outward: int) -> None:
-    """The angles of a fold, and an arrow to where the robot lands."""
-    x, y = float(inputs[fold]), float(tips[fold])
-    words = f"input {x:.3f}°\ntip {y:.3f}°".replace("-", "\N{MINUS SIGN}")
-    note(axes, words, np.array([x, y]), np.array([9.0 * outward, 0.0]))
-    landed = landing(branch, fold)
-    if landed is None:
-        return
-    place, _ = landed
-    end = float(np.interp(place, np.arange(len(tips)), tips))
-    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.0, "shrinkA": 4, "shrinkB": 1, "mutation_scale": 11}
-    axes.annotate("", (x, end), (x, y), arrowprops=arrow, zorder=4)
-    words = f"snap: tip turns {number(abs(end - y), 1)}°"
-    note(axes, words, np.array([x, (y + end) / 2]), np.array([5.0 * outward, 0.0]), colour=FAINT)

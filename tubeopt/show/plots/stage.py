@@ -1,7 +1,7 @@
-"""A stage for pictures in space: parallel projection at one scale, with a ruled floor and back walls in mm.
+"""Stage for pictures in space: parallel projection at one scale, with a ruled floor and back walls in mm.
 
-Parallel projection is drawn here, on plain axes of equal aspect, and not by 3-D axes: lengths in a picture can then be
-compared, and facets, shadows and labels are laid in the wanted order.
+Plain axes of equal aspect are used instead of 3-D axes: lengths in a picture can be compared, and facets, shadows and
+labels are drawn in any order.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from ...bodies.frames import Frame
 from ...files.units import TO_MM
 from ...typing import Array, Mask
-from ..page import SCALE
+from ..page import SCALE, narrow
 from ..surfaces import Part, Surface
-from .style import INK, Axes, narrow, number
+from .labels import note
+from .style import Axes, number
 
 if TYPE_CHECKING:
     from matplotlib.collections import PolyCollection
-    from matplotlib.text import Annotation
 
 RULE = "#DADDE1"
 FLOOR = "#F6F7F8"
@@ -63,23 +63,23 @@ class View:
 
 
 def widest_view(points: Array) -> View:
-    """A view in which points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
+    """View in which points (k, 3) spread to the right and a little forwards, off the axes of the plate."""
     # First right singular vector: the horizontal direction in which points lie farthest from the plate's axis.
     # Points are not centred, since the plate is in the picture too.
     _, _, directions = np.linalg.svd(points[:, :2])
     # The sign of a singular vector is arbitrary; here it points to where most of the arm is.
     along = directions[0] * (1.0 if np.sum(points[:, :2] @ directions[0]) >= 0 else -1.0)
     # At 90 deg the bend would lie in the plane of the picture; 60 deg brings it a little forwards.
-    wanted = np.degrees(np.arctan2(along[1], along[0])) - 60.0
+    best = np.degrees(np.arctan2(along[1], along[0])) - 60.0
     # At multiples of 90 deg a wall would be seen edge-on; 30 and 60 deg show both walls.
     azimuths = np.array([quarter + turn for quarter in (-180, -90, 0, 90) for turn in (30, 60)])
     # The largest cosine is the nearest azimuth, whatever multiples of 360 deg lie between.
-    return View(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - wanted)))]))
+    return View(18.0, float(azimuths[np.argmax(np.cos(np.radians(azimuths - best)))]))
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """The ruled box around a scene: corners `low` and `high` (3,) and the distance of the rules `step`, mm."""
+    """Ruled box around a scene: corners `low` and `high` (3,) and the distance of the rules `step`, mm."""
 
     low: Array
     high: Array
@@ -87,10 +87,10 @@ class Box:
 
     @classmethod
     def around(cls, points: Array) -> Box:
-        """The box around points (k, 3) in m, its sides on whole rules, its floor at the lowest point."""
+        """Box around points (k, 3), m, with its sides on whole rules and its floor at the lowest point."""
         low, high = points.min(0) * TO_MM, points.max(0) * TO_MM
         step = rule_step(float((high - low).max()) * (2 if narrow() else 1))
-        # Without the slack, round-off at a whole rule would add one more empty row of squares.
+        # Without the tolerance, round-off at a whole rule would add one more empty row of squares.
         lower, upper = np.floor(low / step + 1e-9) * step, np.ceil(high / step - 1e-9) * step
         # Shadows fall onto the floor: a floor below the lowest point would part them from the plate.
         lower[2] = low[2]
@@ -103,23 +103,23 @@ class Box:
 
 
 def rule_step(span: float) -> float:
-    """A round step that puts about four to ten rules on `span`."""
+    """Round step of about four to ten rules on `span`."""
     return round_below(span / 4)
 
 
 def round_below(value: float) -> float:
-    """..., 0.5, 1, 2, 5, 10, 20, ...: the greatest that does not exceed a positive value."""
+    """Largest of ..., 0.5, 1, 2, 5, 10, 20, ... that does not exceed a positive value."""
     # 1, 2 and 5 split a decade into about equal ratios.
     decade = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * decade <= value) * decade)
 
 
 def draw_box(axes: Axes, box: Box, view: View) -> None:
-    """Floor, the two walls behind the scene, their rules, and the scales along the front edges."""
+    """Draw the floor, the two walls behind the scene, their rules, and the scales along the front edges."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     viewer = view.towards_viewer
-    # Of two opposite walls, the one that the viewer's direction points away from is behind the scene.
+    # Of two opposite walls, the one that faces the viewer is behind the scene.
     back = np.where(viewer > 0, box.low, box.high)
     # The floor stays below, also for a view from underneath.
     back[2] = box.low[2]
@@ -151,11 +151,11 @@ def draw_box(axes: Axes, box: Box, view: View) -> None:
 
 
 def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) -> None:
-    """Numbers and names along the front edges of the floor and the left upright edge."""
+    """Draw numbers and names along the front edges of the floor and the left upright edge."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     outline = view.project((box.low + corners * (box.high - box.low)) / TO_MM)[:, :2]
     middle, (width, height) = outline.mean(0), np.ptp(outline, axis=0).tolist()
-    # What fills four inches of paper: the height of the box, or more where the width of the panel is what limits.
+    # Length in the scene of four inches of paper: the height of the box, or more where the width of the panel limits.
     four_inches = max(height, 4.0 * width * axes.figure.dpi / axes.get_window_extent().width)
     # Two upright edges are outlines of the box. The scale of z stands at the left one.
     left = min(((front[0], back[1]), (back[0], front[1])), key=lambda xy: view.project(np.array([*xy, 0.0]))[0])
@@ -171,7 +171,7 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
         outward *= np.sign(outward @ ((start + stop) / 2 - middle))
         rules = _spaced(box, axis, stop - start, four_inches)
         if axis < 2 and view.axes[0, axis] ** 2 < 0.5:
-            # The two scales meet at the front corner, where only one of them has room for its number.
+            # The two scales meet at the front corner, where only one number fits.
             rules = rules[np.abs(rules - front[axis]) > box.step / 2]
         points = np.tile(edge, (len(rules), 1))
         points[:, axis] = rules
@@ -184,59 +184,23 @@ def _draw_scales(axes: Axes, box: Box, view: View, back: Array, front: Array) ->
 
 
 def _spaced(box: Box, axis: int, edge: Array, four_inches: float) -> Array:
-    """The rules along `axis` that may carry numbers without overlap, if its edge is seen as `edge` (2,).
+    """Rules along `axis` that can have numbers without overlap, if its edge is seen as `edge` (2,).
 
-    `four_inches` of paper are so long in the scene; numbers are wider than high.
+    four_inches: length in the scene of four inches of paper; numbers are wider than high.
     """
     length = float(np.linalg.norm(edge))
     # A number takes 7.5 % of four inches across and 4 % upwards: 0.3 in and 0.16 in, at 8 points.
-    room = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * four_inches
-    gap = length * box.step / (box.high[axis] - box.low[axis])
+    needed = (0.075 * abs(edge[0]) + 0.04 * abs(edge[1])) / length * four_inches
+    distance = length * box.step / (box.high[axis] - box.low[axis])
     # Numbers at round multiples of the rules, so that a reader counts in 1, 2, 5, 10.
-    every = next((k for k in (1, 2, 5, 10) if k * gap >= room), 20)
+    every = next((k for k in (1, 2, 5, 10) if k * distance >= needed), 20)
     rules = box.rules(axis)
-    kept: Array = rules[np.round(rules / box.step).astype(int) % every == 0]
-    return kept
-
-
-def draw_arrow(axes: Axes, view: View, start: Array, end: Array, colour: str) -> None:
-    """An arrow between two points (3,) in m, in front of everything."""
-    (tail, head) = view.project(np.array([start, end]))[:, :2]
-    style = {"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
-    axes.annotate("", (head[0], head[1]), (tail[0], tail[1]), arrowprops=style, zorder=7)
-
-
-def note(
-    axes: Axes,
-    text: str,
-    at: Array,
-    shift: Array,
-    *,
-    size: float = 8,
-    rotation: float = 0,
-    colour: str = INK,
-    level: bool = False,
-) -> Annotation:
-    """Text whose edge nearest to the point `at` (2,) mm lies `shift` (2,) points off it; `level`, its middle line."""
-    horizontal = "left" if shift[0] > 2 else "right" if shift[0] < -2 else "center"
-    vertical = "center" if level or abs(shift[0]) > 2 * abs(shift[1]) else "bottom" if shift[1] > 0 else "top"
-    return axes.annotate(
-        text,
-        (float(at[0]), float(at[1])),
-        (float(shift[0]), float(shift[1])),
-        textcoords="offset points",
-        ha=horizontal,
-        va=vertical,
-        fontsize=size,
-        rotation=rotation,
-        color=colour,
-        annotation_clip=False,
-        zorder=6,
-    )
+    numbered: Array = rules[np.round(rules / box.step).astype(int) % every == 0]
+    return numbered
 
 
 def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollection:
-    """The mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
+    """Mesh as seen and lit, far facets first; in mm, about `centre` (3,) m if given."""
     from matplotlib.collections import PolyCollection
 
     seen = view.project(mesh.corners if centre is None else mesh.corners - centre)
@@ -250,45 +214,44 @@ def facets(mesh: Mesh, view: View, centre: Array | None = None) -> PolyCollectio
 
 
 class Mesh(NamedTuple):
-    """k four-sided facets: corners (k, 4, 3) m, outward normals (k, 3), colours (k, 4) as RGBA in [0, 1].
-
-    `lift` (k,) m: how much nearer to whom it faces a facet counts when facets are sorted by depth, so that a surface
-    stays outside of what touches it from within.
-    """
+    """k four-sided facets."""
 
     corners: Array
+    """(k, 4, 3) m."""
     normals: Array
+    """(k, 3) outward unit normals."""
     colours: Array
+    """(k, 4) RGBA in [0, 1]."""
     lift: Array
+    """(k,) m, shift along the normal for sorting by depth: an outer surface stays in front of one that it touches."""
 
     def depth(self, towards_viewer: Array) -> Array:
-        """(k,) distance towards the viewer, m, to draw far facets first; `towards_viewer` (3,) points at the viewer."""
+        """(k,) distances towards the viewer, m, in the direction `towards_viewer` (3,)."""
         # Only order matters, so the mean of the corners stands for the whole facet.
         depth: Array = self.corners.mean(1) @ towards_viewer
         return depth + self.lift * (self.normals @ towards_viewer)
 
     def placed(self, frame: Frame) -> Mesh:
-        """The facets in the coordinates in which `frame` is given; here they are in those of the frame."""
+        """Facets in the coordinates in which `frame` is given, from those of the frame."""
         return Mesh(frame.placed(self.corners), self.normals @ frame.axes.T, self.colours, self.lift)
 
-    def only(self, kept: Mask) -> Mesh:
-        """Some of the facets: `kept` (k,), bool."""
-        return Mesh(*(each[kept] for each in self))
+    def only(self, selected: Mask) -> Mesh:
+        """Selected facets, by a mask (k,)."""
+        return Mesh(*(each[selected] for each in self))
 
     def in_sight(self, towards_viewer: Array) -> Mesh:
-        """The facets of surfaces that enclose something, without those that its other side hides: opaque ones that turn
-        away from who looks from `towards_viewer` (3,)."""
+        """Facets without the hidden back sides of closed surfaces: opaque facets that face away from the viewer."""
         return self.only((self.colours[:, 3] < 1) | (self.normals @ towards_viewer >= 0))
 
     @staticmethod
     def join(parts: list[Mesh]) -> Mesh:
-        """All facets of `parts` as one mesh, so that they can be sorted by depth together."""
+        """Mesh of all facets of `parts`, which can be sorted by depth together."""
         # With an empty mesh in front, no parts at all are a mesh too.
         nothing = Mesh(np.empty((0, 4, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty(0))
         return Mesh(*map(np.concatenate, zip(nothing, *parts, strict=True)))
 
     def lit(self, towards_viewer: Array, towards_light: Array) -> Array:
-        """(k, 4) colours under a light from `towards_light` (unit, (3,)), seen from `towards_viewer`."""
+        """(k, 4) colours under a light, from unit vectors (3,) towards viewer and light."""
         # Open surfaces are seen from both sides: a normal away from the viewer is reversed.
         facing = np.where(self.normals @ towards_viewer < 0, -1.0, 1.0)
         cosine = facing * (self.normals @ towards_light)
@@ -306,7 +269,7 @@ class Mesh(NamedTuple):
 
 
 def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: bool = False) -> Mesh:
-    """A surface in a colour (4,) as RGBA: two of its triangles at a time are a facet; `triangles`, each for itself."""
+    """Mesh of a surface in a colour (4,), RGBA: a facet is two of its triangles, or one if `triangles`."""
     # `two_of_four` splits corners 0 1 2 3 into 0 1 2 and 0 2 3: entries 0, 1, 2 and 5 are the four again.
     # Half as many facets are drawn in half the time, without a seam along the diagonal.
     faces = surface.faces[:, [0, 1, 2, 2]] if triangles else surface.faces.reshape(-1, 6)[:, [0, 1, 2, 5]]
@@ -319,6 +282,6 @@ def facets_of(surface: Surface, colour: Array, *, lift: float = 0.0, triangles: 
 
 
 def mesh_of(parts: Iterable[Part], opacity: float = 1.0) -> Mesh:
-    """Parts as one mesh, all as much more translucent."""
+    """Mesh of parts, with a factor on their opacity."""
     colours = [(part, np.array([*(c / 255 for c in part.colour), part.opacity * opacity])) for part in parts]
     return Mesh.join([facets_of(part.surface, colour, lift=part.lift) for part, colour in colours])

@@ -15,17 +15,17 @@ from ...typing import Array
 from ...workspaces import SnappingLoss, Workspace
 from ...workspaces.sampling import held, require_samples
 from ...workspaces.voxels import PATCHES, Keys, Store, index_of
-from .shape import draw_plate, draw_scenes
-from .stage import View, draw_arrow, note
-from .style import INK, Axes, Figure, caption, colour_bar, headed, new_figure, number, picture
-from .trajectory import Sweep, along, beside_scene, draw_joints, margin_scale
+from ..formatting import counted
+from .labels import legend_above
+from .panels import MARGIN, draw_joints, draw_over, share_x
+from .scene import Target, draw_plate
+from .shape import draw_scenes
+from .stage import View
+from .style import Axes, Figure, caption, colour_bar, headed, new_figure, number, picture
+from .trajectory import beside_scene, swept_scene
 
 if TYPE_CHECKING:
     from matplotlib.collections import Collection
-
-TARGET = "#B00020"
-ARROW_SHARE = 0.12
-"""Length of the arrow of a wanted direction, as a share of the arm."""
 
 
 @picture
@@ -34,40 +34,25 @@ def plot_inverse(
     *,
     view: tuple[float, float] | None = None,
 ) -> Figure:
-    """Picture of the arm at its target; further answers for the same target stand behind it as ghosts.
+    """Picture of the arm at its target; other solutions for the same target are drawn as ghosts.
 
     Args:
-        solutions: one answer, or several of the same target, the best first.
+        solutions: one solution, or several for the same target, the best first.
         view: elevation and azimuth of the viewer, deg; None looks across the widest side.
     """
-    first, *others = solutions if isinstance(solutions, Sequence) else [solutions]
+    best, *alternatives = solutions if isinstance(solutions, Sequence) else [solutions]
     figure = new_figure(7.0, 5.0)
-    headed(figure, caption(first.equilibrium) + _alternatives(others))
-    (scene,), seen = draw_scenes(figure, [first.equilibrium], [[each.equilibrium for each in others]], view)
-    _draw_target(scene, first, seen)
+    remark = ""
+    if alternatives:
+        margins = ", ".join(f"{each.margin:.3f}" for each in alternatives)
+        postures = counted(len(alternatives), "other posture")
+        remark = f"\nghosts: {postures} with the same tip, margin {margins}"
+    headed(figure, caption(best.equilibrium) + remark)
+    missed = None if best.reached else best.equilibrium.tip_position
+    target = Target(best.target_position, best.target_direction, missed)
+    ghosts = [each.equilibrium for each in alternatives]
+    draw_scenes(figure, [best.equilibrium], [ghosts], view, targets=[target])
     return figure
-
-
-def _alternatives(others: Sequence[InverseSolution]) -> str:
-    if not others:
-        return ""
-    margins = ", ".join(f"{each.margin:.3f}" for each in others)
-    return f"\nghosts: {len(others)} other posture{'s' if len(others) > 1 else ''} with the same tip, margin {margins}"
-
-
-def _draw_target(scene: Axes, solution: InverseSolution, view: View) -> None:
-    """A cross at the target, an arrow along the wanted direction, and a line where the tip misses it."""
-    at = view.project(solution.target_position)
-    scene.plot(at[0], at[1], marker="+", ms=11, mew=1.3, color=TARGET, zorder=7)
-    if solution.target_direction is not None:
-        length = ARROW_SHARE * float(solution.equilibrium.arc_length[-1])
-        end = solution.target_position + length * solution.target_direction
-        draw_arrow(scene, view, solution.target_position, end, TARGET)
-    if not solution.reached:
-        tip = view.project(solution.equilibrium.tip_position)
-        scene.plot([tip[0], at[0]], [tip[1], at[1]], color=TARGET, lw=1.0, ls=(0, (4, 2)), zorder=7)
-        middle = (tip[:2] + at[:2]) / 2
-        note(scene, f"{solution.position_error * TO_MM:.2f} mm short", middle, np.array([6.0, 0.0]), colour=TARGET)
 
 
 @picture
@@ -81,32 +66,31 @@ def plot_targets(
     """Picture of an arm that follows targets: the arm at some of them, the targets, margin and joint values.
 
     Args:
-        solutions: one answer per target, in their order.
+        solutions: one solution per target, in their order.
         view: as in `plot_inverse`.
         title: heading; default the robot's name.
-        shown: at how many of the targets the arm is drawn, the last one solid.
+        shown: number of targets at which the arm is drawn, the last one solid.
     """
     arms = [each.equilibrium for each in solutions]
-    chosen = np.unique(np.linspace(0, len(arms) - 1, shown).round().astype(int))
     targets = np.array([each.target_position for each in solutions])
     figure = new_figure(9.0, 5.0)
     name = title or arms[-1].robot.name or "robot"
-    worst = max(each.position_error for each in solutions)
+    largest_error = max(each.position_error for each in solutions)
     least = min(each.margin for each in solutions)
-    headed(figure, f"{name}: {len(arms)} targets, tip within {worst * 1e9:.2g} nm, margin at least {least:.3f}")
-    way = arc_length(targets) * TO_MM
-    sweep = Sweep([arms[k] for k in chosen], np.arange(len(arms), dtype=float), targets, asked=True)
-    rows = beside_scene(figure, 3, sweep, (), view)
-    draw_joints(rows, way, np.array([each.rotations for each in arms]), np.array([each.translations for each in arms]))
-    rows[2].plot(way, [each.margin for each in arms], color=INK, lw=1.4)
-    margin_scale(rows[2], least)
-    along(rows, way, "path of the tip (mm)")
-    figure.align_ylabels(rows)
+    headed(figure, f"{name}: {len(arms)} targets, tip within {largest_error * 1e9:.2g} nm, margin at least {least:.3f}")
+    distance = path_length(targets) * TO_MM
+    scene = swept_scene(arms, np.arange(len(arms), dtype=float), targets, shown=shown, targets=True)
+    panels = beside_scene(figure, 3, scene, view)
+    rotations = np.array([each.rotations for each in solutions])
+    translations = np.array([each.translations for each in solutions])
+    draw_joints(panels[:2], distance, rotations, translations)
+    draw_over(panels[2], distance, [each.margin for each in solutions], MARGIN)
+    share_x(panels, distance, "path of the tip (mm)")
     return figure
 
 
-def arc_length(points: Array) -> Array:
-    """(T,) length of the way through points (T, 3) up to each, m."""
+def path_length(points: Array) -> Array:
+    """(T,) length of the path through points (T, 3) up to each, m."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -114,17 +98,17 @@ def arc_length(points: Array) -> Array:
 MAP = "cividis"
 LOST_FACE = "#F2B48C"
 LOST_COLOUR = "#D55E00"
-MOST_TIPS = 4000
-"""Tips that are drawn; of more, so many are drawn."""
+MAX_TIPS = 4000
+"""Largest number of tips that are drawn."""
 
 PER_CELL = 12
-"""Samples per cell of a section, if they were evenly spread over its bounding box."""
+"""Samples per cell of a section if they were evenly spread over its bounding box."""
 
 ACROSS = 200
-"""Points that are drawn of a section along its longer side, at least: between cells values change smoothly."""
+"""Smallest number of drawn points along the longer side of a section, for smooth changes between cells."""
 
-LEAST_SPAN = 0.01
-"""Range of margins that the colours span at least: smaller differences are not worth a colour."""
+MIN_SPAN = 0.01
+"""Smallest range of margins of the colours: smaller differences are not worth a colour."""
 
 
 @picture
@@ -136,14 +120,14 @@ def plot_workspace(
     title: str = "",
     view: tuple[float, float] = (18.0, -60.0),
 ) -> Figure:
-    """Figure of a workspace: tips in space, and a section: directions of the tip, and smallest margin.
+    """Figure of a workspace: tips in space, and a section with directions of the tip and smallest margin.
 
-    The section is a half-plane through z into which all tips are turned. Each of its points shows the samples about it:
-    the share of directions in which their tips point, relative to the half-plane, and the smallest of their margins.
+    The section is a half-plane through z into which all tips are turned. Each point shows the samples around it: the
+    fraction of directions in which their tips point, relative to the half-plane, and the smallest of their margins.
 
     Args:
-        loss: of `snapping_loss`.
-        size: edge of the cells of the section, m; by default small enough for about 12 samples per cell.
+        loss: result of `snapping_loss`.
+        size: edge of the cells of the section, m; by default for about 12 samples per cell.
         title: heading; default the robot's name and the number of samples.
         view: elevation and azimuth of the viewer of the scene, deg.
 
@@ -154,19 +138,19 @@ def plot_workspace(
     if loss is not None and loss.robot != workspace.robot:
         raise InputError("loss is of another robot than the workspace")
     require_samples(workspace)
-    found = _section(workspace, size)
+    section = _section(workspace, size)
     figure = new_figure(9.0, 4.9)
     name = workspace.robot.name or f"robot of {workspace.robot.n_tubes} tubes"
     headed(figure, title or f"{name}: tips at {len(workspace):,} joint values")
     scene, sides, margins = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
     tips = _draw_tips(scene, workspace, View(*view))
-    # From 0, since a share has a natural zero.
-    share = _draw_section(sides, found, found.dexterity, (0.0, float(np.nanmax(found.dexterity))))
-    worst = _draw_section(margins, found, found.margin, _span(found.margin))
+    # From 0, since a fraction has a natural zero.
+    fractions = _draw_section(sides, section, section.dexterity, (0.0, float(np.nanmax(section.dexterity))))
+    smallest = _draw_section(margins, section, section.margin, _span(section.margin))
     where: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.75, "aspect": 25, "pad": 0.02}
     colour_bar(figure, tips, "stability margin", ax=scene, **where)
-    colour_bar(figure, share, "share of directions", ax=sides, **where)
-    colour_bar(figure, worst, "smallest margin", ax=margins, **where)
+    colour_bar(figure, fractions, "fraction of directions", ax=sides, **where)
+    colour_bar(figure, smallest, "smallest margin", ax=margins, **where)
     if loss is not None:
         _draw_lost(margins, loss)
     margins.sharey(sides)
@@ -174,19 +158,19 @@ def plot_workspace(
 
 
 def _span(margins: Array) -> tuple[float, float]:
-    """Least and largest of some margins, as the ends of a scale of colours."""
-    most = float(np.nanmax(margins))
-    return min(float(np.nanmin(margins)), most - LEAST_SPAN), most
+    """Ends of a scale of colours for margins."""
+    largest = float(np.nanmax(margins))
+    return min(float(np.nanmin(margins)), largest - MIN_SPAN), largest
 
 
 def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
-    """Tips in space, those farther from the viewer first."""
-    table = workspace.some(MOST_TIPS)
+    """Draw tips in space, those farther from the viewer first."""
+    table = workspace.some(MAX_TIPS)
     table = table[np.isfinite(table[:, -1])]
     points, margin = table[:, -7:-4], table[:, -1]
     draw_plate(axes, points, view)
     seen = view.project(points)
-    # Of two tips at one place in the picture the nearer one is drawn last; stable, so that files are equal.
+    # Of two tips at one point of the picture the nearer one is drawn last; stable, so that files are equal.
     order = np.argsort(seen[:, 2], kind="stable")
     style: dict[str, Any] = {"s": 3, "linewidths": 0, "rasterized": True, "zorder": 4}
     low, high = _span(margin)
@@ -194,25 +178,25 @@ def _draw_tips(axes: Axes, workspace: Workspace, view: View) -> Collection:
 
 
 def _fold(centres: Array, size: float) -> Keys:
-    """(V, 2) cell of each voxel in the meridian: distance from the axis and height."""
+    """(V, 2) cell of each voxel in the half-plane: distance from the axis and height."""
     distance = np.hypot(centres[:, 0], centres[:, 1])
     return np.floor(np.column_stack([distance, centres[:, 2]]) / size).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class _Section:
-    """Cells of a half-plane through z: cell (i, j) begins (first + (i, j)) * size from the axis and the plate."""
+    """Cells of a half-plane through z: cell (i, j) starts (first + (i, j)) * size from the axis and the plate."""
 
     size: float
     first: Keys
     margin: Array
     """(I, J) smallest margin of the samples in a cell and those next to it; NaN where no sample is in the cell."""
     dexterity: Array
-    """(I, J) share of directions of the same samples; NaN likewise."""
+    """(I, J) fraction of directions of the same samples; NaN likewise."""
 
 
 def _section(workspace: Workspace, size: float | None) -> _Section:
-    """Tips turned about z into one half-plane, with their directions, and sorted into cells."""
+    """Cells of a half-plane into which all tips are turned about z, with their directions."""
     from scipy.ndimage import minimum_filter
 
     edge = _cell_size(workspace) if size is None else positive("size", size)
@@ -221,7 +205,7 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
         table = part[held(part, -np.inf)]
         x, y, z = table[:, -7:-4].T
         distance = np.hypot(x, y)
-        # On the axis the meridian is not determined: the tip is not turned.
+        # On the axis the half-plane is not determined: the tip is not turned.
         safe = np.where(distance > 0, distance, 1.0)
         cosine, sine = np.where(distance > 0, x / safe, 1.0), y / safe
         across, along, up = table[:, -4:-1].T
@@ -241,14 +225,14 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
     for i, j in np.ndindex(3, 3):
         # A bit per patch of directions; the union over a cell and its eight neighbours counts none twice.
         near |= patches[i : i + shape[0], j : j + shape[1]]
-    shares = np.bitwise_count(near) / PATCHES
+    fractions = np.bitwise_count(near) / PATCHES
     # Empty cells are inf here and lose against any neighbour.
     smallest = minimum_filter(margin, 3, mode="nearest")
-    return _Section(edge, first, np.where(empty, np.nan, smallest), np.where(empty, np.nan, shares))
+    return _Section(edge, first, np.where(empty, np.nan, smallest), np.where(empty, np.nan, fractions))
 
 
 def _cell_size(workspace: Workspace) -> float:
-    """Edge (m) at which cells of the bounding box of the half-plane hold `PER_CELL` samples."""
+    """Edge, m, of cells with `PER_CELL` samples each, if samples are even over their bounding box."""
     low, high, count = np.full(2, np.inf), np.full(2, -np.inf), 0
     for _, part in workspace.chunks():
         tips = part[held(part, -np.inf), -7:-4]
@@ -262,24 +246,24 @@ def _cell_size(workspace: Workspace) -> float:
     return max(float(np.sqrt(area * PER_CELL / count)), longest / 100)
 
 
-def _draw_section(axes: Axes, found: _Section, values: Array, span: tuple[float, float]) -> Collection:
-    """A section with values (I, J) between its cells, and a smooth edge."""
+def _draw_section(axes: Axes, section: _Section, values: Array, span: tuple[float, float]) -> Collection:
+    """Draw values (I, J) of a section, smooth between its cells and at its edge."""
     from scipy.ndimage import gaussian_filter, zoom
 
-    # Cells without samples take no part in the mean of a point; the edge is where half of the cells about it have some.
+    # Cells without samples take no part in the mean of a point; the edge is where half of the cells around have some.
     padded = np.pad(values, 2, constant_values=np.nan)
     inside = np.isfinite(padded)
     # Normalised convolution (Knutsson and Westin, 1993): smoothed values over smoothed weights.
     weight = gaussian_filter(inside.astype(float), 0.7)
     mean = gaussian_filter(np.where(inside, padded, 0.0), 0.7) / np.maximum(weight, 1e-9)
-    if found.first[0] == 0:  # beyond the axis lies the other side
+    if section.first[0] == 0:  # beyond the axis lies the other side
         weight[:2], mean[:2] = weight[3:1:-1], mean[3:1:-1]
     # Rounded up.
     finer = -(-ACROSS // max(padded.shape))
     # grid_mode: values belong to the middles of cells, and not to their corners.
     fine, part = (zoom(each, finer, order=1, grid_mode=True, mode="nearest") for each in (mean, weight))
     edges = [
-        TO_MM * found.size * (found.first[k] - 2 + np.arange(finer * padded.shape[k] + 1) / finer) for k in range(2)
+        TO_MM * section.size * (section.first[k] - 2 + np.arange(finer * padded.shape[k] + 1) / finer) for k in range(2)
     ]
     outside = part < 0.5
     outside[edges[0][:-1] < -1e-9] = True
@@ -295,7 +279,7 @@ def _draw_section(axes: Axes, found: _Section, values: Array, span: tuple[float,
 
 
 def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
-    """Cells of the meridian with lost voxels, hatched and in a colour of their own where nothing else is reached."""
+    """Hatch cells of the half-plane with lost voxels, in a colour of their own where nothing else is reached."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
@@ -304,7 +288,7 @@ def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
         np.unique(_fold(np.asarray((keys + 0.5) * loss.size), loss.size), axis=0)
         for keys in (loss.lost, loss.held)
     )
-    # A cell of the meridian holds voxels all around the axis, of which some may be lost and others not.
+    # A cell of the half-plane contains voxels all around the axis, of which some may be lost and others not.
     alone = [cell for cell in lost.tolist() if cell not in held.tolist()]
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     outline: dict[str, Any] = {"edgecolor": LOST_COLOUR, "linewidth": 0.8, "hatch": "//////"}
@@ -314,8 +298,8 @@ def _draw_lost(axes: Axes, loss: SnappingLoss) -> None:
             corners = (np.array(cells)[:, None] + square) * loss.size * TO_MM
             axes.add_collection(PolyCollection(list(corners), zorder=5, **look))
     axes.autoscale_view()
-    share = f"lost to snapping: {number(100 * loss.fraction, 1)} % of the volume"
-    handles = [Patch(facecolor="#FEE838", label="reached by a stable robot"), Patch(label=share, **looks[1][1])]
+    lost_volume = f"lost to snapping: {number(100 * loss.fraction, 1)} % of the volume"
+    handles = [Patch(facecolor="#FEE838", label="reached by a stable robot"), Patch(label=lost_volume, **looks[1][1])]
     if alone and len(alone) < len(lost):
         handles.append(Patch(label="both, at other places around the axis", **looks[0][1]))
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+    legend_above(axes, 1, handles=handles)

@@ -1,0 +1,311 @@
+"""Sheets for the workshop, one page A4 each: setting up molds and mandrels, and heating a tube."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from ...constants import ZERO_CELSIUS
+from ...files.units import TO_MM
+from ...shaping.firmware.boards import root_mean_square
+from ...shaping.heating.plan import HeatingPlan
+from ...shaping.mold.gcode import clear_room
+from ...shaping.mold.mandrel import Cylinder, Mandrel
+from ...shaping.mold.mold import Groove, Mold
+from ...shaping.tube_fabrication import TubeFabrication
+from ..page import WIDTH
+from .heating import draw_duty, draw_temperature
+from .mold import draw_mold, draw_plan, draw_space, extent, mold_heading, radius_words
+from .style import Figure, new_figure, picture
+
+A4 = (297.0, 210.0)
+"""Width and height of a sheet, mm."""
+
+EDGE = 12.0
+"""Empty border, mm."""
+
+ROW = 4.6
+"""Distance of two rows of numbers, mm."""
+
+STEP_LETTERS, LINE_LETTERS = 78, 84
+"""Letters per line of the steps, and of the lists of a heating sheet."""
+
+
+@contextmanager
+def _own_size() -> Iterator[None]:
+    """Keep the size of a sheet, whatever the width of other pictures."""
+    token = WIDTH.set(None)
+    try:
+        yield
+    finally:
+        WIDTH.reset(token)
+
+
+def _new_sheet(heading: str) -> Figure:
+    """A4 page with a heading; its panels have positions of their own."""
+    with _own_size():
+        figure = new_figure(A4[0] / 25.4, A4[1] / 25.4, layout=None)
+    _write(figure, EDGE, A4[1] - EDGE, heading, size=13, weight="bold")
+    return figure
+
+
+def _write(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+    """Write text with its upper left corner at x, y, mm."""
+    figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
+
+
+def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: dict[str, str]) -> None:
+    """Write a table below `top`, mm: names and the values of each tube, in columns that start at given x, mm."""
+    for row, name in enumerate(values[0]):
+        for x, words in zip(columns, (name, *(each[name] for each in values)), strict=True):
+            _write(figure, x, top - ROW * row, words)
+
+
+def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
+    """Write numbered steps, and the remarks below them."""
+    marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
+    lines = [f"{mark}  {textwrap.fill(text, STEP_LETTERS, subsequent_indent='      ')}" for mark, text in marked]
+    _write(figure, x, top, "\n".join(lines))
+
+
+SCALES = (1.0, 1.5, 2.0, 2.5, 4.0, 5.0, 10.0)
+"""Reductions of the drawing of a mold."""
+
+MAX_COLUMNS = 3
+"""Largest number of tubes in the table of a mold."""
+
+
+@picture
+def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
+    """Set-up sheet for the workshop: one page A4 with drawings, a table of numbers, and the steps."""
+    if isinstance(part, Mandrel):
+        figure = _new_sheet(f"Set-up sheet: {title or f'mandrel of tube {part.number}'}")
+        draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), part)
+        draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), part)
+        top = 0.46 * A4[1]
+        _write_table(figure, (EDGE, 95.0), top, mandrel_numbers(part))
+        _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
+        return figure
+    figure = _new_sheet(f"Set-up sheet{': ' + title if title else ''}")
+    low, high = extent(part)
+    available = np.array([A4[0] - 2 * EDGE, 0.47 * A4[1] - EDGE])
+    # A round reduction, so that lengths can be measured on the sheet.
+    fitting = [scale for scale in SCALES if (high - low <= available * scale).all()]
+    scale = fitting[0] if fitting else SCALES[-1]
+    wide, tall = (high - low) / scale
+    bottom = A4[1] - EDGE - 9 - tall
+    axes = figure.add_axes((EDGE / A4[0], bottom / A4[1], wide / A4[0], tall / A4[1]))
+    draw_mold(axes, part)
+    axes.set_axis_off()
+    facts = f"{mold_heading(part)}, drawn 1:{scale:g}. Zero: lower left corner, upper face of the base."
+    _write(figure, EDGE, A4[1] - EDGE - 6, facts)
+    key = "White: bolts; dark: dowels; ringed: vents of the lid; grey: clamps, with an arrow where one slides."
+    _write(figure, EDGE, EDGE + 3, key)
+    top, shown = bottom - 4, part.grooves[:MAX_COLUMNS]
+    columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
+    for x, words in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
+        _write(figure, x, top, words, weight="bold")
+    tables = [groove_numbers(groove, part) for groove in shown]
+    _write_table(figure, columns, top - ROW, *tables)
+    if len(part.grooves) > len(shown):
+        others = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
+        _write(figure, EDGE, top - (len(tables[0]) + 1.4) * ROW, f"tubes {others}: see mold.json")
+    _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
+    return figure
+
+
+def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
+    """Table of one groove for the workshop; mm and deg."""
+    tube, back = groove.tube, mold.spec.springback
+    lost = 1 - abs(tube.curvature / groove.curvature) if groove.curvature else 0.0
+    end, travel = groove.before_bend + groove.bend_length, max(clamp.travel for clamp in groove.clamps)
+    # Without the tolerance, a depth of whole steps would take one pass more by round-off.
+    passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
+    return {
+        "tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}",
+        "required radius": radius_words(tube, ".2f"),
+        "mold radius": radius_words(groove.held, ".3f"),
+        "spring-back of the curvature": f"{100 * (1 - back.obtained(1.0) if back.slope == 0 else lost):.2f} %",
+        "bend, length / angle": f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°",
+        "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
+        "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
+        "strain when pressed in": f"{groove.strain * 100:.2f} %",
+        "cut the tube to": f"{groove.stock_length * TO_MM:.1f}",
+        "mark: bend begins at / ends at": f"{groove.before_bend * TO_MM:.1f} / {end * TO_MM:.1f}",
+        "plate to clamp, proximal / distal": f"{groove.gaps[0] * TO_MM:.1f} / {groove.gaps[1] * TO_MM:.1f}",
+        "cold end from the clamp": f"{groove.cold.length * TO_MM:.1f}",
+        "growth / travel of the sliding clamp": f"{groove.growth * TO_MM:.2f} / {travel * TO_MM:.1f}",
+        "trim, proximal / distal": f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}",
+    }
+
+
+def mold_steps(mold: Mold) -> list[str]:
+    """Steps from the stock to the finished tube."""
+    spec = mold.spec
+    heat, clamps = spec.heat, spec.clamps
+    bolts = sum(hole.purpose == "bolt" for hole in mold.holes)
+    degrees = heat.set_temperature - ZERO_CELSIUS
+    fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
+    return [
+        f"Cut both plates (base and lid, *.nc for {spec.workshop.dialect}). Clamp the stock at least "
+        f"{math.ceil(clear_room(mold) * TO_MM)} mm from the plate, with a board below. {bolts} bolts of "
+        f"{spec.plate.bolt_diameter * TO_MM:g} mm, 2 dowels of {spec.plate.dowel_diameter * TO_MM:g} mm (ream them), "
+        f"{len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid.",
+        "Cut the tube and mark the bend. Press it into the groove, marks on the ends of the bend; dowels, lid, bolts.",
+        f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The {fixed} "
+        f"one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
+        "buckles.",
+        f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in water.",
+        "Trim the ends. Measure the radius, note it beside the mold radius: `tubeopt mold calibrate TRIALS.csv`.",
+    ]
+
+
+def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
+    """Table of a mandrel for the workshop; mm."""
+    body, tube, held = mandrel.body, mandrel.tube, mandrel.held
+    numbers = {"tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}"}
+    if isinstance(body, Cylinder):
+        helix = f"{body.helix_radius * TO_MM:.3f} / {body.pitch * TO_MM:.3f}, {body.handed}-handed"
+        numbers["cylinder, diameter / length"] = f"{2 * body.radius * TO_MM:.3f} / {body.length * TO_MM:.1f}"
+        numbers["helix, radius / pitch"] = helix
+    else:
+        numbers["block"] = " × ".join(f"{size * TO_MM:.1f}" for size in body.size)
+    lead = (mandrel.free_length - held.curved_length) / 2 + mandrel.spec.clamps.grip
+    start = max(lead, tube.straight_length)
+    end = start + held.curved_length
+    numbers |= {
+        "groove, width, round below": f"{mandrel.width * TO_MM:.3f}",
+        "least radius, required / in the groove": f"{TO_MM / tube.curvature:.2f} / {TO_MM / held.curvature:.3f}",
+        "cut the tube to": f"{mandrel.stock_length * TO_MM:.1f}",
+        "mark: bend begins at / ends at": f"{start * TO_MM:.1f} / {end * TO_MM:.1f}",
+        "tube from clamp to clamp": f"{mandrel.free_length * TO_MM:.1f}",
+    }
+    return numbers
+
+
+def mandrel_steps(mandrel: Mandrel) -> list[str]:
+    """Steps from the stock to the finished tube."""
+    heat, turned = mandrel.spec.heat, isinstance(mandrel.body, Cylinder)
+    cut = (
+        "Turn the cylinder. Mill the groove (mandrel.nc, or by hand from mandrel.csv: feed and rotation)."
+        if turned
+        else "Print the block (mandrel.stl); clear the groove of powder and supports."
+    )
+    fixing = "wire over every half turn" if turned else "a flat lid over the open side"
+    return [
+        cut,
+        f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}, "
+        "and clamp one end only: the other must be free to grow.",
+        f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
+        f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is "
+        "there; then quench in water. No heating by current is planned: the heat that a mandrel takes off a tube is "
+        "not known.",
+        "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
+    ]
+
+
+QUARTERS = (0.25, 0.5, 0.75)
+"""Fractions of the temperature rise on the time line: they show early whether the tube follows the plan."""
+
+
+@picture
+def plot_fabrication_sheet(made: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
+    """Heating sheet for the operator: one page A4, whose first line is the probability of success."""
+    plan = made.heating
+    figure = _new_sheet(f"Heating sheet: {title or f'tube {made.groove.number}'}")
+    left, wide, top = 0.09, 0.37, 0.47 * A4[1]
+    over_time = figure.add_axes((left, 0.68, wide, 0.185))
+    duty = figure.add_axes((left, 0.53, wide, 0.105), sharex=over_time)
+    draw_temperature(over_time, plan)
+    draw_duty(duty, plan)
+    over_time.tick_params(labelbottom=False)
+    duty.set_xlabel("time (s)")
+    _write(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
+    _write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
+    _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(made))
+    for head, lines, y in (
+        ("Time line", time_line(plan), A4[1] - EDGE - 6),
+        ("Before", preparation(made), A4[1] - EDGE - 50),
+        ("Safety", safety(plan), A4[1] - EDGE - 104),
+    ):
+        _write(figure, 152.0, y, head, weight="bold")
+        wrapped = [textwrap.fill(line, LINE_LETTERS, initial_indent="- ", subsequent_indent="  ") for line in lines]
+        _write(figure, 152.0, y - ROW, "\n".join(wrapped))
+    return figure
+
+
+def heating_numbers(made: TubeFabrication) -> dict[str, str]:
+    """Table of a heating: settings, and values to measure and to watch; mm, s, degC, V, A."""
+    plan, groove, tube = made.heating, made.groove, made.groove.tube
+    low, high = plan.spec.window_degC
+    on = plan.duty > 0
+    hold = plan.duty[plan.in_hold][:-1]
+    hottest_clamp, hottest_wall = plan.clamp_temperature.max(), plan.mold_temperature.max()
+    return {
+        "tube, outer / inner diameter (mm)": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}",
+        "cut to / between the clamps (mm)": f"{groove.stock_length * TO_MM:.1f} / {groove.free_length * TO_MM:.1f}",
+        "window / limit (°C)": f"{low:g} to {high:g} / {plan.spec.limit:g}",
+        "curved part in the hold (°C)": f"{plan.lowest:.1f} to {plan.highest:.1f}",
+        "ramp / hold (s)": f"{plan.hold_start:g} / {plan.spec.hold_time:g}",
+        "counts of 255, ramp at most / hold": f"{plan.duty.max()} / {hold.max()} to {hold.min()}",
+        "slot (s) / pulses (Hz)": f"{plan.spec.slot:g} / {plan.rig.circuit.pwm_frequency:g}",
+        "battery at rest / least under load (V)": f"{plan.rig.battery.voltage:.2f} / {plan.voltage[on].min():.2f}",
+        "current while on / rms of 10 s (A)": f"{plan.peak_current:.0f} / {root_mean_square(plan):.1f}",
+        "energy (kJ) / charge left (%)": f"{plan.energy / 1e3:.1f} / {100 * plan.charge[-1]:.0f}",
+        "clamps / wall of the groove at most (°C)": f"{hottest_clamp:.0f} / {hottest_wall:.0f}",
+        "growth of the hot tube (mm)": f"{plan.growth * TO_MM:.2f}",
+        "quench, out of the mold (s)": f"{plan.quench_time:.2f} in {plan.spec.quench}",
+    }
+
+
+def time_line(plan: HeatingPlan) -> list[str]:
+    """Events with their times, s from the switch, and the temperature of the middle of the curved part."""
+    middle = plan.temperature[:, plan.temperature.shape[1] // 2]
+    start = int(np.flatnonzero(plan.in_hold)[0])
+    # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
+    rising = np.maximum.accumulate(middle[: start + 1])
+    goals = [middle[0] + fraction * (middle[start] - middle[0]) for fraction in QUARTERS]
+    off = plan.spec.slot * plan.table_length
+    return [
+        f"0 s: switched on, {middle[0]:.0f} °C",
+        *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
+        f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
+        f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
+        f"lid off and the tube into {plan.spec.quench} at once; it is below 100 °C {plan.quench_time:.2f} s later: "
+        "in the mold it anneals on",
+    ]
+
+
+def preparation(made: TubeFabrication) -> list[str]:
+    """Tasks before the switch: setting up, wiring, measuring."""
+    plan, spec = made.heating, made.mold.spec
+    battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
+    return [
+        f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
+        f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.",
+        f"Battery rested and disconnected: {battery.voltage:.2f} V. With another voltage take its own schedule "
+        "(`tubeopt heat plan rig.yaml --battery-V`), not this one.",
+        f"Polarity: battery plus, fuse, {fixed} clamp; {spec.clamps.sliding_end} clamp, MOSFET (drain), its source to "
+        "battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no polarity.",
+        "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
+        "clamp a multimeter measures mainly its own leads; check the current instead.",
+        "First without power, then one pulse: the current while on must be that of the table.",
+    ]
+
+
+def safety(plan: HeatingPlan) -> list[str]:
+    """Hazards, with the numbers of the plan."""
+    reserve = 100 * (1 - plan.mean_current / plan.rig.circuit.current_limit)
+    return [
+        f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
+        f"battery's plus, the stop button within reach. The mean current is {reserve:.0f} % below its limit.",
+        f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
+        f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
+        "Quench with the current off and the clamps open, tongs in hand; water spits.",
+        "Above the limit, or where the tube does not follow the time line: stop.",
+        *plan.problems,
+    ]

@@ -1,0 +1,213 @@
+"""Texts of a figure that is laid out: which cannot be read, and how they are moved apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
+
+from ...typing import Array, Mask
+from ..page import SCALE
+
+TOLERANCE = (1.0, 1.5)
+"""Points by which two texts may overlap across and upwards: letters fill less than the box of their text."""
+
+EDGE_TOLERANCE = 0.5
+"""Points by which a text may leave the page: edges of letters are smoothed."""
+
+MAX_ASPECT = 1.2
+"""Largest height of a picture for a page, over its width."""
+
+MAX_SHIFT = 5
+"""Largest shift of a name off another text, in lines."""
+
+ROUNDS = 3
+"""Rounds of moving texts and measuring again."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Text that cannot be read, or a page that is too high."""
+
+    kind: str
+    """"overlap", "covered" (text in the area of another panel), "clipped" or "high"."""
+    text: str
+    other: str = ""
+    """Overlapping text, or the name of the panel."""
+
+    def __str__(self) -> str:
+        """Kind and texts."""
+        return f"{self.kind}: {self.text!r}" + (f" and {self.other!r}" if self.other else "")
+
+
+class PlacedText(NamedTuple):
+    """Text of a figure that is laid out."""
+
+    text: Text
+    axes: Axes | None
+    """Its panel; None for texts of the whole figure."""
+    axis: Axis | None
+    """Axis whose tick it labels."""
+
+
+def faults(figure: Figure) -> list[Fault]:
+    """Faults of the texts of a figure that is laid out."""
+    figure.draw_without_rendering()  # legends and labels of ticks get their positions when they are drawn
+    width, height = figure.get_size_inches()
+    out = [Fault("high", f"{height / width:.2f} widths")] if height > MAX_ASPECT * width + 1e-6 else []
+    texts = list(drawn_texts(figure))
+    boxes = _boxes(texts)
+    ((left, bottom, right, top),) = _box(figure.bbox.padded(EDGE_TOLERANCE * figure.dpi / 72))
+    inside = (boxes[:, :2] >= (left, bottom)).all(1) & (boxes[:, 2:] <= (right, top)).all(1)
+    out += [Fault("clipped", texts[k].text.get_text()) for k in np.flatnonzero(~inside)]
+    for k, j in np.argwhere(np.tril(_overlap(figure, boxes, boxes), -1)):
+        out.append(Fault("overlap", texts[k].text.get_text(), texts[j].text.get_text()))
+    for panel, covered in _covered(figure, texts, boxes):
+        name = panel.get_title("left") or panel.get_ylabel() or panel.get_xlabel() or "another panel"
+        out += [Fault("covered", texts[k].text.get_text(), name) for k in np.flatnonzero(covered)]
+    return out
+
+
+def separate(figure: Figure) -> None:
+    """Move names off other texts and panels, thin out numbers of scales, and hide those that still overlap."""
+    for _ in range(ROUNDS):
+        figure.draw_without_rendering()
+        texts = list(drawn_texts(figure))
+        boxes = _boxes(texts)
+        pairs = [(int(k), int(j)) for k, j in np.argwhere(np.tril(_overlap(figure, boxes, boxes), -1))]
+        covered = [int(k) for _, each in _covered(figure, texts, boxes) for k in np.flatnonzero(each)]
+        if not pairs and not covered:
+            return
+        one_axis = [(k, j) for k, j in pairs if texts[k].axis is not None and texts[k].axis is texts[j].axis]
+        for axis in {id(texts[k].axis): texts[k].axis for k, _ in one_axis}.values():
+            # Numbers of one scale overlap each other: hiding every other one keeps the scale regular. The first stays,
+            # where a reader begins.
+            ticks = axis.get_major_ticks() if axis is not None else []
+            shown = [tick for tick in ticks if tick.label1.get_visible() or tick.label2.get_visible()]
+            for tick in shown[1::2]:
+                tick.label1.set_visible(False)
+                tick.label2.set_visible(False)
+        # Moves of a round change `boxes`, so that two names do not move to the same place.
+        for pair in pairs:
+            if pair not in one_axis:
+                _resolve(figure, texts, boxes, pair)
+        for k in covered:
+            _resolve(figure, texts, boxes, (k,))
+
+
+def _resolve(figure: Figure, texts: Sequence[PlacedText], boxes: Array, crowded: Sequence[int]) -> None:
+    """Of texts that overlap, hide the number of a scale or move a name."""
+    for k in crowded:
+        # A reader can infer a number of a scale from its neighbours, but not a name.
+        if texts[k].axis is not None or texts[k].text.get_gid() == SCALE:
+            texts[k].text.set_visible(False)
+            return
+    for k in crowded:
+        text: Any = texts[k].text
+        if not isinstance(text, Annotation) or text.anncoords != "offset points":
+            continue
+        x, y = text.xyann  # points
+        steps = np.arange(-MAX_SHIFT, MAX_SHIFT + 1)
+        shifts: Array = text.get_fontsize() * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        # The nearest free place: a name far from its point is read as that of another.
+        shifts = shifts[np.argsort(np.hypot(*shifts.T), kind="stable")][1:]
+        candidates = boxes[k] + np.tile(shifts, 2) * figure.dpi / 72
+        ((left, bottom, right, top),) = _box(figure.bbox)
+        free = (candidates[:, :2] >= (left, bottom)).all(1) & (candidates[:, 2:] <= (right, top)).all(1)
+        free &= ~_overlap(figure, candidates, np.delete(boxes, k, axis=0)).any(1)
+        for panel in _foreign_panels(figure, texts[k].axes):
+            free &= ~_overlap(figure, candidates, _box(panel.bbox))[:, 0]
+        if free.any():
+            best = int(np.argmax(free))
+            text.xyann = (x + shifts[best, 0], y + shifts[best, 1])
+            boxes[k] = candidates[best]
+            return
+
+
+def too_wide(figure: Figure) -> Iterator[tuple[Text, float]]:
+    """Level texts that leave the page to a side, and the width in pixels that each may have."""
+    page = figure.bbox
+    for text, _, _ in drawn_texts(figure):
+        box = text.get_window_extent()
+        outside = max(page.x0 - box.x0, 0.0) + max(box.x1 - page.x1, 0.0)
+        if outside > EDGE_TOLERANCE * figure.dpi / 72 and text.get_rotation() == 0:
+            # 5 % less, as breaking at blanks rarely fills a line exactly.
+            yield text, 0.95 * (box.width - outside)
+
+
+def drawn_texts(figure: Figure) -> Iterator[PlacedText]:
+    """Every text that is drawn."""
+    whole = [*figure.texts, *(text for legend in figure.legends for text in (*legend.get_texts(), legend.get_title()))]
+    panels = [each for axes in figure.axes if axes.get_visible() for each in _texts_of(axes)]
+    for each in (*panels, *(PlacedText(text, None, None) for text in whole)):
+        if each.text.get_visible() and each.text.get_text().strip():
+            yield each
+
+
+def _texts_of(axes: Axes) -> Iterator[PlacedText]:
+    parts: list[Any] = axes.get_children()
+    for part in parts:
+        if isinstance(part, Text):
+            yield PlacedText(part, axes, None)
+        elif hasattr(part, "get_texts") and part.get_visible():  # a legend
+            yield from (PlacedText(text, axes, None) for text in (*part.get_texts(), part.get_title()))
+        elif hasattr(part, "get_celld") and part.get_visible():  # a table
+            yield from (PlacedText(cell.get_text(), axes, None) for cell in part.get_celld().values())
+    for axis in parts if axes.axison else ():
+        if isinstance(axis, Axis) and axis.get_visible():
+            yield PlacedText(axis.label, axes, None)
+            yield PlacedText(axis.get_offset_text(), axes, None)
+            # Matplotlib keeps labels of ticks outside of the view, which are not drawn.
+            low, high = sorted(axis.get_view_interval())
+            tolerance = 1e-9 * (high - low)
+            for tick, at in zip(axis.get_major_ticks(), axis.get_majorticklocs(), strict=False):
+                if low - tolerance <= at <= high + tolerance:
+                    yield from (PlacedText(label, axes, axis) for label in (tick.label1, tick.label2))
+
+
+def _boxes(texts: Sequence[PlacedText]) -> Array:
+    """(N, 4) left, lower, right and upper ends of texts, pixels."""
+    return np.array([each.text.get_window_extent().extents for each in texts]).reshape(-1, 4)
+
+
+def _box(box: Bbox) -> Array:
+    """(1, 4) ends of a box, pixels."""
+    return np.asarray(box.extents, dtype=float).reshape(1, 4)
+
+
+def _overlap(figure: Figure, boxes: Array, others: Array) -> Mask:
+    """(N, M) whether boxes (N, 4) and (M, 4) overlap by more than `TOLERANCE`."""
+    ends = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    starts = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    return np.asarray((ends - starts > np.array(TOLERANCE) * figure.dpi / 72).all(-1))
+
+
+def _foreign_panels(figure: Figure, axes: Axes | None) -> Iterator[Axes]:
+    """Panels beside that of a text; a panel within another one, as a scale of colours, is not beside it."""
+    for panel in figure.axes if axes is not None else ():
+        if panel is axes or not panel.get_visible():
+            continue
+        assert axes is not None
+        common = panel.bbox.intersection(panel.bbox, axes.bbox)
+        nested = common is not None and common.width * common.height > 0.5 * min(
+            each.bbox.width * each.bbox.height for each in (panel, axes)
+        )
+        if not nested:
+            yield panel
+
+
+def _covered(figure: Figure, texts: Sequence[PlacedText], boxes: Array) -> Iterator[tuple[Axes, Mask]]:
+    """Panels and which texts (N,) of others lie in their area: one hides the other, by the order of drawing."""
+    for axes in figure.axes:
+        own = np.array([each.axes is axes for each in texts])
+        for panel in _foreign_panels(figure, axes) if own.any() else ():
+            covered = own & _overlap(figure, boxes, _box(panel.bbox))[:, 0]
+            if covered.any():
+                yield panel, covered
