@@ -15,6 +15,7 @@ from ...shaping.firmware.boards import Wiring, parts_list
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.plan import HeatingPlan
 from ...shaping.heating.robust import Band
+from ...typing import Array
 from .labels import legend_above
 from .panels import Scale, draw_band, draw_bars, draw_over, share_x
 from .style import FAINT, INK, Axes, Figure, headed, narrow, new_figure, picture
@@ -121,11 +122,12 @@ def _draw_along(axes: Axes, plan: HeatingPlan) -> None:
     x = plan.position * TO_MM
     start, end = (int(np.flatnonzero(plan.in_hold)[k]) for k in (0, -1))
     _draw_window(axes, plan, name=False)
-    for values, name, look in (
+    curves: tuple[tuple[Array, str, dict[str, Any]], ...] = (
         (plan.temperature[start], "hold begins", {"color": COLD, "lw": 1.1}),
         (plan.temperature[end], "hold ends", {"color": TUBE}),
         (plan.ideal_temperature[end], "ideal duty", {"color": IDEAL, "lw": 0.8, "ls": "--"}),
-    ):
+    )
+    for values, name, look in curves:
         draw_over(axes, x, values, TEMPERATURE, name=name, **look)
     rig = plan.rig
     lengths = [rig.clamps.grip, rig.clamps.clearance, rig.mold.lead, plan.tube.curved_length]
@@ -149,15 +151,16 @@ def plot_rig_fit(fit: RigFit) -> Figure:
     names = {"voltage": "voltage (V)", "current": "current (A)"}
     channels = fit.log.channels
     figure = new_figure(7.0, 1.1 + 1.9 * len(channels))
-    panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
+    panels = list(figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0])
     for axes, (name, logged) in zip(panels, channels.items(), strict=True):
         zero = ZERO_CELSIUS if name.startswith("temperature") else 0.0
         scale = Scale(names.get(name, f"{name} (°C)".replace(" at ", "\nat ")))
-        for values, label, look in (
+        curves: tuple[tuple[Array, str, dict[str, Any]], ...] = (
             (logged, "logged", {"ls": "", "marker": ".", "ms": 3}),
             (fit.before[name], "rig file", {"color": FAINT, "lw": 1.0, "ls": "--"}),
             (fit.after[name], "calibrated", {"color": TUBE, "lw": 1.2}),
-        ):
+        )
+        for values, label, look in curves:
             draw_over(axes, fit.log.time, values - zero, scale, name=label, **look)
     panels[0].legend(fontsize=7, ncols=3, loc="lower right")
     share_x(panels, fit.log.time)

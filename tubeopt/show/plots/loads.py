@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,7 +61,7 @@ def plot_payload(equilibria: Sequence[Equilibrium], *, payloads: Array, title: s
     path = [float(np.linalg.norm(e.tip_position - first.tip_position)) for e in equilibria]
     weight = payloads * TO_MILLI
     draw_over(moved, weight, path, TIP_PATH, color=TUBE_COLOURS[0], lw=1.8)
-    linear = {"color": FAINT, "lw": 1.0, "ls": "--"}
+    linear: dict[str, Any] = {"color": FAINT, "lw": 1.0, "ls": "--"}
     draw_over(moved, weight, first_order * proportion, TIP_PATH, name="by the compliance at the start", **linear)
     moved.legend(loc="upper left")
     draw_over(margin, weight, [e.margin for e in equilibria], MARGIN, color=TUBE_COLOURS[2], lw=1.8)
@@ -190,7 +190,7 @@ def plot_hysteresis(
     ]
     for name, path, along, colour, width in directions:
         for panel, (scale, quantity) in zip(panels, quantities, strict=True):
-            line = {"colour": colour, "width": width, "name": name}
+            line: dict[str, Any] = {"colour": colour, "width": width, "name": name}
             draw_broken(panel, stretches(path, along), quantity, scale, arrows=True, **line)
         for snap in path.snaps:
             angle = place_of(snap, along)

@@ -139,8 +139,8 @@ def plot_springback(calibration: Calibration) -> Figure:
     axes.plot(kappa, fitted, color=tube_colour(2), lw=1.4, label=f"{c.model} model")
     if np.isfinite(c.noise):
         deviation = 2 * c.noise * 100
-        band = {"name": "± 2 standard deviations", "alpha": 0.25}
-        draw_band(axes, kappa, fitted - deviation, fitted + deviation, tube_colour(5), **band)
+        low_end, high_end = fitted - deviation, fitted + deviation
+        draw_band(axes, kappa, low_end, high_end, tube_colour(5), name="± 2 standard deviations", alpha=0.25)
     axes.set(xlabel="curvature of the mold (1/m)", ylabel="lost fraction of the curvature (%)")
     axes.set_ylim(min(0.0, float((c.lost * 100).min()) * 1.2), max(1.0, float(c.lost.max()) * 135))
     upper = axes.secondary_xaxis("top", functions=(_reciprocal, _reciprocal))

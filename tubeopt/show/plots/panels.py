@@ -59,7 +59,7 @@ def draw_over(
         look: properties of the line.
     """
     drawn = scale.factor * np.asarray(values, dtype=float)
-    (line,) = axes.plot(x, drawn, label=name or "_", **{"color": INK, "lw": 1.4} | look)
+    (line,) = axes.plot(x, drawn, label=name or "_", **({"color": INK, "lw": 1.4} | look))
     if limit is not None:
         axes.axhline(scale.factor * limit, color=FAINT, lw=0.8, ls="--", label="required")
     fit_scale(axes, scale)
@@ -87,7 +87,7 @@ def draw_joints(panels: Sequence[Axes], x: Array, rotations: Array, translations
     for axes, scale, values in zip(panels, (ROTATION, TRANSLATION), (rotations, translations), strict=True):
         for i, row in enumerate(values.T):
             # Outer tubes wider and behind: where joints move together, all curves stay visible.
-            look = {"color": tube_colour(i), "lw": 1.2 + 1.1 * i, "zorder": 2 - 0.01 * i}
+            look: dict[str, Any] = {"color": tube_colour(i), "lw": 1.2 + 1.1 * i, "zorder": 2 - 0.01 * i}
             draw_over(axes, x, row, scale, name=f"tube {i + 1}", **look)
     legend_beside(panels[0])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
 from typing import NamedTuple
@@ -57,7 +58,7 @@ def plot_path(path: Path) -> Figure:
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for k, (name, colour) in enumerate(COORDINATES):
-        draw_broken(above, parts, lambda e, k=k: float(e.tip_position[k]), TIP, colour=colour, name=name)
+        draw_broken(above, parts, partial(_coordinate, k), TIP, colour=colour, name=name)
     draw_broken(below, parts, lambda e: e.margin, MARGIN)
     below.axhline(0, color=FAINT, lw=0.7)
     last = len(path.equilibria)
@@ -74,6 +75,11 @@ def plot_path(path: Path) -> Figure:
     count = {0: "no snap", 1: "1 snap"}.get(len(path.snaps), f"{len(path.snaps)} snaps")
     headed(figure, f"{path.equilibria[0].robot.name or 'Tube robot'}:  {last} waypoints,  {count}")
     return figure
+
+
+def _coordinate(axis: int, equilibrium: Equilibrium) -> float:
+    """Coordinate of the tip, m."""
+    return float(equilibrium.tip_position[axis])
 
 
 REST_FRAMES = 8
@@ -130,7 +136,7 @@ def animate_path(
         if snap is not None:
             draw_lines(scene, snap.before, seen.project, widths=(2.0, 1.3), opacity=0.35)
             tips = seen.project(np.array([snap.before.tip_position, snap.after.tip_position]))[:, :2]
-            arrow(scene, *tips, SNAPPED, width=1.2, head=9, zorder=7)
+            arrow(scene, tips[0], tips[1], SNAPPED, width=1.2, head=9, zorder=7)
             panel.set_title(f"snap: the tip jumps by {number(snap.tip_jump * TO_MM, 0)} mm", color=SNAPPED, fontsize=9)
         draw_lines(scene, arm, seen.project, widths=(2.0, 1.3))
         draw_broken(panel, parts, lambda each: each.margin, MARGIN, colour=FAINT)

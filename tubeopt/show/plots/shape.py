@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -213,7 +213,12 @@ def _draw_close_up(axes: Axes, scene: Axes, equilibrium: Equilibrium, bundle: Bu
     axes.text(0, 1.08 * radius_mm, name, color=colour, ha="center", va="bottom")
     x, y, _ = view.project(centre)
     disk(scene, (x, y), radius_mm, fill=False, ec=FAINT, lw=0.6, zorder=5)
-    ends = {"xyA": (x + radius_mm, y), "coordsA": scene.transData, "xyB": (-radius_mm, 0), "coordsB": axes.transData}
+    ends: dict[str, Any] = {
+        "xyA": (x + radius_mm, y),
+        "coordsA": scene.transData,
+        "xyB": (-radius_mm, 0),
+        "coordsB": axes.transData,
+    }
     link = ConnectionPatch(**ends, color=FAINT, lw=0.5, alpha=0.7, zorder=4.5)
     link.set_in_layout(False)
     axes.add_artist(link)
@@ -264,10 +269,11 @@ def _torsions(equilibria: Sequence[Equilibrium], titles: Sequence[str]) -> Figur
         # Outer tubes first, so that inner ones lie on them.
         for i, end in reversed(list(enumerate(equilibrium.tube_end.tolist()))):
             curve = _torsion_curve(equilibrium, i, end)
-            look = {"color": tube_colour(i), "clip_on": False}
+            look: dict[str, Any] = {"color": tube_colour(i), "clip_on": False}
             for axes, values, scale in ((above, curve.theta, TWIST), (below, curve.slope, TORSION)):
-                x, thick = curve.s * TO_MM, {"lw": 1.2 + 0.9 * i, "solid_capstyle": "butt"}
-                draw_over(axes, x, values, scale, name=f"tube {i + 1}", **thick, **look)
+                x: Array = curve.s * TO_MM
+                name, width = f"tube {i + 1}", 1.2 + 0.9 * i
+                draw_over(axes, x, values, scale, name=name, lw=width, solid_capstyle="butt", **look)
                 if end > 0:
                     axes.plot(x[-1:], scale.factor * values[-1:], "o", ms=3.6 + 0.9 * i, zorder=4, **look)
             # The distance of this mark to the curve is the wind-up behind the plate.
@@ -284,9 +290,14 @@ def _torsions(equilibria: Sequence[Equilibrium], titles: Sequence[str]) -> Figur
             axes.label_outer()
     handles, names = panels[0, 0].get_legend_handles_labels()
     (mark,) = panels[0, 0].plot([], [], ">", mfc="white", mec=INK, ms=6)
-    entries = [*reversed(handles), mark], [*reversed(names), "rotation imposed behind the plate"]
-    look = {"loc": "outside lower center", "ncols": len(handles) + 1, "handlelength": 1.8, "columnspacing": 1.6}
-    figure.legend(*entries, **look)
+    figure.legend(
+        [*reversed(handles), mark],
+        [*reversed(names), "rotation imposed behind the plate"],
+        loc="outside lower center",
+        ncols=len(handles) + 1,
+        handlelength=1.8,
+        columnspacing=1.6,
+    )
     return figure
 
 

@@ -19,8 +19,9 @@ from ...files.units import TO_MM
 from ...typing import Array
 from ..formatting import in_a_word, tip_in_words
 from ..page import FAINT as FAINT
-from ..page import FONTS, HEADINGS, TITLED, WIDTH, narrow
+from ..page import FONTS, HEADINGS, TITLED, WIDTH
 from ..page import INK as INK
+from ..page import narrow as narrow
 from ..quantities import load_in_words
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
-from matplotlib.transforms import Bbox
+from matplotlib.transforms import BboxBase
 
 from ...typing import Array, Mask
 from ..page import SCALE
@@ -115,7 +115,8 @@ def _resolve(figure: Figure, texts: Sequence[PlacedText], boxes: Array, crowded:
             continue
         x, y = text.xyann  # points
         steps = np.arange(-MAX_SHIFT, MAX_SHIFT + 1)
-        shifts: Array = text.get_fontsize() * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        size: Any = text.get_fontsize()
+        shifts = size * np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
         # The nearest free place: a name far from its point is read as that of another.
         shifts = shifts[np.argsort(np.hypot(*shifts.T), kind="stable")][1:]
         candidates = boxes[k] + np.tile(shifts, 2) * figure.dpi / 72
@@ -177,7 +178,7 @@ def _boxes(texts: Sequence[PlacedText]) -> Array:
     return np.array([each.text.get_window_extent().extents for each in texts]).reshape(-1, 4)
 
 
-def _box(box: Bbox) -> Array:
+def _box(box: BboxBase) -> Array:
     """(1, 4) ends of a box, pixels."""
     return np.asarray(box.extents, dtype=float).reshape(1, 4)
 

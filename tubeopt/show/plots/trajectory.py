@@ -76,7 +76,7 @@ def plot_trajectory(
 
 
 @picture
-def plot_checked(checked: Checked) -> Figure:
+def plot_checked(checked: VerifiedTrajectory) -> Figure:
     """Picture of a trajectory that was checked: swept arm, path of its tip, joint values, and margin.
 
     Arm and margin end where the proof ends; a snap is marked.
@@ -112,7 +112,7 @@ class Followed(NamedTuple):
     arms: list[Equilibrium]
 
 
-def _followed(checked: Checked) -> Followed:
+def _followed(checked: VerifiedTrajectory) -> Followed:
     """Equilibria from the first sample to where the proof ends."""
     joints, proof = checked.joints, checked.proof
     first, last = float(joints.time[0]), float(joints.time[-1])
