@@ -23,8 +23,8 @@ from .show.plots.loads import (
 from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_springback
 from .show.plots.path import plot_path, plot_snap
-from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
+from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
 from .show.plots.style import new_figure, picture, save_figure
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
 from .show.plots.validation import plot_effects, plot_error_table, plot_errors, plot_residuals, plot_simulated_circles
