@@ -27,7 +27,7 @@ from tubeopt.bodies.phantoms import LUMEN, PHANTOMS, TARGET
 from tubeopt.inverse.task import Task
 from tubeopt.planning import Trajectory, build_roadmap, plan_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
-from tubeopt.planning.question import asked
+from tubeopt.planning.question import plan_task
 from tubeopt.typing import Array, Mask
 
 from .timing import count_work
@@ -122,7 +122,7 @@ def main() -> None:
         image = make().image(given.voxel * 1e-3)
         free = image.chosen([LUMEN, TARGET])
         bodies = [field_of_image(image, lumen=free)]
-        roomy = asked(robot, bodies, 0.06, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
+        roomy = plan_task(robot, bodies, 0.06, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
         tips = roomy.arms(places(roomy, count, given.seed)).tip
         plan = partial(plan_trajectory, robot, WITHDRAWN, obstacles=bodies)
         found = asked_for(tips, partial(plan, options=OPTIONS), image, free)

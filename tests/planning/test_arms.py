@@ -154,7 +154,7 @@ def test_arms_whose_tips_change_places_make_way_for_each_other(monkeypatch: pyte
     least = min(gap(*shapes) for shapes in moments(plan, arms, 60))
     assert least >= plan.proof.least_clearance
     # Without making way there is no order in which it can be done.
-    monkeypatch.setattr(arms_plan, "_aside", lambda arm, at, options: (at.rotations, at.translations))
+    monkeypatch.setattr(arms_plan, "_retracted", lambda arm, at, options: (at.rotations, at.translations))
     with pytest.raises(SolveError, match=r"arm 1 .*: no plan exists: with its tip at the goal"):
         plan_arms(arms, starts, list(places[::-1]), options=options)
 

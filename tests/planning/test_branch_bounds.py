@@ -35,29 +35,29 @@ def rate_at_the_end(function: Any) -> Array:
 
 def test_what_bends_a_turn_between_samples_changes_as_the_product_of_what_does() -> None:
     """h^2 (g M / kt + t (1 / kt)' + twist') + h w d u_x by time, of one tube in one section, all of which grow."""
-    random, offset, turn, yielding, bow = np.random.default_rng(5), 0.3, 0.4, 0.7, 0.2
+    random, offset, turn, tangent_stiffness, bow = np.random.default_rng(5), 0.3, 0.4, 0.7, 0.2
     (h, length), (moment, m) = growing(random, 1), growing(random, 1, 1)
-    (ease, e), (eased, ee), (wound, ww) = (growing(random, 1, 1) for _ in range(3))
-    drift = SimpleNamespace(still=False, eased=eased, wound=wound)
+    (ease, e), (compliance_slope, ee), (twist_slope, ww) = (growing(random, 1, 1) for _ in range(3))
+    transport = SimpleNamespace(still=False, compliance_slope=compliance_slope, twist_slope=twist_slope)
     most = np.array([[0.6]])
     bending = SimpleNamespace(
         most=most,
-        change=lambda by: yielding * by.sum(-1),
+        change=lambda by: tangent_stiffness * by.sum(-1),
         second=lambda one, other: bow * (one * other).sum(-1),
     )
-    bounds = bare(long=h, ease=ease, drift=drift, bending=bending, offset=np.array([offset]), zero=NONE)
+    bounds = bare(long=h, ease=ease, transport=transport, bending=bending, offset=np.array([offset]), zero=NONE)
     bounds.chord = lambda by: None
     bounds.cross_sections = lambda course: (moment, None)
 
     def bends(t: float) -> Array:
-        g = 1 + offset * (0.6 + yielding * turn * t)
+        g = 1 + offset * (0.6 + tangent_stiffness * turn * t)
         torque = length(t) * m(t)
         speed = length(t) * g * torque * e(t)
-        along = yielding * speed + bow * turn * t * speed
+        along = tangent_stiffness * speed + bow * turn * t * speed
         plain = length(t) ** 2 * (g * m(t) * e(t) + torque * ee(t) + ww(t))
         return np.asarray(plain + length(t) * torque * e(t) * offset * along)
 
-    found = bounds._between((NONE + turn, NONE[..., None])).item()
+    found = bounds._between_samples((NONE + turn, NONE[..., None])).item()
     assert found == pytest.approx(rate_at_the_end(bends).item() / (8 * PARTS**2), rel=1e-6)
 
 
@@ -82,7 +82,7 @@ def test_what_the_linearised_equations_make_of_a_turn_changes_as_the_product_of_
         along = np.cumsum(steps * ((1 + stretch) * mean * e(s) + g(t) * twist), axis=0)
         return np.asarray(held(s) * gain.sum(0) + along)
 
-    found = bounds._varied(varied, gained, (np.zeros((1, count, 2)), None), moving)[0]
+    found = bounds._jacobian_change(varied, gained, (np.zeros((1, count, 2)), None), moving)[0]
     assert found == pytest.approx(rate_at_the_end(made), rel=1e-6)
 
 
@@ -99,7 +99,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
         bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0] + 0.1, second=lambda y, by: NONE[0] + 0.2),
-        drift=SimpleNamespace(gain=lambda pair: 0.03 * pair[..., 0]),
+        transport=SimpleNamespace(gain=lambda pair: 0.03 * pair[..., 0]),
         zero=NONE,
         chord=lambda turn: None,
         cross_sections=lambda course: (flat, flat),
@@ -109,7 +109,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
         response=lambda turn: turn,
         norm=lambda turn: turn[0][0, 0],
         _stretch=lambda u: u[..., None],
-        _varied=varied,
+        _jacobian_change=varied,
     )
     branch._Bounds.ball(still, (NONE + 0.7, NONE[..., None] + 0.7))
     numbers, *ways = zip(*asked, strict=True)
@@ -119,7 +119,7 @@ def test_the_ball_takes_what_changes_the_linearised_equations_by_time_and_by_tur
 
 def test_the_natural_turn_of_tubes_is_part_of_their_course() -> None:
     bow = np.array([[[0.3, 0.5]]])
-    still: Any = SimpleNamespace(drift=SimpleNamespace(bow=DerivativeBounds(0 * bow, 0 * bow, bow)))
+    still: Any = SimpleNamespace(transport=SimpleNamespace(bow=DerivativeBounds(0 * bow, 0 * bow, bow)))
     turn = np.ones((1, 1, 2)), np.ones((1, 1, 2, 2))
     own, pair = branch._Bounds.chord(still, turn)
     assert (own.d.tolist(), own.dd.tolist()) == (turn[0].tolist(), bow.tolist())
@@ -135,14 +135,14 @@ def test_a_course_has_the_derivatives_of_the_implicit_function_theorem() -> None
     ball = branch._Ball(*(np.array([each]) for each in (0.0, 2 * grown[1], 0.0, slope)))
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 2),
-        drift=SimpleNamespace(bow=DerivativeBounds(NONE, NONE, NONE + natural[0], NONE + natural[1])),
+        transport=SimpleNamespace(bow=DerivativeBounds(NONE, NONE, NONE + natural[0], NONE + natural[1])),
         cross_sections=lambda course: (course[0] * course[0] * time, course[0]),
         rotation=lambda moment, stretch: moment,
         response=lambda turn: turn,
         norm=lambda turn: turn[0][:, 0, 0],
         _stretch=lambda u: u,
     )
-    found, pair = branch._Bounds.course(still, (NONE, NONE[..., None]), ball)
+    found, pair = branch._Bounds.solution_derivatives(still, (NONE, NONE[..., None]), ball)
     # theta(0) = 1 with N(0) = 1 - T(0) / S, and Taylor coefficients by fixed points.
     x = np.linspace(-0.02, 0.02, 9)
     t = sum(each * x**k / f for k, (each, f) in enumerate(zip(grown, (1, 1, 2, 6), strict=True)))
@@ -182,8 +182,8 @@ def test_a_tangent_changes_as_what_bends_the_arm_before_it_is_summed() -> None:
     bent, long = np.random.default_rng(7).uniform(0.02, 0.06, (3, 12)), np.full((1, 12), 0.5)
     jet = DerivativeBounds(long, *(each[None] / 0.5 for each in bent))
     bounds = bare(long=DerivativeBounds(long, 0 * long, 0 * long, 0 * long))
-    bounds.course, bounds.cross_sections = lambda turn, ball: None, lambda course: (None, jet)
-    found = bounds.whirl(None, None)
+    bounds.solution_derivatives, bounds.cross_sections = lambda turn, ball: None, lambda course: (None, jet)
+    found = bounds.tangent_derivatives(None, None)
     for bound, true in zip((found.d, found.dd, found.ddd), whirl_by_sums(bent), strict=True):
         assert bound is not None
         assert (bound[0] >= true * (1 - 2e-3)).all()
@@ -200,7 +200,7 @@ def test_a_point_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm
     bounds.bending = SimpleNamespace(change=lambda error: 0 * long)
     w, second_of, _ = whirl_by_sums(np.array([first, second + 2 * more[0] * first / long[0], 0 * first]))
     true = np.cumsum(2 * more[0] * w + long[0] * second_of) / 8
-    found = bounds.off(None, None)[0]
+    found = bounds.chord_error(None, None)[0]
     assert (true * (1 - 2e-3) <= found).all()
     assert (found <= true * 1.01).all()
 
@@ -234,8 +234,8 @@ def test_no_branch_is_shown_where_a_part_of_the_proof_is_missing(lost: str, monk
     elif lost == "order":
         intervals = replace(intervals, ordered=np.array([False]))
     else:
-        turn = branch._Bounds.turn
-        monkeypatch.setattr(branch._Bounds, "turn", lambda bounds: (turn(bounds)[0], np.array([False])))
+        turn = branch._Bounds.angle_change
+        monkeypatch.setattr(branch._Bounds, "angle_change", lambda bounds: (turn(bounds)[0], np.array([False])))
     found = branch.branch(intervals, stiffness)
     assert not found.unbroken.any()
-    assert np.isinf(found.off).all()
+    assert np.isinf(found.chord_error).all()

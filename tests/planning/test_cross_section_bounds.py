@@ -111,12 +111,12 @@ def test_a_tube_beside_the_centreline_is_softer_where_the_arm_bends_away_from_it
     found = CurvatureBounds.of(constants, np.zeros(1, dtype=int))
     x = share * np.linspace(-1, 1, 401)
     assert found.most == pytest.approx(share / offset)
-    assert found.bow == pytest.approx((2 * kb * offset**2 / (1 + x) ** 3).max())
-    assert found.hook == pytest.approx((6 * kb * offset**3 / (1 + x) ** 4).max())
+    assert found.k_uu == pytest.approx((2 * kb * offset**2 / (1 + x) ** 3).max())
+    assert found.k_uuu == pytest.approx((6 * kb * offset**3 / (1 + x) ** 4).max())
     # By the mean value theorem from what k, and its gradient, are where the arm is straight.
     slope = (kb * offset / (1 + x) ** 2).max()
-    assert slope <= found.slope <= slope * (1 + 4 * share**2)
-    for bound, true in ((found.stiffness, (kb / (1 + x)).min()), (found.yielding, (kb / (1 + x) ** 2).min())):
+    assert slope <= found.k_u <= slope * (1 + 4 * share**2)
+    for bound, true in ((found.stiffness, (kb / (1 + x)).min()), (found.tangent_stiffness, (kb / (1 + x) ** 2).min())):
         assert true * (1 - 8 * share**2) <= bound <= true
 
 
@@ -151,27 +151,27 @@ def varying(move: Array) -> tuple[Constants, Callable[[float], tuple[Array, Arra
 def test_what_moving_along_tubes_that_vary_adds_has_their_derivatives() -> None:
     move = np.array([0.3, 0.5])
     constants, at = varying(move)
-    drift = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
+    transport = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
     length = 1 - np.eye(2)
     for jet, function in (
-        (drift.pulls, lambda t: at(t)[0] / at(t)[1].sum()),
-        (drift.pairs, lambda t: at(t)[0][:, None] * at(t)[0] / at(t)[1].sum() * length),
-        (drift.give, lambda t: 1 / at(t)[1].sum()),
-        (drift.ease, lambda t: at(t)[2]),
+        (transport.pulls, lambda t: at(t)[0] / at(t)[1].sum()),
+        (transport.pairs, lambda t: at(t)[0][:, None] * at(t)[0] / at(t)[1].sum() * length),
+        (transport.bending_compliance, lambda t: 1 / at(t)[1].sum()),
+        (transport.ease, lambda t: at(t)[2]),
     ):
         for found, true in zip(parts(jet), derivatives(function, 0.02), strict=True):
             assert found == pytest.approx(true, rel=1e-5, abs=1e-12)
     along = derivatives(lambda s: at(s)[2], 0.02)
-    assert drift.eased.v == pytest.approx(along[1] / move, rel=1e-6)
-    assert drift.eased.d == pytest.approx(along[2] / move, rel=1e-6)
-    assert drift.eased.dd == pytest.approx(along[3] / move, rel=1e-5)
+    assert transport.compliance_slope.v == pytest.approx(along[1] / move, rel=1e-6)
+    assert transport.compliance_slope.d == pytest.approx(along[2] / move, rel=1e-6)
+    assert transport.compliance_slope.dd == pytest.approx(along[3] / move, rel=1e-5)
     twist = derivatives(lambda t: at(t)[3], 0.02)
-    assert drift.wound.v == pytest.approx(twist[1] / move, rel=1e-6)
-    assert drift.wound.d == pytest.approx(twist[2] / move, rel=1e-6)
+    assert transport.twist_slope.v == pytest.approx(twist[1] / move, rel=1e-6)
+    assert transport.twist_slope.d == pytest.approx(twist[2] / move, rel=1e-6)
     # The natural turn is the integral of the twist; what it is off a straight line is steepest where time ends.
-    assert drift.bow.d == pytest.approx(move * twist[1] / 2, rel=1e-6)
-    assert drift.bow.dd == pytest.approx(move * twist[1], rel=1e-6)
-    assert drift.bow.ddd == pytest.approx(move * twist[2], rel=1e-6)
+    assert transport.bow.d == pytest.approx(move * twist[1] / 2, rel=1e-6)
+    assert transport.bow.dd == pytest.approx(move * twist[1], rel=1e-6)
+    assert transport.bow.ddd == pytest.approx(move * twist[2], rel=1e-6)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
@@ -181,11 +181,14 @@ def test_bounds_of_several_stretches_hold_in_each_of_them(order: list[int]) -> N
     bounds, stretches = constants.bounds, [np.full(2, k) for k in order]
     for table, change in ((bounds.pull, 3.0), (bounds.bending, 0.5), (bounds.torsional, 0.25), (bounds.ease, 2.0)):
         table[..., 1] *= change
-    bending, drift = CurvatureBounds.of(constants, *stretches), TransportBounds.of(constants, np.ones(2), *stretches)
+    bending, transport = (
+        CurvatureBounds.of(constants, *stretches),
+        TransportBounds.of(constants, np.ones(2), *stretches),
+    )
     assert bending.moment == pytest.approx(3 * np.array([0.7, 0.4]))
     assert bending.stiffness == pytest.approx(0.5 * 3.5)
-    assert drift.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
-    assert drift.ease.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
+    assert transport.ease.v == pytest.approx(4 * np.array([0.3, 0.8]))
+    assert transport.ease.d == pytest.approx(2 * np.array([0.3 * 0.7, 0.8 * 1.3]))
     for rates in (bounds.bending[1:], bounds.pull[1:], bounds.twist[1:], bounds.ease):
         rates[...] = 0.0
     still = TransportBounds.of(replace(constants), np.ones(2), *stretches)
@@ -197,14 +200,14 @@ def test_moving_along_tubes_changes_a_moment_by_the_sine_of_what_turns_them_apar
     """a_i a_j sin(theta_i - theta_j) / K by time, of angles at which the sine is steepest."""
     move = np.array([0.3, 0.5])
     constants, at = varying(move)
-    drift = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
+    transport = TransportBounds.of(constants, move, np.zeros(2, dtype=int))
     turn = np.array([[0.0, 0.02], [0.02, 0.0]])
 
     def moment(t: float) -> Array:
         pull, stiff, *_ = at(t)
         return np.asarray((pull[:, None] * pull / stiff.sum() * np.sin(turn)).sum(1))
 
-    assert drift.gain(turn) == pytest.approx(derivatives(moment, 0.02)[1], rel=1e-3)
+    assert transport.gain(turn) == pytest.approx(derivatives(moment, 0.02)[1], rel=1e-3)
 
 
 @pytest.mark.parametrize(("order", "share"), [(3, SHAPE_ERROR[0]), (4, SHAPE_ERROR[1])])
@@ -229,6 +232,6 @@ def test_what_goes_linearly_is_at_most_the_larger_of_its_ends() -> None:
 
 def test_the_tip_moves_by_the_sum_of_all_sections() -> None:
     sections = DerivativeBounds(*(np.array([[1.0, 2.0, 3.0]]) * k for k in (1, 10, 100, 1000)))
-    assert branch.tip_of(sections).tolist() == [[600.0], [6000.0]]
+    assert branch.tip_derivatives(sections).tolist() == [[600.0], [6000.0]]
     endless = DerivativeBounds(sections.v, sections.d, np.array([[1.0, np.nan, 0.0]]), np.array([[np.inf, 0.0, 0.0]]))
-    assert np.isinf(branch.tip_of(endless)).all()
+    assert np.isinf(branch.tip_derivatives(endless)).all()

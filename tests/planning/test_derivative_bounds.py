@@ -10,7 +10,7 @@ import pytest
 
 from tubeopt import EccentricRobot, Tube
 from tubeopt.planning import branch
-from tubeopt.planning.loaded_branch import _Bounds
+from tubeopt.planning.loaded_branch import _Bounds, _Samples
 from tubeopt.planning.sections import Constants, CurvatureBounds, DerivativeBounds, TransportBounds
 from tubeopt.planning.trajectory_trace import Sizes
 from tubeopt.typing import Array
@@ -70,7 +70,7 @@ def test_bounds_of_the_bend_of_tubes_off_the_centreline_hold_for_all_rotations()
     for true, most, share in (
         (np.linalg.norm(u, axis=-1), bound.most, 0.99),
         (bound.stiffness / stiffness(u), 1.0, 0.99),
-        (np.linalg.norm(sloped, axis=-1), bound.slope, 0.4),
+        (np.linalg.norm(sloped, axis=-1), bound.k_u, 0.4),
         (np.linalg.norm(ahead - behind, axis=-1) / (2 * step), bound.change(size), 0.95),
         (np.linalg.norm(ahead - 2 * u + behind, axis=-1) / step**2, bound.second(size, size), 0.95),
     ):
@@ -99,13 +99,14 @@ def test_between_its_ends_a_parabola_is_no_steeper_than_its_chord_by_more_than_h
     curve = DerivativeBounds(np.ones((1, 1, 1)), np.zeros((1, 1, 1)), np.full((1, 1, 1), bow))
     still = SimpleNamespace(
         lever=np.zeros((1, 1)),
-        _wound=lambda torque: curve,
-        _bends=lambda theta, moment: DerivativeBounds(*np.zeros((3, 1, 1))),
-        _answer=lambda theta, pair, tangent: None,
+        _twist=lambda torque: curve,
+        _bend=lambda theta, moment: DerivativeBounds(*np.zeros((3, 1, 1))),
+        _balance=lambda theta, pair, tangent: (None, None),
     )
     turn = np.full((1, 1, 1), change), np.full((1, 1, 1, 1), change)
-    changes: Any = SimpleNamespace(turn=turn, torque=np.zeros((1, 1, 1)), moment=np.zeros((1, 1)))
-    theta, pair, _, _ = _Bounds._chord(still, changes, np.zeros((1, 1, 1)))  # type: ignore[arg-type]
+    changes: Any = SimpleNamespace(angle=turn, torque=np.zeros((1, 1, 1)), moment=np.zeros((1, 1)))
+    chord = _Bounds._chord(still, changes, np.zeros((1, 1, 1)))  # type: ignore[arg-type]
+    theta, pair = chord.theta, chord.pair
     steepest = np.abs(change + bow * (1 - 2 * t) / 2).max()
     assert theta.d.item() == pytest.approx(steepest)
     assert theta.dd.item() == bow
@@ -123,8 +124,8 @@ def test_what_drift_adds_is_the_second_derivative_of_a_pull_that_changes_as_it_t
         v, d, dd, turn, bow = random.uniform(0.0, 2.0, 5)
         for change, speed, curve in ((d, dd, bow), (0.0, dd, 0.0), (d, 0.0, bow)):
             pulls = DerivativeBounds(*(np.array([[each]]) for each in (v, change, speed)))
-            drift = TransportBounds(False, pulls, pulls, none, none, none, none, none)
-            first, second = getattr(drift, which)(np.array([[turn]]), np.array([[curve]]))
+            transport = TransportBounds(False, pulls, pulls, none, none, none, none, none)
+            first, second = getattr(transport, which)(np.array([[turn]]), np.array([[curve]]))
             true = speed + 2j * change * turn + 1j * v * curve
             assert first.item() == pytest.approx(change)
             assert abs(true) <= second.item() * (1 + 1e-12)
@@ -138,8 +139,8 @@ def test_what_drift_adds_to_a_bend_is_the_sum_over_the_tubes_of_a_cross_section(
 
     def added(tubes: slice) -> Array:
         pulls = DerivativeBounds(v[:, tubes], d[:, tubes], dd[:, tubes])
-        drift = TransportBounds(False, pulls, pulls, none, none, none, none, none)
-        return np.array(drift.bend(turn[:, tubes], bow[:, tubes]))
+        transport = TransportBounds(False, pulls, pulls, none, none, none, none, none)
+        return np.array(transport.bend(turn[:, tubes], bow[:, tubes]))
 
     assert added(slice(3)) == pytest.approx(sum(added(slice(i, i + 1)) for i in range(3)))
 
@@ -150,10 +151,10 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
     ends: Any = SimpleNamespace(changes=(np.array([[[0.7]]]), np.full((1, 1, 1, 1), 0.7)))
     still: Any = SimpleNamespace(
         intervals=ends,
-        drift=SimpleNamespace(bow=SimpleNamespace(d=np.zeros((1, 1, 1)))),
-        _between=lambda turn: share * turn[0],
+        transport=SimpleNamespace(bow=SimpleNamespace(d=np.zeros((1, 1, 1)))),
+        _between_samples=lambda turn: share * turn[0],
     )
-    (wide, both), sure = branch._Bounds.turn(still)
+    (wide, both), sure = branch._Bounds.angle_change(still)
     assert sure.item() == (share <= 0.5)
     if sure:
         assert wide.item() >= 0.7 / (1 - share) * (1 - 1e-12)
@@ -163,9 +164,9 @@ def test_what_lies_between_samples_is_sure_as_far_as_its_series_is_bounded(share
 def test_what_turns_between_samples_is_as_steep_as_the_natural_turn() -> None:
     """Of tubes whose turn is off a straight line in time with rate 0.05."""
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)))
-    drift = SimpleNamespace(bow=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
-    still: Any = SimpleNamespace(intervals=ends, drift=drift, _between=lambda turn: 0.0 * turn[0])
-    (own, pair), _ = branch._Bounds.turn(still)
+    transport = SimpleNamespace(bow=SimpleNamespace(d=np.full((1, 1, 1), 0.05)))
+    still: Any = SimpleNamespace(intervals=ends, transport=transport, _between_samples=lambda turn: 0.0 * turn[0])
+    (own, pair), _ = branch._Bounds.angle_change(still)
     assert (own.item(), pair.item()) == pytest.approx((0.75, 0.9 + 2 * 0.05))
 
 
@@ -174,10 +175,10 @@ def test_what_lies_between_samples_of_loaded_arms_is_sure_as_far_as_its_series_i
     """The last of four terms of the series is doubled: as much as all that are left up to share^4 = 1/2."""
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 1.4)))
     still: Any = SimpleNamespace(
-        intervals=ends, _between=lambda c: (share * c.turn[0], share * c.torque, share * c.moment)
+        intervals=ends, _between_samples=lambda c: _Samples(share * c.angle[0], share * c.torque, share * c.moment)
     )
     found = _Bounds._changes(still, np.full((1, 1, 1), 0.2), np.full((1, 1), 0.3))
-    assert found.sure.item() == (share**4 <= 0.5)
-    if found.sure:
-        for bound, own in ((found.turn[0], 0.7), (found.turn[1], 1.4), (found.torque, 0.2), (found.moment, 0.3)):
+    assert found.valid.item() == (share**4 <= 0.5)
+    if found.valid:
+        for bound, own in ((found.angle[0], 0.7), (found.angle[1], 1.4), (found.torque, 0.2), (found.moment, 0.3)):
             assert bound.item() >= own / (1 - share) * (1 - 1e-12)

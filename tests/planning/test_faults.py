@@ -12,7 +12,7 @@ from tests.examples import nested
 from tubeopt import verify_trajectory
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.planning import proof
-from tubeopt.planning.trajectory_trace import Wanted
+from tubeopt.planning.trajectory_trace import ClearanceTarget
 
 ROOM = 1.01 * proof.ACCURACY
 
@@ -47,14 +47,18 @@ def test_a_clearance_under_any_force_is_less_by_the_deflection_of_a_cantilever()
         ({"margin": 0.2999}, "the margin falls to 0.2999", ""),
         ({"measured": 1.999e-3, "clearance": 1.99e-3}, "the arm comes as close as 1.999 mm", ""),
         ({"clearance": 1.999e-3}, "", "of the clearance of 2 mm only 1.999 mm are shown"),
-        ({"clearance": -np.inf, "lost": ((0.25, 0.5),)}, "", "one stable branch joins 25 % and 50 % of the trajectory"),
+        (
+            {"clearance": -np.inf, "unproved": ((0.25, 0.5),)},
+            "",
+            "one stable branch joins 25 % and 50 % of the trajectory",
+        ),
     ],
     ids=["all is kept", "margin", "closest place", "bound of the clearance", "branch"],
 )
 def test_what_falls_short_of_a_limit_is_a_fault(found: dict[str, Any], refuted: str, open_: str) -> None:
-    kept = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "lost": ()}
+    kept = {"snap": None, "margin": 0.3, "measured": 2e-3, "clearance": 2e-3, "unproved": ()}
     trajectory_trace: Any = SimpleNamespace(steps=[SimpleNamespace(at=1.0)], **(kept | found))
-    verifier: Any = SimpleNamespace(wanted=Wanted(2e-3, 1e-5, 9), says="", flutters=False)
+    verifier: Any = SimpleNamespace(target=ClearanceTarget(2e-3, 1e-5, 9), unprovable="", flutters=False)
     faults, unproved = proof._branch_faults(verifier, trajectory_trace, 0.3, np.array([0.0, 1.0]))
     assert [refuted in fault for fault in faults] == [True] * bool(refuted)
     assert [open_ in fault for fault in unproved] == [True] * bool(open_)

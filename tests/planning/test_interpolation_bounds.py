@@ -93,17 +93,17 @@ def drift_of(still: bool) -> Any:
     if still:
         return SimpleNamespace(
             ease=DerivativeBounds(np.full((1, 2), EASE[0]), none, none),
-            wound=flat,
+            twist_slope=flat,
             moment=lambda *_: (none, none),
             bend=lambda *_: (none, none),
         )
     return SimpleNamespace(
         ease=jet(*EASE),
-        wound=jet(*WOUND),
+        twist_slope=jet(*WOUND),
         moment=lambda pair, bow: (np.full((1, 2), DRIFTED), None),
         bend=lambda turn, bow: (FIRST, SECOND),
         pulls=jet(0.45, 0.25, 0.2),
-        give=DerivativeBounds(np.full(1, 0.5), np.full(1, 0.15), np.full(1, 0.11)),
+        bending_compliance=DerivativeBounds(np.full(1, 0.5), np.full(1, 0.15), np.full(1, 0.11)),
     )
 
 
@@ -124,9 +124,9 @@ def test_interpolation_along_tubes_that_vary_is_off_by_derivatives_of_what_turns
     torque = 0.45 + h * PAIRS
     winding = PAIRS * EASE[0] + torque * EASE[1] + WOUND[0]
     speed = 1.1 + h * winding
-    wound = series(0.0, *WOUND)
+    twist_slope = series(0.0, *WOUND)
     twist = series(torque, PAIRS, PAIRS * 2 * speed + DRIFTED)
-    rate = derivatives(lambda s: twist(s) * series(*EASE)(s) + wound(s), 0.02)
+    rate = derivatives(lambda s: twist(s) * series(*EASE)(s) + twist_slope(s), 0.02)
     assert rate[1] == pytest.approx(winding)
     assert turned[0] == pytest.approx(h**3 * rate[2], rel=1e-6)
     turn = series(0.0, speed, winding)
@@ -195,7 +195,9 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
     shape, turned, twisted, lifted = found_by(LoadedArms, "_wrong", arms)
     u = U + LEVER / 2.0
     torque = 0.45 + h * (u * 0.9 + COUPLE)
-    pull, slope, give, ease = (series(*each) for each in ((0.9, 0.5, 0.4), (0.45, 0.25, 0.2), (0.5, 0.15, 0.11), EASE))
+    pull, slope, bending_compliance, ease = (
+        series(*each) for each in ((0.9, 0.5, 0.4), (0.45, 0.25, 0.2), (0.5, 0.15, 0.11), EASE)
+    )
     twist = series(0.31, *WOUND)
     tables = [[torque], [LEVER], [0.0], [FORCE], [u]]
 
@@ -213,7 +215,7 @@ def test_interpolation_along_loaded_arms_is_off_by_derivatives_of_torques_and_mo
 
     def bend(s: float) -> float:
         _, m, theta, *_ = (series(*table)(s) for table in tables)
-        return float(m * give(s) + 2 * slope(s) * np.exp(theta))
+        return float(m * bending_compliance(s) + 2 * slope(s) * np.exp(theta))
 
     # Derivatives follow from the equations, order by order.
     for order in (1, 2, 3):
@@ -304,11 +306,11 @@ def test_a_transmission_whose_compliance_changes_along_it_is_off_its_chord_as_a_
     whole = np.array([[0.0], [e * moved + slope * moved**2 / 2]])
     along = SimpleNamespace(compliant=lambda length: whole)
     constants = SimpleNamespace(along=along, held=lambda shift: np.zeros((2, 1)))
-    eased = DerivativeBounds(*(np.full((1, 1, 1), each) for each in (slope, bend * moved, 0.0)))
-    drift = SimpleNamespace(still=False, eased=eased)
+    compliance_slope = DerivativeBounds(*(np.full((1, 1, 1), each) for each in (slope, bend * moved, 0.0)))
+    transport = SimpleNamespace(still=False, compliance_slope=compliance_slope)
     arms = SimpleNamespace(constants=constants, translations=None)
     intervals = SimpleNamespace(
-        arms=arms, one=np.array([0]), other=np.array([1]), drift=drift, moved=np.full((1, 1, 1), moved)
+        arms=arms, start=np.array([0]), end=np.array([1]), transport=transport, moved=np.full((1, 1, 1), moved)
     )
     found = found_by(Intervals, "transmission", intervals)
     assert found.v.item() == pytest.approx(whole[1].item())
@@ -323,7 +325,7 @@ def test_places_move_along_tubes_as_far_as_the_end_of_their_section_that_moves_m
     intervals = between(STEPPED, *(([0.3, 0.1], shift) for shift in shifts))
     x, moved = np.linspace(0, 1, 11)[:, None], []
     for i in range(2):
-        places = [cuts[0, :-1] + x * np.diff(cuts[0]) for cuts in (intervals.begin, intervals.end)]
+        places = [cuts[0, :-1] + x * np.diff(cuts[0]) for cuts in (intervals.start_cuts, intervals.end_cuts)]
         held = shifts[:, i]
         moved.append(np.abs((places[1] - held[1]) - (places[0] - held[0])).max(0))
     assert intervals.moved[0] == pytest.approx(np.array(moved).T)
@@ -334,11 +336,11 @@ def test_an_arm_is_as_thick_as_its_outermost_tube_and_bends_as_where_it_is_longe
     intervals = between(STEPPED, *(([0.3, 0.1], shift) for shift in shifts))
     long = np.flatnonzero(intervals.length[0][0] > 0)
     ends = [tube.curved_length + by for tube, by in zip(STEPPED.tubes, shifts[0], strict=True)]
-    outer = [intervals.begin[0, k + 1] <= min(ends) + 1e-12 for k in long]
+    outer = [intervals.start_cuts[0, k + 1] <= min(ends) + 1e-12 for k in long]
     radii = [STEPPED.tubes[int(there)].outer_diameter / 2 for there in outer]
     assert intervals.radius[0, long] == pytest.approx(np.array(radii))
     for k in long:
-        lengths = [cuts[0, k + 1] - cuts[0, k] for cuts in (intervals.begin, intervals.end)]
+        lengths = [cuts[0, k + 1] - cuts[0, k] for cuts in (intervals.start_cuts, intervals.end_cuts)]
         found = intervals.sagitta(np.array([0]), np.array([k]), np.array([[0.2, 0.7]]))
         assert found == pytest.approx(intervals.bending.most[0, k] * (0.5 * max(lengths)) ** 2 / 8)
     # Three tubes beside the centreline reach as far as their distance from it.

@@ -20,8 +20,17 @@ from tests.planning.test_cross_section_bounds import derivatives
 from tests.planning.test_cross_section_bounds import parts as parts_of
 from tests.planning.test_sharp_bounds import STEPPED
 from tubeopt import ConcentricRobot, Load, Piece, Tube, forward_kinematics
-from tubeopt.planning.branch import whirled
-from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Changes, _Course, _Moved, loaded_branch
+from tubeopt.planning.branch import rotating_tangent
+from tubeopt.planning.loaded_branch import (
+    CHORD_ERROR,
+    _Bounds,
+    _Changes,
+    _Displacement,
+    _GeometryChange,
+    _Samples,
+    _TimeDerivatives,
+    loaded_branch,
+)
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, Constants, DerivativeBounds, Intervals
 from tubeopt.robots.load import PointLoad, Stretch
@@ -71,7 +80,7 @@ def grown(seed: int) -> SimpleNamespace:
         "ease": Grows(random, K, N),
         "pull": Grows(random, K, N),
         "pairing": Grows(random, K, N, N),
-        "give": Grows(random, K),
+        "bending_compliance": Grows(random, K),
         "force": Grows(random, K, orders=2),
         "tangent": Grows(random, K, value=1.0),
         "moment": Grows(random, K),
@@ -92,8 +101,11 @@ def falling(random: Any) -> Grows:
 
 
 def bounds_of(g: SimpleNamespace) -> Any:
-    drift = SimpleNamespace(
-        ease=g.ease.jet, give=g.give.jet, still=False, bow=DerivativeBounds(*np.zeros((4, 1, K, N)))
+    transport = SimpleNamespace(
+        ease=g.ease.jet,
+        bending_compliance=g.bending_compliance.jet,
+        still=False,
+        bow=DerivativeBounds(*np.zeros((4, 1, K, N))),
     )
     return bare(
         long=g.h.jet,
@@ -103,9 +115,9 @@ def bounds_of(g: SimpleNamespace) -> Any:
         slope=g.pull.jet.v,
         pairing=g.pairing.jet,
         pairs=g.pairing.jet.v,
-        drift=drift,
+        transport=transport,
         kt=1 / g.ease.jet.v,
-        stiffness=1 / g.give.jet.v,
+        stiffness=1 / g.bending_compliance.jet.v,
         u=np.full((1, K), 0.7),
         couple=g.couple.jet,
         kick=g.kick[None],
@@ -117,7 +129,7 @@ def test_torques_and_moments_of_a_load_change_as_the_products_of_what_does() -> 
     """M = sum h t n of what lies ahead + t m_c, T_i = sum h (A_i e_i M + sum c_ij e_ij + t m_i) + t m_k, to the third
     derivative."""
     g = grown(1)
-    torque, moment = bounds_of(g)._answer(g.theta.jet, g.pair.jet, g.tangent.jet)
+    torque, moment = bounds_of(g)._balance(g.theta.jet, g.pair.jet, g.tangent.jet)
 
     def lever(t: float) -> Array:
         return ahead(g.h(t) * g.tangent(t) * g.force(t)) + g.tangent(t) * g.couple(t)
@@ -135,19 +147,19 @@ def test_a_bend_and_a_twist_change_as_the_products_of_what_does() -> None:
     """h (sum A_i e_i + M / K), and |beta| / kt t(0) + sum h t / kt with the natural turn, to the third derivative."""
     g = grown(2)
     bounds, torque, bow = bounds_of(g), Grows(g.random, K, N), Grows(g.random, K, N)
-    bounds.u = (g.pull(0.0).sum(1) + g.moment(0.0) * g.give(0.0))[None]
+    bounds.u = (g.pull(0.0).sum(1) + g.moment(0.0) * g.bending_compliance(0.0))[None]
     compare(
-        bounds._bends(g.theta.jet, g.moment.jet),
-        lambda t: g.h(t) * ((g.pull(t) * np.exp(g.theta(t))).sum(1) + g.moment(t) * g.give(t)),
+        bounds._bend(g.theta.jet, g.moment.jet),
+        lambda t: g.h(t) * ((g.pull(t) * np.exp(g.theta(t))).sum(1) + g.moment(t) * g.bending_compliance(t)),
         *range(4),
     )
-    bounds.drift.bow = bow.jet
+    bounds.transport.bow = bow.jet
 
     def twist(t: float) -> Array:
         along = np.cumsum(g.h(t)[:, None] * torque(t) * g.ease(t), axis=0)
         return np.asarray(g.spring(t) * torque(t)[0] + along + bow(t))
 
-    compare(bounds._wound(torque.jet), twist, 1, 2, 3)
+    compare(bounds._twist(torque.jet), twist, 1, 2, 3)
 
 
 def test_what_differs_between_samples_is_half_their_distance_times_the_change_of_a_slope() -> None:
@@ -159,24 +171,24 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
         random.uniform(0.5, 1, (K, N)),
         random.uniform(0.1, 0.2, (K, N)),
     )
-    wound, lever = random.uniform(0.5, 1, (1, K, N)), Grows(random, K, orders=2)
+    twist_slope, lever = random.uniform(0.5, 1, (1, K, N)), Grows(random, K, orders=2)
     turn = g.theta.table[1], g.pair.table[1]
     bounds.torque, bounds.lever = torque.jet.v, lever.jet.v
-    bounds.drift = SimpleNamespace(
+    bounds.transport = SimpleNamespace(
         ease=g.ease.jet,
-        give=g.give.jet,
-        wound=DerivativeBounds(wound, wound, wound),
+        bending_compliance=g.bending_compliance.jet,
+        twist_slope=DerivativeBounds(twist_slope, twist_slope, twist_slope),
         gain=lambda ones: g.pairing.jet.d.sum(3),
     )
     constants = SimpleNamespace(bounds=SimpleNamespace(twist=[None]), most=lambda table, stretch: twist[None])
     bounds.intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None, moved=moved[None])
     changes = _Changes((turn[0][None], turn[1][None]), torque.jet.d, lever.jet.d, np.ones(1, dtype=bool))
-    found = bounds._between(changes)
+    found = bounds._between_samples(changes)
 
     def bend(t: float) -> Array:
         """u of the bound, 0.7, with its change."""
-        own = (g.pull(t) * np.exp(g.theta(t))).sum(1) + lever(t) * g.give(t)
-        return np.asarray(0.7 + own - (g.pull(0.0).sum(1) + lever(0.0) * g.give(0.0)))
+        own = (g.pull(t) * np.exp(g.theta(t))).sum(1) + lever(t) * g.bending_compliance(t)
+        return np.asarray(0.7 + own - (g.pull(0.0).sum(1) + lever(0.0) * g.bending_compliance(0.0)))
 
     def frame(t: float) -> Array:
         return np.cumsum(g.h(t) * bend(t))
@@ -184,16 +196,16 @@ def test_what_differs_between_samples_is_half_their_distance_times_the_change_of
     def slopes(t: float) -> tuple[Array, Array, Array]:
         turned = 1 + frame(t) - frame(0.0)
         h, load = g.h(t), (g.force(t) + g.along.sum(1)) * turned
-        turning = h[:, None] * (torque(t) * g.ease(t) + twist + t * wound[0] * moved)
+        turning = h[:, None] * (torque(t) * g.ease(t) + twist + t * twist_slope[0] * moved)
         each = g.pull(t) * lever(t)[:, None] * np.exp(g.theta(t)) + (g.pairing(t) * np.exp(g.pair(t))).sum(2)
         each += g.along * turned[:, None]
         return turning, h[:, None] * each, h * (bend(t) * torque(t).sum(1) + load)
 
-    for bound, k in zip(found, range(3), strict=True):
+    for bound, k in zip((found.theta, found.torque, found.moment), range(3), strict=True):
         change = (slopes(1e-5)[k] - slopes(-1e-5)[k]) / 2e-5
         assert bound[0] == pytest.approx(change / (2 * PARTS), rel=1e-6)
     bent = (bend(1e-5) - bend(-1e-5)) / 2e-5
-    assert bounds._bent(changes)[0] == pytest.approx(bent, rel=1e-6)
+    assert bounds._curvature_change(changes)[0] == pytest.approx(bent, rel=1e-6)
 
 
 def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative() -> None:
@@ -212,8 +224,8 @@ def test_what_coordinates_turn_changes_torques_and_moments_as_their_derivative()
         each = by_load + (g.pairing(0.0) * (1 + t * size * weight[1][0])).sum(2) + g.along * frame[:, None]
         return ahead(g.h(0.0)[:, None] * each + g.kick * frame[:, None]), lever
 
-    assert found.turn[0] == pytest.approx(size * weight[0])
-    assert found.turn[1] == pytest.approx(size * weight[1])
+    assert found.angle[0] == pytest.approx(size * weight[0])
+    assert found.angle[1] == pytest.approx(size * weight[1])
     for bound, k in ((found.torque, 0), (found.moment, 1)):
         assert bound[0] == pytest.approx((made(1e-5)[k] - made(-1e-5)[k]) / 2e-5, rel=1e-8)
 
@@ -226,30 +238,30 @@ def test_a_tangent_of_loaded_arms_changes_as_what_bends_them_before_it_is_summed
     nothing = np.zeros((1, count, 1))
     flat = DerivativeBounds(nothing, nothing, nothing, nothing)
     bounds = bare(lever=np.zeros((1, count)), swing=np.ones((1, count)))
-    bounds._wound, bounds._bends = lambda torque: flat, lambda theta, moment: jet
-    bounds._answer = lambda theta, pair, tangent: (flat, DerivativeBounds(*np.zeros((4, 1, count))))
-    bounds._size, bounds._response = lambda *_: np.zeros(1), lambda size: _still(nothing)
+    bounds._twist, bounds._bend = lambda torque: flat, lambda theta, moment: jet
+    bounds._balance = lambda theta, pair, tangent: (flat, DerivativeBounds(*np.zeros((4, 1, count))))
+    bounds._size, bounds._response = lambda *_: np.zeros(1), lambda size: _at_rest(nothing)
     changes: Any = _Changes((nothing, nothing[..., None]), nothing, np.zeros((1, count)), np.ones(1, dtype=bool))
-    tangent = bounds._chord(changes, nothing)[2]
+    tangent = bounds._chord(changes, nothing).tangent
     true = whirl_by_sums(bent)
     course = blank(nothing)
     course.frame[1] = np.cumsum(bent[:1], axis=1)
     for order in (2, 3):
-        bounds._path(course, order, np.ones(1))
-    whole = whirled(*course.frame[1:])
+        bounds._add_order(course, order, np.ones(1))
+    whole = rotating_tangent(*course.frame[1:])
     for bound, exact in zip((tangent.d, tangent.dd, whole.d, whole.dd, whole.ddd), (*true[:2], *true), strict=True):
         assert bound is not None
         assert (bound[0, 20:] >= exact[20:] * (1 - 2e-3)).all()
         assert (bound[0, 20:] <= exact[20:] * 1.06).all()
 
 
-def blank(nothing: Array) -> _Course:
+def blank(nothing: Array) -> _TimeDerivatives:
     """One of which nothing is known, of sections and tubes as `nothing` (1, K, n)."""
     arm = nothing[..., 0]
-    return _Course([nothing] * 4, [nothing[..., None]] * 4, [nothing] * 4, [arm] * 4, [arm] * 4)
+    return _TimeDerivatives([nothing] * 4, [nothing[..., None]] * 4, [nothing] * 4, [arm] * 4, [arm] * 4)
 
 
-def _still(nothing: Array) -> Any:
+def _at_rest(nothing: Array) -> Any:
     return _Changes((nothing, nothing[..., None]), nothing, nothing[..., 0], np.ones(1, dtype=bool))
 
 
@@ -262,22 +274,22 @@ def test_derivatives_of_a_course_are_what_lower_ones_make_and_what_calls_them_fo
         DerivativeBounds(one * 2, one * 3, one * 5, one * 7),
         DerivativeBounds(*(one[..., 0] * k for k in (11, 13, 17, 19))),
     )
-    bounds._wound = lambda torque: DerivativeBounds(one, one, one * 0.5, one * 0.7)
-    bounds._bends = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
-    bounds._answer = lambda theta, pair, tangent: made
+    bounds._twist = lambda torque: DerivativeBounds(one, one, one * 0.5, one * 0.7)
+    bounds._bend = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
+    bounds._balance = lambda theta, pair, tangent: made
     bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
     bounds._response = lambda size: _Changes(
         (size * one, 3 * size * one[..., None]), 5 * size * one, 7 * size * one[..., 0], np.ones(1, dtype=bool)
     )
     course = blank(0 * one)
-    bounds._path(course, order, np.array([convex]))
-    torque, moment, wound = {2: (5, 17, 0.5), 3: (7, 19, 0.7)}[order]
+    bounds._add_order(course, order, np.array([convex]))
+    torque, moment, twist_slope = {2: (5, 17, 0.5), 3: (7, 19, 0.7)}[order]
     size = (torque + moment) / convex
     found = [
         float(table[order].item()) for table in (course.theta, course.pair, course.torque, course.moment, course.frame)
     ]
     assert found == pytest.approx(
-        [wound + size, 2 * wound + 3 * size, torque + 5 * size, moment + 7 * size, 0.6 * size]
+        [twist_slope + size, 2 * twist_slope + 3 * size, torque + 5 * size, moment + 7 * size, 0.6 * size]
     )
 
 
@@ -287,15 +299,18 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     flat = one[..., 0]
     bounds = bare(torque=one * 2, lever=flat * 3, pairs=one[..., None], u=flat)
     bounds.changes = _Changes((one * 0.1, one[..., None] * 0.2), one * 0.3, flat * 0.4, np.ones(1, dtype=bool))
-    bounds.answer = DerivativeBounds(one, one, one * 0.8), DerivativeBounds(flat, flat, flat * 1.6)
-    bounds.theta, bounds.pair = (
-        DerivativeBounds(one, one * 0.11, one),
-        DerivativeBounds(one[..., None], one[..., None] * 0.21, one[..., None]),
+    bounds.chord = SimpleNamespace(
+        theta=DerivativeBounds(one, one * 0.11, one),
+        pair=DerivativeBounds(one[..., None], one[..., None] * 0.21, one[..., None]),
+        torque=DerivativeBounds(one, one, one * 0.8),
+        moment=DerivativeBounds(flat, flat, flat * 1.6),
     )
 
-    def chord(changes: Any, torque: Array) -> tuple[None, None, None, tuple[DerivativeBounds, DerivativeBounds]]:
-        asked.append([each.item() for each in (*changes.turn, changes.torque, changes.moment, torque)])
-        return None, None, None, (DerivativeBounds(one, one, one * 2.2), DerivativeBounds(flat, flat, flat * 2.6))
+    def chord(changes: Any, torque: Array) -> Any:
+        asked.append([each.item() for each in (*changes.angle, changes.torque, changes.moment, torque)])
+        return SimpleNamespace(
+            torque=DerivativeBounds(one, one, one * 2.2), moment=DerivativeBounds(flat, flat, flat * 2.6)
+        )
 
     def response(size: Array) -> Any:
         parts = (size * one, 2 * size * one[..., None]), 3 * size * one, 4 * size * flat
@@ -304,9 +319,9 @@ def test_rates_of_loaded_arms_count_what_is_off_the_chord_as_a_parabola() -> Non
     courses: list[Any] = []
     bounds._chord, bounds._response = chord, response
     bounds._size = lambda torque, moment: torque[:, 0, 0] + moment[:, 0]
-    bounds._bends = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
-    bounds._path = lambda course, order, left: courses.append(course)
-    bounds.whirl(np.array([0.05]), np.array([convex]))
+    bounds._bend = lambda theta, moment: DerivativeBounds(*np.zeros((4, 1, 1)))
+    bounds._add_order = lambda course, order, left: courses.append(course)
+    bounds.tangent_derivatives(np.array([0.05]), np.array([convex]))
     off = 3 * 0.05 + 0.8 / 8
     assert asked == [pytest.approx([0.1 + 0.05, 0.2 + 0.1, 0.3 + off, 0.4 + 4 * 0.05 + 1.6 / 8, 2 + off])]
     size = (1.1 + 1.3) / convex
@@ -325,9 +340,11 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
     bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
     bounds.lever, bounds.swing = np.zeros((1, K)), np.zeros((1, K))
     bounds.force = DerivativeBounds(*np.zeros((3, 1, K)))
-    moved = _Moved((g.theta.table[1][None], g.pair.table[1][None]), g.tangent.table[1][None], g.moment.table[1][None])
+    moved = _Displacement(
+        (g.theta.table[1][None], g.pair.table[1][None]), g.tangent.table[1][None], g.moment.table[1][None]
+    )
     dh, dn = random.uniform(0.1, 0.2, (2, 1, K))
-    bounds._stretched = lambda: (dh, more[None], np.zeros((1, K)), dn)
+    bounds._geometry_change = lambda: _GeometryChange(dh, more[None], np.zeros((1, K)), dn)
     both = np.hypot(more[:, :, None], more[:, None])
 
     def by_tubes(t: float) -> float:
@@ -338,8 +355,8 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
     def rate(function: Callable[[float], float]) -> float:
         return (function(1e-5) - function(-1e-5)) / 2e-5
 
-    none = _Moved((moved.turn[0], moved.turn[1]), 0 * moved.frame, 0 * moved.moment)
-    assert bounds.variation(none, stretched=True).item() == pytest.approx(rate(by_tubes), rel=1e-6)
+    none = _Displacement((moved.angle[0], moved.angle[1]), 0 * moved.frame, 0 * moved.moment)
+    assert bounds.hessian_change(none, stretched=True).item() == pytest.approx(rate(by_tubes), rel=1e-6)
     # With a load, less what the tubes take, and without psi.
     bounds.pairs = 0 * bounds.pairs
     bounds.pairing = DerivativeBounds(*np.zeros((4, 1, K, N, N)))
@@ -352,7 +369,7 @@ def test_what_differs_of_a_second_variation_is_that_of_products() -> None:
         each = a * bent[:, None] * np.exp(g.theta(t)) * (y + t * more) ** 2
         return float((h[:, None] * each).sum())
 
-    assert bounds.variation(moved, stretched=True).item() == pytest.approx(rate(by_load), rel=1e-6)
+    assert bounds.hessian_change(moved, stretched=True).item() == pytest.approx(rate(by_load), rel=1e-6)
 
 
 def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_totals() -> None:
@@ -367,9 +384,9 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
     bounds.pairs, bounds.pairing = 0 * bounds.pairs, DerivativeBounds(*np.zeros((4, 1, K, N, N)))
     bounds.weight = y[None], np.hypot(y[:, :, None], y[:, None])[None]
     bounds.lever, bounds.swing = random.uniform(1, 2, (1, K)) * 1e6, swing[None]
-    bounds._stretched = lambda: (dh[None], more[None], bend[None], dn[None])
+    bounds._geometry_change = lambda: _GeometryChange(dh[None], more[None], bend[None], dn[None])
     turn, frame, moment = g.theta.table[1], g.tangent.table[1], g.moment.table[1]
-    moved = _Moved((turn[None], np.zeros((1, K, N, N))), frame[None], moment[None])
+    moved = _Displacement((turn[None], np.zeros((1, K, N, N))), frame[None], moment[None])
 
     def way(t: float) -> Array:
         h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
@@ -381,7 +398,7 @@ def test_what_differs_of_a_second_variation_by_its_turns_is_that_of_running_tota
     found = []
     for size in (1.0, 0.0):
         bounds.lever = size * lever[None]
-        found.append(bounds.variation(moved, stretched=True).item())
+        found.append(bounds.hessian_change(moved, stretched=True).item())
 
     def by_load(t: float) -> float:
         h, a = g.h(0.0) + t * dh, g.pull.table[0] + t / 2 * g.pull.table[1]
@@ -432,12 +449,12 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
     stiff, y, both, swing = (random.uniform(1, 2, each) for each in (K, (K, N), (K, N, N), K))
     begin, couple, (kick, along) = h.table[0] - h.table[1], falling(random), random.uniform(0.5, 1.0, (2, K, N))
     none = DerivativeBounds(*np.zeros((4,)))
-    drift = SimpleNamespace(still=True)
+    transport = SimpleNamespace(still=True)
     bounds = bare(
         long=h.jet,
         spring=spring.jet,
         force=force.jet,
-        drift=drift,
+        transport=transport,
         lever=np.zeros((1, K)),
         kt=kt[None],
         stiffness=stiff[None],
@@ -445,10 +462,7 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         swing=swing[None],
         pairing=DerivativeBounds(pairs[None], none.d, none.d, none.d),
         pull=DerivativeBounds(slope[None], none.d, none.d, none.d),
-        theta=theta.jet,
-        pair=pair.jet,
-        tangent=tangent.jet,
-        answer=(None, moment.jet),
+        chord=SimpleNamespace(theta=theta.jet, pair=pair.jet, tangent=tangent.jet, moment=moment.jet),
         intervals=SimpleNamespace(length=(begin[None], h.table[0][None])),
         couple=couple.jet,
         kick=kick[None],
@@ -473,25 +487,29 @@ def test_the_second_variation_curves_as_the_products_of_what_it_is_made_of() -> 
         turns = h(t) * (tubes + load + 1.5 * tangent(t) * force(t) * psi(t) ** 2) + falls * psi(t) ** 2 / 2
         return float(turns.sum() + acts.sum())
 
-    assert bounds.curving().item() == pytest.approx(SIXTH * float(derivatives(form, 0.01)[2]), rel=1e-5)
-    drift.still = False
-    assert bounds.curving().item() == np.inf
+    assert bounds.hessian_chord_error().item() == pytest.approx(
+        CHORD_ERROR * float(derivatives(form, 0.01)[2]), rel=1e-5
+    )
+    transport.still = False
+    assert bounds.hessian_chord_error().item() == np.inf
 
 
 def test_roots_of_what_changes_are_as_far_from_the_nearer_end_as_half_of_the_time() -> None:
     """Of 1 / kt and 1 / K that change at one rate, from where they are least; and of a transmission off its chord."""
-    kt, ease, give = 4.0, 0.01, 0.02
+    kt, ease, bending_compliance = 4.0, 0.01, 0.02
     one = np.ones((1, 1, 1))
     stiffest = SimpleNamespace(stiffest=(None, None))
     values = iter((one * 3.0, one * kt))
     constants = SimpleNamespace(bounds=stiffest, most=lambda table, stretch: next(values))
     intervals = SimpleNamespace(arms=SimpleNamespace(constants=constants), stretch=None)
-    drift = SimpleNamespace(
-        still=False, ease=DerivativeBounds(one, one * ease, one), give=DerivativeBounds(one, one[..., 0] * give, one)
+    transport = SimpleNamespace(
+        still=False,
+        ease=DerivativeBounds(one, one * ease, one),
+        bending_compliance=DerivativeBounds(one, one[..., 0] * bending_compliance, one),
     )
-    bounds = bare(intervals=intervals, drift=drift)
-    twisting, bending = bounds._easier()
-    for found, stiff, rate in ((twisting, kt, ease), (bending, 3.0, give)):
+    bounds = bare(intervals=intervals, transport=transport)
+    twisting, bending = bounds._compliance_change()
+    for found, stiff, rate in ((twisting, kt, ease), (bending, 3.0, bending_compliance)):
         true = np.sqrt(1 / stiff + rate / 2) - np.sqrt(1 / stiff)
         assert true <= found.item() <= true * (1 + rate * stiff / 4)
 
@@ -507,16 +525,16 @@ def test_what_sections_are_worth_at_the_nearer_end_sums_lengths_compliances_and_
         kt=np.full((1, 2, 1), 2.0),
         stiffness=np.full((1, 2), 5.0),
     )
-    bounds._easier = lambda: (twisting, bending)
-    dh, own, bend, dn = bounds._stretched()
+    bounds._compliance_change = lambda: (twisting, bending)
+    change = bounds._geometry_change()
     root = np.sqrt((length + later) / 2) - np.sqrt(length)
     held = np.sqrt(0.025) - np.sqrt(0.02) + np.sqrt(bow / 8)
     one = root / np.sqrt(2) + np.sqrt(later) * 0.3
     two = root / np.sqrt(5) + np.sqrt(later) * 0.2
-    assert dh == pytest.approx((later - length) / 2)
-    assert dn == pytest.approx(np.array([[0.15, 0.25]]))
-    assert own[0, :, 0] == pytest.approx(np.sqrt(np.cumsum(one[0] ** 2) + held**2))
-    assert bend[0] == pytest.approx(np.sqrt(np.cumsum(two[0] ** 2)))
+    assert change.h == pytest.approx((later - length) / 2)
+    assert change.force == pytest.approx(np.array([[0.15, 0.25]]))
+    assert change.y[0, :, 0] == pytest.approx(np.sqrt(np.cumsum(one[0] ** 2) + held**2))
+    assert change.bending[0] == pytest.approx(np.sqrt(np.cumsum(two[0] ** 2)))
 
 
 @pytest.mark.parametrize("linear", [True, False])
@@ -525,39 +543,45 @@ def test_the_ball_of_loaded_arms_is_that_of_newton_and_kantorovich(linear: bool)
     one, asked = np.ones((1, 1, 1)), []
     flat = one[..., 0]
 
-    def variation(moved: Any, *, stretched: bool) -> Array:
-        asked.append([float(each.item()) for each in (*moved.turn, moved.frame, moved.moment)])
+    def hessian_change(moved: Any, *, stretched: bool) -> Array:
+        asked.append([float(each.item()) for each in (*moved.angle, moved.frame, moved.moment)])
         return np.array([0.3 if stretched else 0.5])
 
     bounds = bare(
-        theta=DerivativeBounds(one, 0.2 * one, one),
-        pair=DerivativeBounds(one[..., None], 0.6 * one[..., None], one[..., None]),
-        tangent=DerivativeBounds(flat, 0.8 * flat, flat),
-        answer=(None, DerivativeBounds(flat, 1.4 * flat, flat)),
+        chord=SimpleNamespace(
+            theta=DerivativeBounds(one, 0.2 * one, one),
+            pair=DerivativeBounds(one[..., None], 0.6 * one[..., None], one[..., None]),
+            tangent=DerivativeBounds(flat, 0.8 * flat, flat),
+            moment=DerivativeBounds(flat, 1.4 * flat, flat),
+        ),
         long=DerivativeBounds(2 * flat, flat, flat),
         force=DerivativeBounds(3 * flat, flat, flat),
         couple=DerivativeBounds(flat, 0.4 * flat, 0 * flat),
         weight=(7 * one, 11 * one[..., None]),
         swing=13 * flat,
     )
-    bounds.variation, bounds.gradient = variation, lambda: np.array([0.05])
-    bounds.curving = lambda: np.array([0.2 if linear else np.inf])
-    radius, convex, kept = bounds.ball(np.array([0.9]))
+    bounds.hessian_change, bounds.gradient = hessian_change, lambda: np.array([0.05])
+    bounds.hessian_chord_error = lambda: np.array([0.2 if linear else np.inf])
+    ball = bounds.ball(np.array([0.9]))
     # Of the moment in world axes by time: h_t t n + h t_t n + h t n_t, and that of what acts ahead.
     moment = (1 * 1 * 3 + 2 * 0.8 * 3 + 2 * 1 * 1 + 0.4) / 2
     assert asked == [pytest.approx([0.1, 0.3, 0.4, moment]), pytest.approx([7, 11, 13, 2 * 3 * 13])]
     left = 0.7 if linear else 0.6
     root = float(np.roots([0.25, -left, 0.05]).min())
-    assert kept.all()
-    assert radius.item() == pytest.approx(root)
-    assert convex.item() == pytest.approx(left - 0.5 * root)
+    assert ball.exists.all()
+    assert ball.radius.item() == pytest.approx(root)
+    assert ball.convexity.item() == pytest.approx(left - 0.5 * root)
 
 
 def test_a_point_of_loaded_arms_is_off_its_chord_by_the_sum_of_what_turns_and_lengthens_the_arm() -> None:
     """An eighth of int 2 |h_t| |t_t| + h |t_tt|, and the lever of what is in the ball."""
     h, more, rate, bend, swing = np.random.default_rng(13).uniform(1, 2, (5, 1, K))
-    bounds = bare(long=DerivativeBounds(h, more, 0 * h), tangent=DerivativeBounds(0 * h, rate, bend), swing=swing)
-    found = bounds.off(np.array([0.3]))[0]
+    bounds = bare(
+        long=DerivativeBounds(h, more, 0 * h),
+        chord=SimpleNamespace(tangent=DerivativeBounds(0 * h, rate, bend)),
+        swing=swing,
+    )
+    found = bounds.chord_error(np.array([0.3]))[0]
     assert found == pytest.approx(np.cumsum((2 * more * rate + h * bend) / 8 + 0.3 * h * swing))
 
 
@@ -572,7 +596,7 @@ def loaded(load: Load) -> tuple[LoadedIntervals, _Bounds]:
 def test_an_arm_swings_by_the_root_of_its_compliance_at_most() -> None:
     """(int A_i |y_i| + |r|)^2 where T = 1, by sums: int m_i^2 / kt_i + |beta| m_i(0)^2 / kt_i + int 1 / K."""
     intervals, bounds = loaded(Load())
-    cuts, count = intervals.begin[0], 20000
+    cuts, count = intervals.start_cuts[0], 20000
     for k, s in enumerate(cuts[1:]):
         if not s:
             continue
@@ -597,9 +621,9 @@ def test_torques_between_samples_grow_by_what_bends_the_tubes_and_by_the_load(co
     bends = [tube.bending_stiffness * tube.curvature for tube in STEPPED.tubes]
     length = intervals.length[0][0]
     k = int(np.argmax((intervals.stretch[0] == 1).all(1) & (length > 1e-9)))
-    lever = (force + couple) * (intervals.begin[0, -1] - intervals.begin[0, k])
+    lever = (force + couple) * (intervals.start_cuts[0, -1] - intervals.start_cuts[0, k])
     slope = bends[0] * bends[1] / (one + other) + np.array(bends) / (one + other) * lever + [0.0, couple]
-    more = bounds.torque[0, k] - intervals.loads[0][0, k]
+    more = bounds.torque[0, k] - intervals.loads.torque[0, k]
     assert more == pytest.approx(slope * length[k] / (2 * PARTS), rel=1e-9)
 
 
@@ -607,7 +631,7 @@ def test_no_rotation_of_loaded_arms_of_unit_elastic_form_is_larger_than_its_weig
     """(|beta| + s) / kt is the square of what a tube may turn, and their sum that of two against each other."""
     intervals, bounds = loaded(Load(force=(0.01, 0.0, 0.0)))
     kt = np.array([tube.torsional_stiffness for tube in STEPPED.tubes])
-    square = (np.array([0.06, 0.03]) + intervals.begin[0, 1:, None]) / kt
+    square = (np.array([0.06, 0.03]) + intervals.start_cuts[0, 1:, None]) / kt
     assert bounds.weight[0][0] == pytest.approx(np.sqrt(square), rel=1e-9)
     assert bounds.weight[1][0] == pytest.approx(np.sqrt(square[:, :, None] + square[:, None]), rel=1e-9)
 
@@ -616,13 +640,14 @@ def test_what_differs_between_loaded_arms_is_more_between_samples() -> None:
     """Of rotations, torques and moments."""
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 0.7), np.full((1, 1, 1, 1), 0.9)))
     still: Any = SimpleNamespace(
-        intervals=ends, _between=lambda c: (np.full((1, 1, 1), 0.1), np.full((1, 1, 1), 0.3), np.full((1, 1), 0.5))
+        intervals=ends,
+        _between_samples=lambda c: _Samples(np.full((1, 1, 1), 0.1), np.full((1, 1, 1), 0.3), np.full((1, 1), 0.5)),
     )
     found = _Bounds._changes(still, np.full((1, 1, 1), 2.0), np.full((1, 1), 3.0))
-    assert found.turn[0].item() == pytest.approx(0.7 + 0.1)
-    assert found.turn[1].item() == pytest.approx(0.9 + 2 * 0.1)
+    assert found.angle[0].item() == pytest.approx(0.7 + 0.1)
+    assert found.angle[1].item() == pytest.approx(0.9 + 2 * 0.1)
     assert (found.torque.item(), found.moment.item()) == pytest.approx((2.3, 3.5))
-    assert found.sure.all()
+    assert found.valid.all()
 
 
 def test_torques_and_moments_between_points_are_those_of_statics() -> None:
@@ -664,9 +689,11 @@ def test_loads_are_sampled_with_the_errors_of_both_ends(order: int) -> None:
     samples, parts = iter(ends[::order]), iter([(0.01, 0.03), (0.02, 0.04)])
     wrong = ((np.full((1, 1, 2, 1), twist), np.full((1, 1, 2), bend)) for twist, bend in parts)
     arms = SimpleNamespace(sampled=lambda *_: next(samples), load_error=lambda *_: next(wrong))
-    stub: Any = SimpleNamespace(arms=arms, parts=((), ()), one=np.array([0]), other=np.array([1]))
-    size, change, moment = vars(LoadedIntervals)["loads"].func(stub)
-    assert (size.item(), change.item(), moment.item()) == pytest.approx((3.03, 0.53, 5.07))
+    stub: Any = SimpleNamespace(arms=arms, parts=((), ()), start=np.array([0]), end=np.array([1]))
+    loads = vars(LoadedIntervals)["loads"].func(stub)
+    assert (loads.torque.item(), loads.torque_change.item(), loads.moment_change.item()) == pytest.approx(
+        (3.03, 0.53, 5.07)
+    )
 
 
 @pytest.mark.parametrize("strength", [0.1, 0.3, 0.5, 0.7, 0.9])
@@ -674,16 +701,16 @@ def test_what_differs_is_sure_also_where_it_spreads_from_rotations_alone(strengt
     """At the samples no torque and no moment differs; between them torques turn, and turns make torques and moments."""
     spread = strength * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.5, 0.5, 0.0]])
 
-    def between(c: Any) -> tuple[Array, ...]:
-        theta, torque, moment = spread @ [c.turn[0].item(), c.torque.item(), c.moment.item()]
-        return np.full((1, 1, 1), theta), np.full((1, 1, 1), torque), np.full((1, 1), moment)
+    def between(c: Any) -> _Samples:
+        theta, torque, moment = spread @ [c.angle[0].item(), c.torque.item(), c.moment.item()]
+        return _Samples(np.full((1, 1, 1), theta), np.full((1, 1, 1), torque), np.full((1, 1), moment))
 
     ends: Any = SimpleNamespace(changes=(np.full((1, 1, 1), 1.0), np.zeros((1, 1, 1, 1))))
-    still: Any = SimpleNamespace(intervals=ends, _between=between)
+    still: Any = SimpleNamespace(intervals=ends, _between_samples=between)
     found = _Bounds._changes(still, np.zeros((1, 1, 1)), np.zeros((1, 1)))
-    assert found.sure.item() == (strength <= 0.5)
-    if found.sure:
-        bound = np.array([found.turn[0].item(), found.torque.item(), found.moment.item()])
+    assert found.valid.item() == (strength <= 0.5)
+    if found.valid:
+        bound = np.array([found.angle[0].item(), found.torque.item(), found.moment.item()])
         exact = np.linalg.solve(np.eye(3) - spread, [1.0, 0.0, 0.0])
         assert (exact * (1 - 1e-12) <= bound).all()
         assert (bound <= 1.6 * exact).all()
@@ -697,10 +724,12 @@ def test_what_differs_is_sure_only_if_all_of_it_is(grows: str) -> None:
     ends: Any = SimpleNamespace(changes=(np.ones((1, 1, 2)), np.ones((1, 1, 2, 2))))
     still: Any = SimpleNamespace(
         intervals=ends,
-        _between=lambda c: (turns * c.turn[0], factors["torque"] * c.torque, factors["moment"] * c.moment),
+        _between_samples=lambda c: _Samples(
+            turns * c.angle[0], factors["torque"] * c.torque, factors["moment"] * c.moment
+        ),
     )
     found = _Bounds._changes(still, np.ones((1, 1, 2)), np.ones((1, 1)))
-    assert found.sure.item() == (grows == "nothing")
+    assert found.valid.item() == (grows == "nothing")
 
 
 @pytest.mark.parametrize("per_length", [0.2, -0.2])
@@ -715,7 +744,7 @@ def test_forces_and_levers_are_the_most_of_both_ends_of_a_section_and_of_the_tim
     for k in range(intervals.length[0].shape[1]):
         sizes = [
             0.01 + per_length * max(end - cuts[0, at], 0.0)
-            for cuts, end in ((intervals.begin, 0.04), (intervals.end, 0.042))
+            for cuts, end in ((intervals.start_cuts, 0.04), (intervals.end_cuts, 0.042))
             for at in (k, k + 1)
         ]
         assert intervals.force.v[0, k] == pytest.approx(max(map(abs, sizes)), rel=1e-9)
@@ -739,7 +768,7 @@ def test_moments_that_cancel_along_a_section_are_the_most_at_its_ends() -> None:
     pull = Pull.of(robot, Load(moment=(moment, 0.0, 0.0), distributed=(along,)))
     arms = [forward_kinematics(robot, [0.0], [shift]) for shift in (0.0, 0.002)]
     intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
-    ends = [moment * (1 - 30 * (cuts[0, -1] - cuts[0])) for cuts in (intervals.begin, intervals.end)]
+    ends = [moment * (1 - 30 * (cuts[0, -1] - cuts[0])) for cuts in (intervals.start_cuts, intervals.end_cuts)]
     for k in range(intervals.length[0].shape[1]):
         most = max(abs(end[at]) for end in ends for at in (k, k + 1))
         assert intervals._loads[1].v[0, k] == pytest.approx(most, rel=1e-9)
@@ -760,12 +789,12 @@ def test_moments_twist_the_outermost_tube_by_their_whole_size_where_they_act() -
     intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), [arm, arm], pull=pull), *np.array([[0], [1]]))
     ends, per_length = intervals.twisting
     long = intervals.length[0][0] > 1e-9
-    found = dict(zip(np.round(intervals.begin[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
+    found = dict(zip(np.round(intervals.start_cuts[0, 1:][long], 9).tolist(), ends[0, long].tolist(), strict=True))
     acting = {0.01: [0, 25], 0.03: [0, 20], 0.04: [25, 0], 0.05: [80, 0]}
     assert found == {place: pytest.approx(acting.get(place, [0, 0])) for place in found}
     assert set(acting) < set(found)
     assert not ends[0, ~long].any()
-    middles = (intervals.begin[0, :-1] + intervals.begin[0, 1:])[long] / 2
+    middles = (intervals.start_cuts[0, :-1] + intervals.start_cuts[0, 1:])[long] / 2
     outer = (middles > 0.005) & (middles < 0.03)
     inner = (middles > 0.03) & (middles < 0.035)
     assert per_length[0, long] == pytest.approx(0.5 * np.stack([inner, outer], axis=1))
@@ -778,7 +807,9 @@ def test_what_is_ahead_of_a_place_that_moves_through_a_load_changes_there() -> N
     pull = Pull.of(robot, Load(distributed=(along,)))
     arms = [forward_kinematics(robot, [0.0, 0.0], [0.0, shift]) for shift in (-0.018, -0.016)]
     intervals = LoadedIntervals.of(LoadedArms.of(Constants.of(robot), arms, pull=pull), np.array([0]), np.array([1]))
-    k = int(np.argmax(np.isclose(intervals.begin[0], 0.01) & np.isclose(np.roll(intervals.begin[0], -1), 0.012)))
+    k = int(
+        np.argmax(np.isclose(intervals.start_cuts[0], 0.01) & np.isclose(np.roll(intervals.start_cuts[0], -1), 0.012))
+    )
     assert [jet.v[0, k] for jet in intervals._loads] == pytest.approx([0.003, 0.002])
     assert [jet.d[0, k] for jet in intervals._loads] == pytest.approx([6e-4, 4e-4])
 
@@ -826,10 +857,10 @@ def test_no_branch_of_loaded_arms_is_shown_where_a_part_of_the_proof_is_missing(
         intervals = replace(intervals, ordered=np.array([False]))
     else:
         changes = _Bounds._changes
-        monkeypatch.setattr(_Bounds, "_changes", lambda *a: replace(changes(*a), sure=np.array([False])))
+        monkeypatch.setattr(_Bounds, "_changes", lambda *a: replace(changes(*a), valid=np.array([False])))
     found = loaded_branch(intervals, margins)
     assert not found.unbroken.any()
-    assert np.isinf(found.off).all()
+    assert np.isinf(found.chord_error).all()
 
 
 def test_the_moment_of_all_that_acts_to_one_side_of_a_straight_arm_is_its_lever() -> None:
@@ -858,7 +889,7 @@ def test_moments_that_cancel_ahead_bend_what_lies_between_them() -> None:
     moment = 1e-3
     points = PointLoad(0.01, moment=(moment, 0.0, 0.0)), PointLoad(0.025, moment=(-moment, 0.0, 0.0))
     intervals, bounds = loaded(Load(points=points))
-    inside = intervals.begin[0, :-1] < 0.025 - 1e-9
+    inside = intervals.start_cuts[0, :-1] < 0.025 - 1e-9
     assert bounds.couple.v[0, inside] == pytest.approx(np.full(inside.sum(), moment))
     assert bounds.couple.v[0, ~inside] == pytest.approx(np.zeros((~inside).sum()))
     assert intervals.lever[0] == pytest.approx(bounds.couple.v[0])

@@ -125,11 +125,11 @@ def test_the_bound_knows_that_coefficients_move_along_the_tubes(soft: bool, load
         for k in np.flatnonzero(np.maximum(*intervals.length)[0] > 0):
             ends = intervals.places(np.zeros(9, dtype=np.intp), np.full(9, k), x)
             for number, share in enumerate(shares):
-                cut = (1 - share) * intervals.begin[0] + share * intervals.end[0]
+                cut = (1 - share) * intervals.start_cuts[0] + share * intervals.end_cuts[0]
                 true = arms.points(np.full(9, 2 + number), cut[k] + x * (cut[k + 1] - cut[k]))
                 off = np.linalg.norm(true - (1 - share) * ends[0] - share * ends[1], axis=1).max()
-                assert off <= found.off[0, k] + 3 * arms.shape_error.max()
-                used.append(off / found.off[0, k])
+                assert off <= found.chord_error[0, k] + 3 * arms.shape_error.max()
+                used.append(off / found.chord_error[0, k])
         assert max(used) > (0.6 if shift else 0.1) / (1 if load is None else 2)
 
 

@@ -41,7 +41,7 @@ from tubeopt.inverse.task import TipCoordinates
 from tubeopt.planning import plan, smoothing
 from tubeopt.planning.goals import least_miss
 from tubeopt.planning.motion import DEFAULT_RATES
-from tubeopt.planning.question import PlanTask, asked
+from tubeopt.planning.question import PlanTask, plan_task
 from tubeopt.planning.timing import Limits, joint_curves, rounded, stopping_at, violated
 from tubeopt.planning.trajectory import save_joint_trajectory
 from tubeopt.robots.robot import Robot
@@ -345,7 +345,7 @@ def test_a_curve_is_passed_as_fast_as_limits_allow() -> None:
 
 def test_curves_of_joint_values_keep_to_motions_that_bend() -> None:
     """Close to a snap the joints turn back while the tips go straight on."""
-    task = asked(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
+    task = plan_task(THESIS, [], 0.05, DEFAULT_RATES, None, PlanOptions())
     begin = np.zeros(len(task.scale))
     end = begin + [6.0, 0.0, -6.0, 0.0, 0.0, 0.0][: len(begin)]
     fine = begin + np.linspace(0, 1, 4_001)[:, None] * (end - begin)
@@ -381,7 +381,7 @@ def test_a_way_with_corners_is_passed_piece_by_piece() -> None:
 
 def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     """At 180 deg two stable equilibria mirror each other: the way from 100 deg leads to one of them."""
-    task = asked(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None)
+    task = plan_task(TWO_TUBE, (), 0.05, DEFAULT_RATES, None, PlanOptions(), None)
     space, start = joint_space(TWO_TUBE), forward_kinematics(TWO_TUBE, [100 * DEG, 0.0])
     q = np.linspace(space.join(start.rotations, start.translations), space.join([180 * DEG, 0.0], [0.0, 0.0]), 9)
     motion = stopping_at([q], Limits(*DEFAULT_RATES.of(space)))
@@ -391,7 +391,7 @@ def test_a_motion_to_the_right_joint_values_on_another_branch_is_told() -> None:
     for end in ends:
         places = motion.time[-1:], task.chart.of(end)[None]
         same = np.allclose(end.tip_position, led.tip_position, atol=1e-6)
-        assert violated(task, start, motion, task.clock, places)[0].any() == (not same)
+        assert violated(task, start, motion, task.clock, places).intervals.any() == (not same)
 
 
 def test_arguments_of_another_kind_are_named() -> None:

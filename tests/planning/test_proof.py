@@ -60,22 +60,22 @@ def test_arms_between_two_equilibria_are_where_the_bound_says(robot: Robot) -> N
     stiffness = np.array([min(e.margin, 1.0) for e in chain]) * (0.9 if arms.constants.offset.any() else 1.0)
     found = branch(intervals, stiffness)
     assert found.unbroken.all()
-    assert found.off.max() < 3e-4
+    assert found.chord_error.max() < 3e-4
     x = np.linspace(0, 1, 9)
     for k in (0, 7, 15):
         for share in (0.25, 0.5):
             e = between(robot, chain[k], chain[k + 1], share)
             true = Arms.of(arms.constants, [e])
             for section in np.flatnonzero(np.maximum(*intervals.length)[k] > 0):
-                cut = (1 - share) * intervals.begin[k] + share * intervals.end[k]
+                cut = (1 - share) * intervals.start_cuts[k] + share * intervals.end_cuts[k]
                 s = cut[section] + x * (cut[section + 1] - cut[section])
                 a, b = intervals.places(np.full(9, k), np.full(9, section), x)
                 off = np.linalg.norm(true.points(np.zeros(9, dtype=np.intp), s) - (1 - share) * a - share * b, axis=1)
-                allowed = found.off[k, section] + 2 * arms.shape_error.max() + true.shape_error[0]
+                allowed = found.chord_error[k, section] + 2 * arms.shape_error.max() + true.shape_error[0]
                 assert off.max() <= allowed
     # Of second order: twice the step, four times the bound.
-    coarse = branch(Intervals.of(arms, np.array([6]), np.array([8])), stiffness).off[0, -1]
-    assert 3 < coarse / found.off[6:8, -1].mean() < 6
+    coarse = branch(Intervals.of(arms, np.array([6]), np.array([8])), stiffness).chord_error[0, -1]
+    assert 3 < coarse / found.chord_error[6:8, -1].mean() < 6
 
 
 @pytest.mark.parametrize("robot", [THESIS, PIECES], ids=lambda r: r.name)

@@ -17,7 +17,7 @@ from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.search import without_corners
 from tubeopt.planning import plan_trajectory
 from tubeopt.planning.motion import DEFAULT_RATES
-from tubeopt.planning.question import asked
+from tubeopt.planning.question import plan_task
 from tubeopt.planning.roadmap import build_roadmap, load_roadmap
 
 ROBOT = tubeopt.load_robot(ROOT / "configs" / "robots" / "crl_ctr.yaml")
@@ -29,7 +29,7 @@ def test_a_roadmap_is_asked_again_and_again(tmp_path: Path) -> None:
     body = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
     roadmap = build_roadmap(ROBOT, obstacles=[body], options=OPTIONS, count=60)
     assert len(roadmap) == 60
-    task = asked(ROBOT, [body], 0.05, DEFAULT_RATES, None, OPTIONS)
+    task = plan_task(ROBOT, [body], 0.05, DEFAULT_RATES, None, OPTIONS)
     assert task.holds(roadmap.points).all()
     deep = np.argsort(-task.arms(roadmap.points).tip[:, 2])
     start, goal = roadmap.points[deep[-1]], roadmap.points[deep[0]] + 1e-4
@@ -41,14 +41,14 @@ def test_a_roadmap_is_asked_again_and_again(tmp_path: Path) -> None:
     assert np.array_equal(again.points, first.points)
     assert again.motions <= 3  # from the start, to the goal, and the straight one
     middle = task.arms(first.points[len(first.points) // 2][None]).tip[0]
-    task = asked(ROBOT, [body, Sphere(tuple(middle.tolist()), 1e-3)], 0.05, DEFAULT_RATES, None, OPTIONS)
+    task = plan_task(ROBOT, [body, Sphere(tuple(middle.tolist()), 1e-3)], 0.05, DEFAULT_RATES, None, OPTIONS)
     other = roadmap.shortest_path(task, start, [goal], Clock(60))
     assert other.points is None or task.path(other.points)
     roadmap.save(tmp_path / "map.npz")
     loaded = load_roadmap(tmp_path / "map.npz")
     assert np.array_equal(loaded.points, roadmap.points)
     thesis = tubeopt.load_robot(ROOT / "configs" / "robots" / "thesis_ctr.yaml")
-    task = asked(thesis, [], 0.05, DEFAULT_RATES, None, OPTIONS)
+    task = plan_task(thesis, [], 0.05, DEFAULT_RATES, None, OPTIONS)
     with pytest.raises(InputError, match="the roadmap is of another robot"):
         loaded.shortest_path(task, start, [goal], Clock(1))
     (tmp_path / "map.npz").write_bytes(b"no map")
@@ -72,7 +72,7 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
     free = image.chosen([LUMEN, TARGET])
     body = field_of_image(image, lumen=free)
     roadmap = build_roadmap(ROBOT, obstacles=[body], options=OPTIONS, count=80)
-    task = asked(ROBOT, [body], 0.05, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
+    task = plan_task(ROBOT, [body], 0.05, DEFAULT_RATES, None, PlanOptions(clearance=1e-3))
     roomy = task.arms(roadmap.points[task.holds(roadmap.points)]).tip
     start = np.zeros(3), np.array([-0.033, -0.092, -0.096])
     place = roomy[np.argmax(roomy[:, 2])] + [5e-4, -5e-4, 0.0]
@@ -97,7 +97,7 @@ def test_a_place_of_the_tip_is_planned_for_from_the_map_alone(monkeypatch: pytes
 
 
 def test_a_way_does_without_corners_that_it_can_pass_straight() -> None:
-    task = asked(ROBOT, [], 0.05, DEFAULT_RATES, None, PlanOptions())
+    task = plan_task(ROBOT, [], 0.05, DEFAULT_RATES, None, PlanOptions())
     first = task.chart.space.join(np.zeros(3), np.array([-0.02, -0.08, -0.09]))
     last = first + task.scale * [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
     corner = (first + last) / 2 + task.scale * [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]

@@ -18,7 +18,7 @@ from tubeopt.planning import arms as several_arms
 from tubeopt.planning import branch, loaded_branch, reach_share, trajectory_trace
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, Arms, Constants, DerivativeBounds, Intervals, linear
-from tubeopt.planning.trajectory_trace import Cells, Sizes, Wanted, cleared
+from tubeopt.planning.trajectory_trace import Cells, ClearanceTarget, Sizes, clearance_bounds
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
 
@@ -44,14 +44,14 @@ def rate_of_what_is_off(ball: branch._Ball) -> float:
     flat = DerivativeBounds(NONE, NONE, NONE, NONE)
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None]),
-        drift=SimpleNamespace(bow=flat),
+        transport=SimpleNamespace(bow=flat),
         cross_sections=lambda course: (flat, flat),
         rotation=lambda moment, stretch: flat,
         response=lambda turn: turn,
         norm=lambda turn: np.zeros(1),
         _stretch=lambda u: u,
     )
-    return float(branch._Bounds.course(still, (NONE, NONE[..., None]), ball)[0].d.item())
+    return float(branch._Bounds.solution_derivatives(still, (NONE, NONE[..., None]), ball)[0].d.item())
 
 
 @pytest.mark.parametrize("bow", [0.1, 2.0])
@@ -63,14 +63,14 @@ def test_what_solves_a_parabola_that_is_0_at_both_ends_changes_by_half_of_its_se
     assert rate_of_what_is_off(ball) == pytest.approx(np.abs(np.gradient(off, t, edge_order=2)).max())
 
 
-@pytest.mark.parametrize(("bow", "drift", "radius", "stretch"), [(0.4, 0.7, 0.3, 0.5), (0.0, 0.9, 0.2, 0.8)])
+@pytest.mark.parametrize(("bow", "transport", "radius", "stretch"), [(0.4, 0.7, 0.3, 0.5), (0.0, 0.9, 0.2, 0.8)])
 def test_the_rate_of_a_solution_is_that_of_the_implicit_function_theorem(
-    bow: float, drift: float, radius: float, stretch: float
+    bow: float, transport: float, radius: float, stretch: float
 ) -> None:
     """F = stretch (e - radius) + t (bow / 2 + drift e) = 0, solved at t = 0 and shortly after."""
     t = 1e-7
-    later = (stretch * radius - t * bow / 2) / (stretch + t * drift)
-    ball = branch._Ball(*(np.array([each]) for each in (radius, bow, drift, stretch)))
+    later = (stretch * radius - t * bow / 2) / (stretch + t * transport)
+    ball = branch._Ball(*(np.array([each]) for each in (radius, bow, transport, stretch)))
     assert rate_of_what_is_off(ball) == pytest.approx((radius - later) / t, rel=1e-6)
 
 
@@ -83,7 +83,9 @@ def test_what_has_a_constant_second_derivative_is_off_its_chord_by_an_eighth_of_
     bounds: Any = SimpleNamespace(
         kt=kt, stiffness=stiffness, long=SimpleNamespace(v=long), spring=SimpleNamespace(v=spring)
     )
-    bounds.answer = DerivativeBounds(NONE, NONE, torque), DerivativeBounds(NONE, NONE, moment)
+    bounds.chord = SimpleNamespace(
+        torque=DerivativeBounds(NONE, NONE, torque), moment=DerivativeBounds(NONE, NONE, moment)
+    )
     bounds._size = lambda *parts: loaded_branch._Bounds._size(bounds, *parts)
     cuts = np.concatenate([[0.0], np.cumsum(long[0])])
     s = (np.arange(6000) + 0.5) / 6000 * cuts[-1]
@@ -122,8 +124,8 @@ class Rod:
         self.intervals: Any = SimpleNamespace(
             length=(long, long), radius=nothing + radius, sagitta=lambda link, section, x: np.full(len(link), bend)
         )
-        self.off, self.times = nothing + off, np.array([0.0, 1.0])
-        self.verifier: Any = SimpleNamespace(over=True)
+        self.chord_error, self.times = nothing + off, np.array([0.0, 1.0])
+        self.verifier: Any = SimpleNamespace(exhausted=True)
         self.whole = True
 
     def link_at(self, t: Array) -> Array:
@@ -142,7 +144,7 @@ def moved(begin: Array, end: Array, move: Array) -> Array:
 def clearance(one: Rod, other: Rod) -> float:
     """Bound of the distance of two, by a single cell."""
     tracks: Any = (one, other)
-    return several_arms.apart((0, 1), tracks, Wanted(0.0, 1e-9, 0)).least_clearance
+    return several_arms.apart((0, 1), tracks, ClearanceTarget(0.0, 1e-9, 0)).least_clearance
 
 
 @pytest.mark.parametrize(("a", "b", "c", "height"), [(2, 3, 0, 1), (2, 3, 0, 0), (2, 3, 4, 0), (3, 0, 2, 0.5)])
@@ -179,8 +181,8 @@ def test_cells_are_as_large_as_their_longer_side(corners: Array) -> None:
     nothing = np.zeros((1, 1))
     intervals: Any = SimpleNamespace(
         arms=SimpleNamespace(shape_error=np.array([0.01, 0.03])),
-        one=np.array([0]),
-        other=np.array([1]),
+        start=np.array([0]),
+        end=np.array([1]),
         sagitta=lambda which, section, x: np.zeros(1),
         radius=nothing,
     )
@@ -189,7 +191,7 @@ def test_cells_are_as_large_as_their_longer_side(corners: Array) -> None:
         sizes = Sizes.of(cells, intervals, nothing + 0.02)
         assert sizes.bound(distance.min()[None])[0] <= 0.4
         assert (sizes.along.item(), sizes.time.item()) == pytest.approx((4.0, 2.0) if corners is FAN else (2.0, 4.0))
-        assert sizes.off.item() == pytest.approx(0.05)
+        assert sizes.chord_error.item() == pytest.approx(0.05)
 
 
 def test_the_clearance_of_a_rod_by_its_first_cells_is_that_of_pythagoras() -> None:
@@ -200,14 +202,14 @@ def test_the_clearance_of_a_rod_by_its_first_cells_is_that_of_pythagoras() -> No
     radius, off = robot.tubes[0].outer_diameter / 2, np.full(here.length[0].shape, 1e-4)
     for z, beside, tall in ((0.375 * length, 0.02, True), (length, 0.02, False), (-0.01, 0.0, False)):
         scene = scene_of([Sphere((0.0, beside, z), 1e-3)])
-        bound, closest = cleared(here, off, scene, Wanted(0.0, 1e-9, 0), np.inf)
+        bound, closest = clearance_bounds(here, off, scene, ClearanceTarget(0.0, 1e-9, 0), np.inf)
         corner = np.hypot(beside, length / 8 if tall else abs(z) if z < 0 else 0.0) - 1e-3
         true = np.sqrt(corner**2 - (length / 8) ** 2) - radius - 1e-4
         assert bound.item() == pytest.approx(min(true, corner - radius if z < 0 else np.inf), abs=1e-7)
         assert closest == pytest.approx(corner - radius, abs=1e-7)
     flush = between(robot, ([0.0], [-length]), ([0.0], [-length]))
     scene = scene_of([Sphere((0.0, 0.0, 0.02), 1e-3)])
-    bound, _ = cleared(flush, 0 * off, scene, Wanted(0.0, 1e-9, 0), np.inf)
+    bound, _ = clearance_bounds(flush, 0 * off, scene, ClearanceTarget(0.0, 1e-9, 0), np.inf)
     assert bound.item() == pytest.approx(0.02 - 1e-3 - radius)
 
 
@@ -219,9 +221,9 @@ def test_a_track_is_off_its_line_by_both_ends_of_a_link_and_whole_where_all_is_s
     )
     arm = forward_kinematics(STEPPED, [0.3, 0.1])
     steps = [trajectory_trace.Step(at, arm, np.zeros(4)) for at in (0.0, 0.5, 1.0)]
-    links = [trajectory_trace.Link(a, b, off=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
+    links = [trajectory_trace.Link(a, b, chord_error=np.array([1.0, 2.0])) for a, b in pairwise(steps)]
     track = several_arms.Track(verifier, tuple(links), base_frame([0, 0, 0], [0, 0, 1]), 0.0, 2.0)
-    assert track.off == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
+    assert track.chord_error == pytest.approx(np.array([[1.3, 2.3], [1.3, 2.3]]))
     assert track.times == pytest.approx(np.array([0.0, 1.0, 2.0]))
 
 
@@ -233,11 +235,11 @@ def test_a_track_is_whole_only_where_one_branch_was_followed_to_its_end(
     ends = (0.0, 0.9) if missing == "time" else (0.0, 1.0)
     steps = tuple(trajectory_trace.Step(at, arm, np.zeros(4)) for at in ends)
     followed = SimpleNamespace(
-        steps=steps, snap=0.7 if missing == "a snap" else None, lost=((0.1, 0.2),) if missing == "a branch" else ()
+        steps=steps, snap=0.7 if missing == "a snap" else None, unproved=((0.1, 0.2),) if missing == "a branch" else ()
     )
     lost = [(0.1, 0.2)] if missing == "a link" else []
     monkeypatch.setattr(several_arms, "follow", lambda *_: followed)
-    monkeypatch.setattr(several_arms, "joined", lambda verifier, links: (links, lost))
+    monkeypatch.setattr(several_arms, "prove_branch", lambda verifier, links: trajectory_trace.Proved(links, lost))
     none: Any = None
     track = several_arms.tracked(none, arm, np.array([0.0, 1.0]), np.zeros((2, 4)), none)
     assert track.whole == (missing == "nothing")
@@ -256,11 +258,13 @@ def test_a_finer_track_is_whole_as_far_as_its_halves_are_shown(monkeypatch: pyte
     def ends(verifier: Any, link: Any) -> list[Any]:
         raise trajectory_trace.BranchEndsError(0.5)
 
-    monkeypatch.setattr(several_arms, "halves", lambda verifier, link: [link])
+    monkeypatch.setattr(several_arms, "bisect", lambda verifier, link: [link])
     for lost in ([], [(0.0, 0.5)]):
-        monkeypatch.setattr(several_arms, "joined", lambda verifier, links, lost=lost: (links, lost))
+        monkeypatch.setattr(
+            several_arms, "prove_branch", lambda verifier, links, lost=lost: trajectory_trace.Proved(links, lost)
+        )
         assert track.finer(np.array([0])).whole == (not lost)
-    monkeypatch.setattr(several_arms, "halves", ends)
+    monkeypatch.setattr(several_arms, "bisect", ends)
     assert not track.finer(np.array([0])).whole
 
 
@@ -270,7 +274,7 @@ def test_a_clearance_from_one_time_to_another_is_the_least_in_between() -> None:
     begin, end = np.array([[0.2, 0.5], [0.5, 1.5], [2.1, 9.0], [-1.0, 0.5], [1.0, 1.0], [0.0, 3.0]]).T
     assert proof.at_least(begin, end).tolist() == [0.3, 0.1, 0.2, 0.3, 0.1, 0.1]
     rods: Any = (Rod(moved(*np.eye(3))), Rod(moved(*(5 * np.eye(3)))))
-    assert several_arms.apart((0, 1), rods, Wanted(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
+    assert several_arms.apart((0, 1), rods, ClearanceTarget(0.0, 1e-9, 0), 0.01).least_clearance == 0.01
 
 
 @pytest.mark.parametrize(("share", "more"), [(0.6e-9, 0), (2.2e-9, 3), (0.1, 63)])
@@ -281,15 +285,15 @@ def test_a_stretch_of_time_that_is_short_is_not_halved(
     until there are no equilibria left, of which each round takes twice as many."""
     body = Sphere((0.0, 0.0, 0.4), 0.05)
     monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 40)
-    verifier = trajectory_trace.TrajectoryVerifier(THESIS, scene_of([body]), Wanted(0.5, 1e-9, 0), Clock(60.0))
+    verifier = trajectory_trace.TrajectoryVerifier(THESIS, scene_of([body]), ClearanceTarget(0.5, 1e-9, 0), Clock(60.0))
     joints = [np.append(angles, THESIS.home_translations) for angles in ([0.0, 0.0, 0.0], [0.02, 0.0, 0.0])]
     steps = [
         trajectory_trace.Step(at, forward_kinematics(THESIS, q[:3]), q)
         for at, q in zip((0.5, 0.5 + share), joints, strict=True)
     ]
-    links, lost = trajectory_trace.joined(verifier, [trajectory_trace.Link(steps[0], steps[1])])
+    links, lost = trajectory_trace.prove_branch(verifier, [trajectory_trace.Link(steps[0], steps[1])])
     assert not lost
-    trajectory_trace._kept_clear(verifier, links)
+    trajectory_trace._prove_clearance(verifier, links)
     assert verifier.count == more
 
 
@@ -303,7 +307,7 @@ def test_a_point_of_an_arc_that_slides_out_is_off_its_chord_by_the_bend_of_its_p
         return np.array([1 - np.cos(curvature * h), np.sin(curvature * h)]) / curvature
 
     true = float(np.linalg.norm(tip((short + long) / 2) - (tip(short) + tip(long)) / 2))
-    assert 0.999 * true <= found.off.max() <= 1.03 * true
+    assert 0.999 * true <= found.chord_error.max() <= 1.03 * true
     speeding = curvature * (long - short) ** 2
     assert 0.999 * speeding <= found.rates[0, 0] <= 1.03 * speeding
 
@@ -312,9 +316,12 @@ def test_what_bends_an_arm_otherwise_moves_a_point_by_its_lever() -> None:
     """int (s - x) |du| dx by sums along the arm, where all tubes turn by an angle against theta~."""
     here = [0.3, 0.1], [-0.02, -0.01]
     bounds, turn = bounds_between(STEPPED, here, here), 1e-3
-    cuts = bounds.intervals.begin[0]
+    cuts = bounds.intervals.start_cuts[0]
     still = np.zeros_like(bounds.torque), np.zeros_like(bounds.bending.pairs)
-    found = bounds.off(still, np.full_like(bounds.torque, turn))[0] - bounds.off(still, np.zeros_like(bounds.torque))[0]
+    found = (
+        bounds.chord_error(still, np.full_like(bounds.torque, turn))[0]
+        - bounds.chord_error(still, np.zeros_like(bounds.torque))[0]
+    )
     x = (np.arange(20000) + 0.5) / 20000 * cuts[-1]
     tubes, offset = STEPPED.tubes, np.array(here[1]) + 0.0
     there = [(x < tube.curved_length + by) for tube, by in zip(tubes, offset, strict=True)]
@@ -328,7 +335,7 @@ def test_no_rotation_of_unit_torsional_energy_is_larger_than_its_weight_and_one_
     """The most of y(s) over int kt y'^2 + kt / |beta| y(0)^2 = 1 is the root of the compliance, by elements."""
     here = [0.3, 0.1], [-0.02, -0.01]
     bounds = bounds_between(STEPPED, here, (here[0], [-0.022, -0.013]))
-    cuts = bounds.intervals.begin[0]
+    cuts = bounds.intervals.start_cuts[0]
     for i, (tube, held) in enumerate(zip(STEPPED.tubes, (0.06, 0.03), strict=True)):
         for s, weight in zip(cuts[1:], bounds.weight[0][0, :, i], strict=True):
             count = 50
@@ -430,7 +437,7 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
     still: Any = SimpleNamespace(
         weight=(NONE + 1, NONE[..., None] + 1),
         bending=SimpleNamespace(most=NONE[0], change=lambda y: NONE[0], second=lambda y, by: NONE[0]),
-        drift=SimpleNamespace(gain=lambda pair: NONE),
+        transport=SimpleNamespace(gain=lambda pair: NONE),
         zero=NONE,
         chord=lambda turn: None,
         cross_sections=lambda course: (flat, flat),
@@ -440,7 +447,7 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
         response=lambda turn: (2 * turn[0], 2 * turn[1]),
         norm=lambda turn: turn[0][0, 0],
         _stretch=lambda u: u,
-        _varied=lambda varied, gained, by, moving: next(made),
+        _jacobian_change=lambda varied, gained, by, moving: next(made),
     )
     ball, kept = branch._Bounds.ball(still, (NONE, NONE[..., None]))
     assert kept.all()
@@ -449,8 +456,8 @@ def test_the_ball_of_a_parabola_is_that_of_newton_and_kantorovich(
     roots = np.roots([by_ball / 2, q - 1, residual / 8])
     radius = float(roots.min())
     assert ball.radius.item() == pytest.approx(radius)
-    assert (ball.bow.item(), ball.drift.item()) == pytest.approx((residual, by_time))
-    assert ball.stretch.item() == pytest.approx(1 - q - by_ball * radius)
+    assert (ball.residual_tt.item(), ball.jacobian_t.item()) == pytest.approx((residual, by_time))
+    assert ball.contraction.item() == pytest.approx(1 - q - by_ball * radius)
 
 
 def test_what_changes_between_samples_is_off_its_chord_by_an_eighth_of_its_second_derivative() -> None:
@@ -461,7 +468,7 @@ def test_what_changes_between_samples_is_off_its_chord_by_an_eighth_of_its_secon
     one, other = robot.tubes
     coupling = 9.0 * one.bending_stiffness * other.bending_stiffness / (one.bending_stiffness + other.bending_stiffness)
     pair = np.zeros((*bounds.torque.shape, 2)) + turn * (1 - np.eye(2))
-    found = bounds._between((np.zeros_like(bounds.torque), pair))[0].max(0)
+    found = bounds._between_samples((np.zeros_like(bounds.torque), pair))[0].max(0)
     kt = np.array([tube.torsional_stiffness for tube in robot.tubes])
     x = np.linspace(0, length / PARTS, 101)
     parabola = coupling * turn / kt * (x * (x[-1] - x))[:, None] / 2
@@ -473,7 +480,9 @@ def test_pieces_of_arms_at_rest_that_cross_in_their_middle_are_as_far_apart_as_t
     x, y, z = np.eye(3)
     one, other = np.array([-0.2 * x, 0.2 * x]), np.array([z - 0.3 * y, z + 0.3 * y])
     thick = np.array([0.05, 0.05]), np.array([0.03, 0.03])
-    found = reach_share._apart((one, thick[0], 0.4**2, 0.001), (other, thick[1], 0.6**2, 0.002))
+    found = reach_share._apart(
+        reach_share._Arm(one, thick[0], 0.4**2, 0.001), reach_share._Arm(other, thick[1], 0.6**2, 0.002)
+    )
     assert found == pytest.approx(1 - 0.08 - 0.003)
 
 

@@ -26,8 +26,8 @@ from tubeopt.errors import InputError
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import PlanOptions, trajectory_trace
 from tubeopt.planning.proof import HERMITE, _Row, fastest_on_cubic
-from tubeopt.planning.sections import DerivativeBounds, inverse, turned
-from tubeopt.planning.trajectory_trace import Link, Step, TrajectoryVerifier, Wanted, _divided, _meetings
+from tubeopt.planning.sections import DerivativeBounds, inverse, unit_vector
+from tubeopt.planning.trajectory_trace import ClearanceTarget, Link, Step, TrajectoryVerifier, _divided, _meetings
 from tubeopt.robots.load import PointLoad
 from tubeopt.robots.robot import Robot
 from tubeopt.typing import Array
@@ -58,10 +58,10 @@ def test_second_and_third_derivatives_of_the_tip_are_bounded(
     a, b = np.append(begin, home - 0.010), np.append(end, home - 0.010 + slide * np.arange(robot.n_tubes))
     if robot is ECCENTRIC:
         a, b = np.append(begin, home), np.append(end, home)
-    verifier = TrajectoryVerifier(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    verifier = TrajectoryVerifier(robot, scene_of(()), ClearanceTarget(0.0, 1e-5, 10), Clock(math.inf), load)
     arms = [forward_kinematics(robot, *np.split(q, 2), load=load) for q in (a, b)]
     intervals = verifier.intervals(arms, np.array([0]), np.array([1]))
-    known = verifier.joined(intervals)
+    known = verifier.prove(intervals)
     assert known.unbroken.all()
     second, third = known.rates[:, 0]
     tips = np.array([_tip(robot, a + (b - a) * x, load) for x in np.linspace(0, 1, 5)])
@@ -159,12 +159,12 @@ def test_product_and_inverse_of_jets_are_exact_where_all_derivatives_are_positiv
 
 def test_a_turned_unit_vector_changes_as_its_jet_says() -> None:
     """e(phi) for phi = w t: derivatives are powers of w, exactly; for phi = t^3 the third is 6."""
-    steady = turned(DerivativeBounds(np.array(0.0), np.array(1.7), np.array(0.0), np.array(0.0)))
+    steady = unit_vector(DerivativeBounds(np.array(0.0), np.array(1.7), np.array(0.0), np.array(0.0)))
     assert [float(x) for x in (steady.v, steady.d, steady.dd, steady.ddd)] == pytest.approx([1.7**k for k in range(4)])
-    cubic = turned(DerivativeBounds(np.array(0.0), np.array(0.0), np.array(0.0), np.array(6.0)))
+    cubic = unit_vector(DerivativeBounds(np.array(0.0), np.array(0.0), np.array(0.0), np.array(6.0)))
     assert float(cubic.ddd) == 6.0
     # phi = t + t^2 at 0: |e'''| = |(i^2) 3 phi' phi'' + i^3 phi'^3| = |-6 - i|, at most 7.
-    both = turned(DerivativeBounds(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
+    both = unit_vector(DerivativeBounds(np.array(0.0), np.array(1.0), np.array(2.0), np.array(0.0)))
     assert math.hypot(6, 1) <= float(both.ddd) == 7.0
 
 
@@ -325,7 +325,7 @@ def going(joints: list[list[float]]) -> Any:
     found: Any = _Row.__new__(_Row)
     vars(found).update(
         verifier=verifier,
-        links=[SimpleNamespace(one=a, other=b) for a, b in pairwise(steps)],
+        links=[SimpleNamespace(start=a, end=b) for a, b in pairwise(steps)],
         passed=np.ones(len(joints) - 1),
         steps=steps,
     )
@@ -348,7 +348,7 @@ def test_joints_go_on_alike_along_one_line_of_one_order_of_sections(joints: list
 
 def moving(robot: Robot, here: list[float], rate: list[float], load: Load | None = None) -> Any:
     """One link from joint values at given rates, of equilibria so close that their difference has no second order."""
-    verifier = TrajectoryVerifier(robot, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    verifier = TrajectoryVerifier(robot, scene_of(()), ClearanceTarget(0.0, 1e-5, 10), Clock(math.inf), load)
     joints = [np.array(here) + np.array(rate) * t for t in (0.0, 1e-3)]
     steps = [
         Step(t, forward_kinematics(robot, *np.split(q, 2), load=load), q) for t, q in zip((0, 1), joints, strict=True)
@@ -455,5 +455,5 @@ def test_meetings_at_one_time_are_one_and_parts_beside_them_are_none() -> None:
 
 def test_sections_change_at_the_plate_behind_it_and_at_places_of_a_load() -> None:
     load = Load(points=(PointLoad(0.07, (0.03, 0.0, 0.0)),))
-    verifier = TrajectoryVerifier(TWO_TUBE, scene_of(()), Wanted(0.0, 1e-5, 10), Clock(math.inf), load)
+    verifier = TrajectoryVerifier(TWO_TUBE, scene_of(()), ClearanceTarget(0.0, 1e-5, 10), Clock(math.inf), load)
     assert verifier.cuts(np.array([-0.02, 0.01])).tolist() == pytest.approx([0, -0.02, 0.01, 0.08, 0.11, 0.07])

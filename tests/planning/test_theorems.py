@@ -15,10 +15,9 @@ from tubeopt.block.transcription.standing import hat
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.servo import Guard
-from tubeopt.planning.branch import branch, least_root, whirled
-from tubeopt.planning.loaded_branch import SIXTH
+from tubeopt.planning.branch import branch, least_root, rotating_tangent
+from tubeopt.planning.loaded_branch import CHORD_ERROR
 from tubeopt.planning.sections import Arms, Constants, Intervals
-from tubeopt.planning.sections import part as part_of
 from tubeopt.planning.trajectory_trace import Sizes
 
 
@@ -60,7 +59,7 @@ def test_an_arm_that_turns_as_one_is_off_its_chord_by_the_sagitta_of_its_circle(
     radius = (1 - np.cos(curvature * length)) / curvature
     sagitta = radius * (1 - np.cos(turn / 2))
     assert found.unbroken.all()
-    assert sagitta <= found.off.max() <= 1.25 * sagitta
+    assert sagitta <= found.chord_error.max() <= 1.25 * sagitta
     second, third = found.rates[:, 0] / [radius * turn**2, radius * turn**3]
     assert 1 <= second <= 1.3
     assert 1 <= third <= 2
@@ -92,8 +91,8 @@ def test_a_sixth_of_what_bends_a_function_leaves_it_on_its_chord() -> None:
         size = first + (last - first) * t
         assert np.abs(bend + size[1:-1]).max() < 1e-4
         shares.append((above / size).max())
-    assert max(shares) <= SIXTH
-    assert max(shares) >= 0.999 * SIXTH
+    assert max(shares) <= CHORD_ERROR
+    assert max(shares) >= 0.999 * CHORD_ERROR
 
 
 @pytest.mark.parametrize("plane", [True, False])
@@ -113,12 +112,12 @@ def test_the_moment_of_a_load_changes_no_faster_than_the_arm_ahead_turns(plane: 
             [np.linalg.matrix_power(hat(w), k) @ v for k in range(4)] for w, v in ((ahead, tangent), (-own, force))
         ]
         rate, none = np.linalg.norm(own) + np.linalg.norm(ahead), np.zeros(())
-        bound = whirled(np.asarray(rate), none, none)
+        bound = rotating_tangent(np.asarray(rate), none, none)
         for order in (1, 2, 3):
             parts = [comb(order, k) * np.cross(turns[0][k], turns[1][order - k]) for k in range(order + 1)]
             size = np.linalg.norm(np.sum(parts, axis=0))
-            assert size <= part_of(bound, order) * (1 + 1e-12)
-            most[order - 1] = max(most[order - 1], size / part_of(bound, order))
+            assert size <= bound.order(order) * (1 + 1e-12)
+            most[order - 1] = max(most[order - 1], size / bound.order(order))
     assert not plane or (most > 0.999).all()
 
 
@@ -183,13 +182,13 @@ def test_the_guard_begins_within_the_ranges_and_the_margin() -> None:
 def test_a_tangent_that_spins_about_a_fixed_axis_changes_by_powers_of_its_rate() -> None:
     """w, w^2 and w^3; about an axis that speeds up the derivatives of (cos phi, sin phi) for phi = w t + a t^2 / 2."""
     w, a = 1.3, 0.9
-    still, zero = whirled(np.array(w), np.array(0.0), np.array(0.0)), np.array(0.0)
+    still, zero = rotating_tangent(np.array(w), np.array(0.0), np.array(0.0)), np.array(0.0)
     assert [float(x) for x in (still.d, still.dd)] == pytest.approx([w, w**2])
     assert still.ddd is not None
     assert float(still.ddd) == pytest.approx(w**3)
-    speeding = whirled(np.array(w), np.array(a), zero)
+    speeding = rotating_tangent(np.array(w), np.array(a), zero)
     assert speeding.ddd is not None
     second, third = np.hypot(w**2, a), np.hypot(3 * w * a, w**3)
     assert second <= float(speeding.dd) == pytest.approx(w**2 + a)
     assert third <= float(speeding.ddd) == pytest.approx(3 * w * a + w**3)
-    assert whirled(np.array(0.0), zero, np.array(2.0)).ddd == 2.0
+    assert rotating_tangent(np.array(0.0), zero, np.array(2.0)).ddd == 2.0

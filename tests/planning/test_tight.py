@@ -40,9 +40,9 @@ from tubeopt.inverse.posture import posture_of
 from tubeopt.inverse.search import Wall, pocket, wall
 from tubeopt.inverse.task import Task, TipCoordinates
 from tubeopt.planning import plan
-from tubeopt.planning.goals import least_miss, step_constraints, way_around
+from tubeopt.planning.goals import least_miss, path_around, step_constraints
 from tubeopt.planning.proof import proved
-from tubeopt.planning.question import asked
+from tubeopt.planning.question import plan_task
 from tubeopt.robots.robot import Robot
 
 PLAIN = PlanOptions(objective="none", clearance=1e-3, time_limit=20.0)
@@ -347,11 +347,11 @@ def test_the_way_around_a_box_is_never_longer_than_one_that_is_found() -> None:
         via = np.column_stack([random.uniform(-0.1, 0.1, (20000, 2)), np.full(20000, 0.045)])
         via = via[((via < low) | (via > high))[:, :2].any(1)]
         found = (np.linalg.norm(via, axis=1) + np.linalg.norm(goal - via, axis=1)).min()
-        told = way_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
+        told = path_around(Box(tuple(low.tolist()), tuple(high.tolist())), goal)
         assert told <= found
         if ((goal > low) & (goal < high))[:2].all():
             assert told == pytest.approx(found, abs=3e-3)
-    assert way_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
+    assert path_around(Box((-0.1, -0.1, 0.2), (0.1, 0.1, 0.3)), np.array([0.0, 0.0, 0.1])) == 0.0
 
 
 def test_a_closed_pocket_is_told_from_an_open_place() -> None:
@@ -366,7 +366,7 @@ def test_a_closed_pocket_is_told_from_an_open_place() -> None:
 @pytest.mark.parametrize("robot", [THESIS, CRL, TWO_TUBE], ids=lambda robot: robot.name)
 def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot: Robot) -> None:
     """Against the joint space itself; rotations have no range in the chart."""
-    task, random = asked(robot, ()), np.random.default_rng(0)
+    task, random = plan_task(robot, ()), np.random.default_rng(0)
     space, n, longest = task.chart.space, robot.n_tubes, 0.3
     seen = set()
     for q in space.sample(8):
@@ -384,4 +384,4 @@ def test_steps_towards_a_place_are_those_that_end_within_ranges_and_order(robot:
 def test_a_place_is_missed_by_its_distance_from_the_axis_of_a_straight_tube(place: tuple[float, float, float]) -> None:
     rod = nested((0.05, 0.0, 0.0))
     reached = np.array([0.0, 0.0, np.clip(place[2], 0.0, 0.05)])
-    assert least_miss(asked(rod, []), np.array(place)) == pytest.approx(np.linalg.norm(place - reached), abs=1e-9)
+    assert least_miss(plan_task(rod, []), np.array(place)) == pytest.approx(np.linalg.norm(place - reached), abs=1e-9)

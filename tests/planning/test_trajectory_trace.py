@@ -15,12 +15,22 @@ from tubeopt.equilibrium.answer import linearised
 from tubeopt.inverse.clock import Clock
 from tubeopt.planning import proof, trajectory_trace
 from tubeopt.planning.sections import Arms
-from tubeopt.planning.trajectory_trace import BranchEndsError, Link, Step, TrajectoryVerifier, Wanted, follow
+from tubeopt.planning.trajectory_trace import (
+    BranchEndsError,
+    ClearanceTarget,
+    Link,
+    Proved,
+    Step,
+    TrajectoryVerifier,
+    follow,
+)
 from tubeopt.robots.robot import Robot
 
 
 def verifier_of(robot: Robot, *bodies: Sphere) -> TrajectoryVerifier:
-    return TrajectoryVerifier(robot, scene_of(bodies), Wanted(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0))
+    return TrajectoryVerifier(
+        robot, scene_of(bodies), ClearanceTarget(0.0, proof.ACCURACY, proof.MOST_CELLS), Clock(60.0)
+    )
 
 
 def test_the_stiffness_of_two_opposed_tubes_is_that_of_a_column() -> None:
@@ -56,7 +66,7 @@ def test_the_clearance_of_a_motion_is_the_least_of_all_its_times() -> None:
     verifier = verifier_of(robot, Sphere(tuple(ahead.tolist()), radius))
     found = follow(verifier, tip, np.array([0.0, 1.0]), np.array([[0.0, 0.0], [90 * DEG, 0.0]]))
     true = 8e-3 - radius - robot.tubes[0].outer_diameter / 2
-    assert not found.lost
+    assert not found.unproved
     assert true - proof.ACCURACY <= found.clearance <= true + 1e-9
     assert max(link.bound for link in found.links) > 1.2 * true
 
@@ -68,7 +78,7 @@ def test_no_clearance_is_shown_where_a_branch_is_lost(monkeypatch: pytest.Monkey
     begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [1.0, 0.0, 0.0, 0.0]])
     verifier = verifier_of(TWO_TUBE, Sphere((0.0, 0.0, 1.0), 1e-3))
     found = follow(verifier, begin, np.array([0.0, 1.0]), turned)
-    assert found.lost
+    assert found.unproved
     assert found.clearance == -np.inf
     assert np.isfinite(found.measured)
 
@@ -78,23 +88,23 @@ def test_no_clearance_is_shown_where_a_branch_is_lost_between_more_equilibria(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin, turned = forward_kinematics(TWO_TUBE, [0.0, 0.0]), np.array([[0.0] * 4, [0.02, 0.0, 0.0, 0.0]])
-    ball, found = Sphere((0.0, 0.0, 1.0), 1e-3), trajectory_trace.joined
+    ball, found = Sphere((0.0, 0.0, 1.0), 1e-3), trajectory_trace.prove_branch
     answers = {"nothing": [], "a half": [[], [(0.25, 0.25)]], "the branch": []}[lost]
 
-    def joined(verifier: TrajectoryVerifier, links: list[Link]) -> tuple[list[Link], list[tuple[float, float]]]:
-        return found(verifier, links)[0], answers.pop(0) if answers else []
+    def prove_branch(verifier: TrajectoryVerifier, links: list[Link]) -> Proved:
+        return Proved(found(verifier, links).links, answers.pop(0) if answers else [])
 
-    def halves(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
+    def bisect(verifier: TrajectoryVerifier, link: Link) -> list[Link]:
         raise BranchEndsError(0.25)
 
-    monkeypatch.setattr(trajectory_trace, "joined", joined)
+    monkeypatch.setattr(trajectory_trace, "prove_branch", prove_branch)
     if lost == "the branch":
-        monkeypatch.setattr(trajectory_trace, "halves", halves)
+        monkeypatch.setattr(trajectory_trace, "bisect", bisect)
     monkeypatch.setattr(trajectory_trace, "MOST_EQUILIBRIA", 9)
     verifier = verifier_of(TWO_TUBE, ball)
-    verifier.wanted = Wanted(1.0, 1e-9, 0)
+    verifier.target = ClearanceTarget(1.0, 1e-9, 0)
     shown = follow(verifier, begin, np.arange(2.0), turned)
-    assert shown.lost == (() if lost == "nothing" else ((0.25, 0.25),))
+    assert shown.unproved == (() if lost == "nothing" else ((0.25, 0.25),))
     assert np.isfinite(shown.clearance) == (lost == "nothing")
 
 
@@ -110,7 +120,7 @@ def test_the_least_of_a_parabola_lies_an_eighth_of_its_rise_below_samples(high: 
         return step(t, high * (t - 0.5) ** 2)
 
     dip = [step(t, high * (t - 0.5) ** 2) for t in (-1.0, 0.0, 1.0, 2.0)]
-    verifier: Any = SimpleNamespace(between=between, over=False)
+    verifier: Any = SimpleNamespace(midway=between, exhausted=False)
     for elsewhere in (9.0, 0.01):
         steps = [*dip, step(3.0, elsewhere * high)]
         assert trajectory_trace._least_margin(verifier, steps) <= trajectory_trace.DIP
@@ -123,6 +133,6 @@ def test_no_step_is_made_to_an_unstable_equilibrium(monkeypatch: pytest.MonkeyPa
     flat = forward_kinematics(robot, [0.0, 0.0])
     saddle = SimpleNamespace(stable=False)
     verifier = verifier_of(robot)
-    for name, find in (("step", "forward_kinematics"), ("near", "one_step")):
+    for name, find in (("step", "forward_kinematics"), ("step_by_one_solve", "one_step")):
         monkeypatch.setattr(trajectory_trace, find, lambda *_, **__: saddle)
         assert getattr(verifier, name)(Step(0.0, flat, 0 * joints), 1.0, joints) is None

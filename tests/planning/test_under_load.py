@@ -27,7 +27,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.arm_surface import ArmSurface
-from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
+from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR, Constants
 from tubeopt.robots.robot import Robot
@@ -66,10 +66,10 @@ def test_arms_between_two_loaded_equilibria_are_where_the_bound_says(robot: Robo
             x = np.linspace(0, 1, 9)
             at = np.full(len(x), k)
             ends = intervals.places(at, np.full(len(x), section), x)
-            cuts = (intervals.begin[k] + intervals.end[k]) / 2
+            cuts = (intervals.start_cuts[k] + intervals.end_cuts[k]) / 2
             points = inside.points(at, cuts[section] + x * (cuts[section + 1] - cuts[section]))
             off = np.linalg.norm(points - (ends[0] + ends[1]) / 2, axis=1).max()
-            assert off <= found.off[k, section] + 3 * inside.shape_error.max()
+            assert off <= found.chord_error[k, section] + 3 * inside.shape_error.max()
 
 
 @pytest.mark.parametrize("load", [SIDEWAYS, EVERYTHING], ids=["force", "everything"])
@@ -83,10 +83,11 @@ def test_margins_between_two_loaded_equilibria_are_no_less_than_shown(load: Load
             chain.append(forward_kinematics(THESIS, *np.split(begin + x * step, 2), load=load, start=chain[-1]))
         intervals, margins = intervals_of([chain[0], chain[-1]], load)
         bounds = _Bounds(intervals)
-        _, convex, kept = bounds.ball(margins[:1])
+        ball = bounds.ball(margins[:1])
+        convex, kept = ball.convexity, ball.exists
         assert kept.all()
         assert min(e.margin for e in chain) >= convex[0] >= margins.min() - 0.2
-        lost.append(bounds.curving()[0])
+        lost.append(bounds.hessian_chord_error()[0])
     assert lost[0] / lost[1] == pytest.approx(4, rel=0.25)
 
 
@@ -101,7 +102,7 @@ def test_the_second_variation_of_two_tubes_curves_with_the_square_of_their_angle
     chain = [forward_kinematics(robot, [angle, 0.0], load=Load()) for angle in (-turn / 2, turn / 2)]
     bounds = _Bounds(intervals_of(chain, Load())[0])
     true = coupling * sigma * (2 * 0.1 / np.pi) ** 2 * turn**2
-    assert 0.97 * true <= bounds.curving()[0] / SIXTH <= 1.05 * np.pi**2 / 4 * true
+    assert 0.97 * true <= bounds.hessian_chord_error()[0] / CHORD_ERROR <= 1.05 * np.pi**2 / 4 * true
 
 
 @pytest.mark.parametrize("share", [1e-3, 0.3])
@@ -118,10 +119,10 @@ def test_the_second_variation_of_a_pressed_rod_curves_as_its_closed_form(share: 
     assert margins[1] == pytest.approx(1 - share, abs=1e-6)
     bounds = _Bounds(intervals)
     true = press * (long - short) ** 2 * 4 / np.pi**2 / stiffness
-    assert 0.999 * true <= bounds.curving()[0]
+    assert 0.999 * true <= bounds.hessian_chord_error()[0]
     # Of small forces it does not count that the frame might turn.
-    assert share > 0.1 or bounds.curving()[0] <= 4.2 * true
-    assert bounds.ball(margins[1:])[1][0] <= 1 - share
+    assert share > 0.1 or bounds.hessian_chord_error()[0] <= 4.2 * true
+    assert bounds.ball(margins[1:]).convexity[0] <= 1 - share
 
 
 @pytest.mark.parametrize(("turned", "moved"), [(0.05, 0.0), (0.05, 2e-3), (0.01, 5e-3)])
@@ -134,11 +135,12 @@ def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot
     arms = [forward_kinematics(robot, *joints, load=SIDEWAYS) for joints in (begin, end)]
     intervals, _ = intervals_of(arms, SIDEWAYS)
     bounds = _Bounds(intervals)
-    between = [2 * PARTS * each[0] for each in bounds._between(bounds.changes)]
+    between = bounds._between_samples(bounds.changes)
+    slopes = [2 * PARTS * each[0] for each in (between.theta, between.torque, between.moment)]
     x, sharp = np.linspace(0.0, 1.0, 401)[1:-1], 1 - 1e-3
     for k in np.flatnonzero(intervals.length[0][0] > 1e-9):
         rows = []
-        for e, cuts in enumerate((intervals.begin[0], intervals.end[0])):
+        for e, cuts in enumerate((intervals.start_cuts[0], intervals.end_cuts[0])):
             length = cuts[k + 1] - cuts[k]
             torque, moment = intervals.arms.sampled(np.full(len(x), e), cuts[k] + x * length)
             rows.append((length * torque / kt, torque, moment))
@@ -146,10 +148,10 @@ def test_slopes_of_what_differs_between_two_loaded_arms_are_bounded(robot: Robot
         turn, *others = (each[1] - each[0] for each in zip(*rows, strict=True))
         torque, moment = (np.gradient(each, x, axis=0)[2:-2] for each in others)
         true = np.abs(turn).max(0)
-        assert (between[0][k] >= sharp * true)[present].all()
-        assert between[0][k].max() <= 2 * true.max() or true.max() < 1e-4
-        assert (between[1][k] >= sharp * np.abs(torque).max(0))[present].all()
-        assert between[2][k] >= sharp * np.linalg.norm(moment, axis=1).max()
+        assert (slopes[0][k] >= sharp * true)[present].all()
+        assert slopes[0][k].max() <= 2 * true.max() or true.max() < 1e-4
+        assert (slopes[1][k] >= sharp * np.abs(torque).max(0))[present].all()
+        assert slopes[2][k] >= sharp * np.linalg.norm(moment, axis=1).max()
 
 
 def test_the_second_variation_changes_by_the_moment_of_the_load_about_the_own_bend_of_a_tube() -> None:
@@ -165,10 +167,10 @@ def test_the_second_variation_changes_by_the_moment_of_the_load_about_the_own_be
     bounds = _Bounds(intervals_of([arm, arm], load)[0])
     sections = bounds.long.v.shape
     none = np.zeros(sections)
-    turned = _Moved((np.full((*sections, 1), turn), np.zeros((*sections, 1, 1))), none, none)
+    turned = _Displacement((np.full((*sections, 1), turn), np.zeros((*sections, 1, 1))), none, none)
     compliance = transmission / robot.tubes[0].torsional_stiffness
     true = force * curvature * length**2 / 2 * compliance * np.sin(turn)
-    assert true <= bounds.variation(turned, stretched=False).item() <= 2.6 * true
+    assert true <= bounds.hessian_change(turned, stretched=False).item() <= 2.6 * true
 
 
 def test_the_second_variation_of_a_longer_column_is_lower_by_what_the_square_of_its_length_grows() -> None:
@@ -179,12 +181,12 @@ def test_the_second_variation_of_a_longer_column_is_lower_by_what_the_square_of_
     arms = [forward_kinematics(robot, [0.0], [shift], load=load) for shift in withdrawn]
     bounds = _Bounds(intervals_of(arms, load)[0])
     none = np.zeros(bounds.long.v.shape)
-    still = _Moved((none[..., None], none[..., None, None]), none, none)
+    still = _Displacement((none[..., None], none[..., None, None]), none, none)
     first, last = 0.05 + withdrawn
     change = 4 * force / (np.pi**2 * robot.tubes[0].bending_stiffness)
     true = change * (((first + last) / 2) ** 2 - first**2)
-    assert true <= bounds.variation(still, stretched=True).item() <= 4.5 * true
-    assert bounds.variation(still, stretched=False).item() == 0.0
+    assert true <= bounds.hessian_change(still, stretched=True).item() <= 4.5 * true
+    assert bounds.hessian_change(still, stretched=False).item() == 0.0
 
 
 @pytest.mark.parametrize("robot", [THESIS, TWO_TUBE], ids=lambda r: r.name)
@@ -206,7 +208,8 @@ def test_sections_differ_most_from_those_at_the_nearer_end_in_the_middle_of_the_
             turn = np.sqrt(np.cumsum(root[..., None] ** 2 / kt, axis=1) + spring**2)
             bend = np.sqrt(np.cumsum(root**2 / stiffness, axis=1))
             most = [np.maximum(a, b) for a, b in zip(most, (np.abs(there - first), turn, bend), strict=True)]
-    for bound, true in zip(bounds._stretched(), most, strict=False):
+    change = bounds._geometry_change()
+    for bound, true in zip((change.h, change.y, change.bending), most, strict=True):
         assert (bound >= true * (1 - 1e-9)).all()
         assert bound.max() <= 1.01 * true.max()
 

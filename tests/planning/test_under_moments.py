@@ -22,7 +22,7 @@ from tubeopt import (
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.answer import point_of, sure_margin
 from tubeopt.planning import trajectory_trace
-from tubeopt.planning.loaded_branch import SIXTH, _Bounds, _Moved, loaded_branch
+from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import LoadedArms, LoadedIntervals, Pull
 from tubeopt.planning.sections import Constants
 
@@ -85,7 +85,7 @@ def test_the_form_of_a_longer_rod_curves_as_its_closed_form(along: bool) -> None
     h = lengths[0]
     true = 2 / np.pi / h if along else np.sqrt((1 / h + 1 / (LENGTH - h)) / h / ratio)
     true *= np.ptp(lengths) ** 2 * moment / BENDING
-    assert 0.999 * true <= bounds.curving()[0] / SIXTH <= (np.pi / 2 if along else 2.0) * 1.02 * true
+    assert 0.999 * true <= bounds.hessian_chord_error()[0] / CHORD_ERROR <= (np.pi / 2 if along else 2.0) * 1.02 * true
 
 
 @pytest.mark.parametrize("across", [True, False])
@@ -95,7 +95,7 @@ def test_what_a_moment_makes_of_a_chord_bends_as_the_frame_of_an_arc_that_turns(
     robot = ConcentricRobot((Tube(1e-3, 0.8e-3, 0.0, LENGTH, angle / LENGTH),))
     load = Load(moment=(moment, 0, 0) if across else (0, 0, moment))
     bounds = _Bounds(intervals_of(*(forward_kinematics(robot, [x], load=load) for x in (0.0, turn))))
-    torque, bent = bounds.answer
+    torque, bent = bounds.chord.torque, bounds.chord.moment
     found = torque.dd[0, -1, 0] if across else bent.dd[0, -1]
     # The torque is bounded by as much at the tip as the bend of the tube makes of it up to the plate, where it is 0.
     assert 0.999 <= found / (moment * np.sin(angle) * turn**2) <= (2.1 if across else 1.03)
@@ -120,9 +120,9 @@ def test_the_form_of_a_bent_rod_changes_no_more_than_is_said() -> None:
     arm = forward_kinematics(straight, [0.0], load=load)
     bounds = _Bounds(intervals_of(arm, arm))
     none = np.zeros((*bounds.long.v.shape, 1))
-    moved = _Moved((none, none[..., None]), np.full(bounds.long.v.shape, angle), none[..., 0])
+    moved = _Displacement((none, none[..., None]), np.full(bounds.long.v.shape, angle), none[..., 0])
     other = forward_kinematics(arc, [0.0], load=load)
-    assert abs(sure_margin(other) - sure_margin(arm)) <= bounds.variation(moved, stretched=False)[0] * 1.01
+    assert abs(sure_margin(other) - sure_margin(arm)) <= bounds.hessian_change(moved, stretched=False)[0] * 1.01
 
 
 def test_no_moment_of_what_is_ahead_is_larger_than_its_lever() -> None:

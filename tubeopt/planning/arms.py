@@ -1,16 +1,15 @@
-"""Several robots on one plate or endoscope: their motions past each other, proved; and what is known of a pair.
+"""Proof of the motions of several robots on one plate or endoscope: each by itself, and the distances between arms.
 
-How far two arms that move at the same time stay from each other, from below, at all times and all along both.
-
-A stretch of one arm, a stretch of the other and a while are a cell. Where both go linearly between its corners, the
-vector D from a point of the one to a point of the other is linear along either arm and in time, so it is a mean of its
-values D_k at the eight corners. With the variance of that mean (Efron and Stein: no more than a quarter of the square
-of how much D changes along the one arm, along the other and in time, summed)
+The distance bound of two arms, at all times and all along both. A stretch of one arm, a stretch of the other and an
+interval of time are a cell. Between its corners the arms are replaced by patches that are linear along the arm and in
+time. Then the vector D from a point of one to a point of the other is trilinear, so it is a mean of its values D_k at
+the eight corners. By the inequality of Efron and Stein, the variance of that mean is at most V, a quarter of the sum of
+the squared changes of D along the first arm, along the second and in time:
 
     |D|^2 = mean |D_k|^2 - variance >= min |D_k|^2 - V.
 
-What moves with both arms alike does not count. Each arm is off the linear one by no more than its sagitta |u| ds^2 / 8,
-the bound of `branch` and the error of interpolation, and as thick as its outermost tube there.
+A motion common to both arms does not count. The distance of each arm from its patch is at most its sagitta
+|u| ds^2 / 8, plus the chord error of `branch`, plus the error of interpolation; it is as thick as its outermost tube.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, pairwise
-from typing import Annotated, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 import scipy
@@ -47,114 +46,121 @@ from .trajectory_trace import (
     SHARE,
     SHORTEST,
     BranchEndsError,
+    ClearanceTarget,
     Link,
     Step,
     Table,
     TrajectoryVerifier,
-    Wanted,
+    bisect,
     follow,
-    halves,
-    joined,
     parted,
+    prove_branch,
 )
 
 # Each halves the intervals in which the bound is not sharp.
 MOST_ROUNDS = 12
-"""Times that intervals in which nothing sharp is shown of two arms are halved."""
+"""Maximum number of times that intervals without a sharp distance bound are bisected."""
 
 # Round-off of breakpoints that coincide.
 SHORT = 1e-12
-"""Length (m) of a section that is none."""
+"""Length (m) up to which a section counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A robot that was followed through its motion, and then rests: links in order of time; where it stands; from when
-    to when (s) it moves; whether all of it is one stable branch, as was shown."""
+    """Verified motion of a robot, which rests before and after."""
 
     verifier: TrajectoryVerifier
     links: tuple[Link, ...]
+    """In order of time."""
     frame: Frame
+    """Frame of its plate in the frame that the arms share."""
     begin: float
+    """Start of the motion, s."""
     end: float
+    """End of the motion, s."""
     whole: bool = True
+    """True if one stable branch is proved for all of it."""
 
     @cached_property
     def times(self) -> Array:
         """(L + 1,) s at the ends of links."""
-        at = [self.links[0].one.at, *(link.other.at for link in self.links)]
+        at = [self.links[0].start.at, *(link.end.at for link in self.links)]
         return self.begin + np.array(at) * (self.end - self.begin)
 
     @cached_property
     def intervals(self) -> Intervals:
-        """Those of the links."""
-        steps = [self.links[0].one, *(link.other for link in self.links)]
+        """Intervals of the links."""
+        steps = [self.links[0].start, *(link.end for link in self.links)]
         first = np.arange(len(self.links))
         return self.verifier.intervals([step.equilibrium for step in steps], first, first + 1)
 
     @cached_property
-    def off(self) -> Array:
-        """(L, K) how far the arm may be off the straight line in time between both ends of a link, m."""
+    def chord_error(self) -> Array:
+        """(L, K) bound on the distance of the arm from a straight line in time, with interpolation, m."""
         shape = self.intervals.arms.shape_error
-        return np.array([link.off for link in self.links]) + np.maximum(shape[:-1], shape[1:])[:, None]
+        return np.array([link.chord_error for link in self.links]) + np.maximum(shape[:-1], shape[1:])[:, None]
 
     def link_at(self, t: Array) -> Index:
-        """(...) number of the link that times (...) lie in; before and after, the first and the last."""
+        """(...) number of the link that contains times (...); before and after, the first and the last."""
         k = np.searchsorted(self.times, t, side="right") - 1
         return np.asarray(np.clip(k, 0, len(self.links) - 1), dtype=np.intp)
 
     def places(self, link: Index, section: Index, x: Array, t: Array) -> Array:
-        """(N, 2, 3) points of the linear arm at fractions x (N,) of sections, at times t (N, 2)."""
-        one, other = self.intervals.places(link, section, x)
+        """(N, 2, 3) points at fractions x (N,) of sections and times t (N, 2), linear in time along links."""
+        start, end = self.intervals.places(link, section, x)
         low, high = self.times[link][:, None], self.times[link + 1][:, None]
-        # A rest without duration: its first arm stands for all of it.
-        share = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
-        return self.frame.placed(one[:, None] + share * (other - one)[:, None])
+        # A rest has no duration: its first arm is used.
+        fraction = np.clip((t - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)[..., None]
+        return self.frame.placed(start[:, None] + fraction * (end - start)[:, None])
 
     def finer(self, numbers: Index) -> Track:
-        """The same with those of some links halved that are no rest and not too short to be."""
+        """Track with the given links bisected, except for rests and links that are too short."""
         chosen = {k: self.links[k] for k in np.unique(numbers).tolist()}
         moving = {
             k: link
             for k, link in chosen.items()
-            if link.other.at - link.one.at >= SHORTEST and (link.one.joints != link.other.joints).any()
+            if link.end.at - link.start.at >= SHORTEST and (link.start.joints != link.end.joints).any()
         }
         if not moving:
             return self
         try:
-            split = [half for link in moving.values() for half in halves(self.verifier, link)]
-            more, lost = joined(self.verifier, split)
-        except BranchEndsError:  # not where one branch was shown
+            split = [half for link in moving.values() for half in bisect(self.verifier, link)]
+            more, lost = prove_branch(self.verifier, split)
+        except BranchEndsError:  # a contradiction to the proved branch
             return replace(self, whole=False)
         kept = [link for k, link in enumerate(self.links) if k not in moving]
-        links = sorted([*kept, *more], key=lambda link: link.one.at)
+        links = sorted([*kept, *more], key=lambda link: link.start.at)
         return replace(self, links=tuple(links), whole=self.whole and not lost)
 
 
 def tracked(verifier: TrajectoryVerifier, first: Equilibrium, time: Array, joints: Array, frame: Frame) -> Track:
-    """Follow joint values (T, 2n) at times (T,), s, of a robot that stands somewhere; the verifier knows no bodies."""
+    """Track of joint values (T, 2n) at times (T,), s, of a robot with its plate in a frame; without bodies."""
     trace = follow(verifier, first, time, joints)
     steps = trace.steps
     if len(steps) == 1:  # it only rests
         # A second step at the same joint values makes a link, so that a rest has bounds like any motion.
         steps = (steps[0], Step(1.0, steps[0].equilibrium, steps[0].joints))
-    links, lost = joined(verifier, [Link(a, b) for a, b in pairwise(steps)])
-    whole = trace.snap is None and not trace.lost and not lost and steps[-1].at == 1.0
+    links, lost = prove_branch(verifier, [Link(a, b) for a, b in pairwise(steps)])
+    whole = trace.snap is None and not trace.unproved and not lost and steps[-1].at == 1.0
     return Track(verifier, tuple(links), frame, float(time[0]), float(time[-1]), whole)
 
 
 @dataclass(frozen=True, eq=False)
 class Side(Table):
-    """Of N cells what belongs to one arm: link, section, fractions x (N, 2) of it, and points (N, 2 along, 2 in time,
-    3), m."""
+    """Stretch of one arm in N cells."""
 
     link: Index
+    """(N,)."""
     section: Index
+    """(N,)."""
     x: Array
+    """(N, 2) fractions of the section."""
     points: Array
+    """(N, 2 along, 2 in time, 3) corners, m."""
 
     def along(self) -> Array:
-        """(N,) squares of their length, m^2."""
+        """(N,) squares of the lengths of the stretches, m^2."""
         # Of both instants the longer: the length of a vector that is linear in time is convex.
         return np.asarray(((self.points[:, 1] - self.points[:, 0]) ** 2).sum(-1).max(1))
 
@@ -162,143 +168,162 @@ class Side(Table):
         """Both halves along the arm."""
         middle = self.x.mean(1)
         points = parted(self.points, 1, track.places(self.link, self.section, middle, t))
-        one, other = (replace(self, x=x, points=p) for x, p in zip(parted(self.x, 1, middle), points, strict=True))
-        return one, other
+        first, second = (replace(self, x=x, points=p) for x, p in zip(parted(self.x, 1, middle), points, strict=True))
+        return first, second
 
     def brief(self) -> tuple[Side, Side]:
         """Both halves in time."""
-        one, other = (replace(self, points=points) for points in parted(self.points, 2, self.points.mean(2)))
-        return one, other
+        first, second = (replace(self, points=points) for points in parted(self.points, 2, self.points.mean(2)))
+        return first, second
 
 
 @dataclass(frozen=True, eq=False)
 class PairCells(Table):
-    """N cells: which while they are of, their times (N, 2), s, and either arm's part of them."""
+    """N cells of two arms."""
 
     which: Index
+    """(N,) interval of time."""
     t: Array
-    one: Side
-    other: Side
+    """(N, 2) times, s."""
+    first: Side
+    second: Side
 
     @property
     def sides(self) -> tuple[Side, Side]:
-        """Both parts."""
-        return self.one, self.other
+        """Stretches of the first and of the second arm."""
+        return self.first, self.second
 
-    def gaps(self) -> Array:
-        """(N, 2, 2, 2, 3) from the one arm to the other at the corners: along either, and in time, m."""
-        return np.asarray(self.other.points[:, None] - self.one.points[:, :, None])
+    def differences(self) -> Array:
+        """(N, 2, 2, 2, 3) vectors from the first to the second arm at the corners: along either, and in time, m."""
+        return np.asarray(self.second.points[:, None] - self.first.points[:, :, None])
 
-    def halved(self, tracks: tuple[Track, Track], most: Index) -> PairCells:
-        """Both halves of all, along the first arm (0), the second (1) or in time (2)."""
-        long, wide, brief = (self[most == k] for k in range(3))
-        parts = [replace(long, one=half) for half in long.one.halved(tracks[0], long.t)]
-        parts += [replace(wide, other=half) for half in wide.other.halved(tracks[1], wide.t)]
+    def halved(self, tracks: tuple[Track, Track], direction: Index) -> PairCells:
+        """Both halves of all cells, along the first arm (0), along the second (1) or in time (2)."""
+        long, wide, brief = (self[direction == k] for k in range(3))
+        parts = [replace(long, first=half) for half in long.first.halved(tracks[0], long.t)]
+        parts += [replace(wide, second=half) for half in wide.second.halved(tracks[1], wide.t)]
         times = parted(brief.t, 1, brief.t.mean(1))
-        for t, one, other in zip(times, brief.one.brief(), brief.other.brief(), strict=True):
-            parts.append(replace(brief, t=t, one=one, other=other))
-        return PairCells.joined(parts)
+        for t, first, second in zip(times, brief.first.brief(), brief.second.brief(), strict=True):
+            parts.append(replace(brief, t=t, first=first, second=second))
+        return PairCells.concatenated(parts)
 
 
 @dataclass(frozen=True, eq=False)
 class PairProof(Displayed):
-    """How far the surfaces of two arms stay from each other. What an arm needs at its plate is a body to the others:
-    `ArmsProof.proofs` tell of it."""
+    """Proof of the distance between the surfaces of two arms.
+
+    The tubes at the plate of an arm are a body to the other arms; that clearance is part of `ArmsProof.proofs`.
+    """
 
     arms: tuple[int, int]
-    """Their numbers, from 0."""
+    """Numbers of the arms, from 0."""
     least_clearance: Annotated[float, unit("mm"), "proved distance of the two arms at all times"]
     """-inf where no bound is proved."""
     measured_clearance: Annotated[float, unit("mm"), "smallest measured distance"]
-    """Between the checked equilibria, linear in time there."""
+    """Smallest distance at instants that include the checked equilibria, m."""
     when: Annotated[float, unit("s"), "time of the smallest distance"]
     times: Array = field(repr=False)
-    """(M + 1,) s."""
+    """(M + 1,) ends of the intervals of time, s."""
     bounds: Array = field(repr=False)
-    """(M,) lower bounds in the whiles between them, m: each as sharp as it took to show the clearance, or to tell the
-    least."""
+    """(M,) lower bounds in these intervals, m; sharp only where they decide about the clearance or the minimum."""
 
     def at_least(self, begin: Array, end: Array) -> Array:
-        """(T,) lower bounds of the distance from times (T,) to later ones (T,), s, m; before and after its own times
-        both arms rest."""
+        """(T,) lower bounds on the distance between times (T,) and later ones (T,), s; outside both arms rest."""
         most = len(self.bounds) - 1
         first = np.clip(np.searchsorted(self.times, begin, "right") - 1, 0, most)
         last = np.clip(np.searchsorted(self.times, end, "left") - 1, 0, most)
         return np.array([self.bounds[a : max(a, b) + 1].min() for a, b in zip(first, last, strict=True)])
 
 
-def apart(arms: tuple[int, int], tracks: tuple[Track, Track], wanted: Wanted, most: float = np.inf) -> PairProof:
-    """Bound of the distance between the surfaces of two arms, as sharp as is wanted where it is the least, of which
-    something that does not move is `most` apart, m."""
+def apart(
+    arms: tuple[int, int], tracks: tuple[Track, Track], target: ClearanceTarget, most: float = np.inf
+) -> PairProof:
+    """Lower bound on the distance between the surfaces of two arms, sharp where it is smallest.
+
+    `most`: distance of parts that do not move, m, which no bound exceeds.
+    """
     one, other = tracks
     measured, when = np.inf, 0.0
     for _ in range(MOST_ROUNDS):
         times = np.union1d(one.times, other.times)
         times = times if len(times) > 1 else np.repeat(times, 2)
-        bound, sides, closest, then = _bounds((one, other), times, wanted, measured)
-        if closest < measured:
-            measured, when = closest, then
-        short = np.flatnonzero(bound < wanted.line(measured))
-        over = one.verifier.over or other.verifier.over
+        rounds = _bounds((one, other), times, target, measured)
+        bound = rounds.bound
+        if rounds.measured < measured:
+            measured, when = rounds.measured, rounds.when
+        short = np.flatnonzero(bound < target.threshold(measured))
+        over = one.verifier.exhausted or other.verifier.exhausted
         # A measured distance below the clearance refutes it, and no sharper bound is necessary.
-        if not len(short) or over or not (one.whole and other.whole) or measured < wanted.clearance:
+        if not len(short) or over or not (one.whole and other.whole) or measured < target.clearance:
             break
-        one, other = (track.finer(side[short]) for track, side in zip((one, other), sides, strict=True))
+        one, other = (track.finer(side[short]) for track, side in zip((one, other), rounds.links, strict=True))
     if not (one.whole and other.whole):
         bound = np.full(len(bound), -np.inf)
     bound = np.minimum(bound, most)
     return PairProof(arms, float(bound.min()), min(float(measured), most), float(when), times, bound)
 
 
-def _bounds(
-    tracks: tuple[Track, Track], times: Array, wanted: Wanted, closest: float
-) -> tuple[Array, list[Index], float, float]:
-    """(M,) lower bounds of the distance in the whiles between times, the link of either arm there, the least distance
-    that was measured, m, and when."""
+class _Distances(NamedTuple):
+    """Distances of two arms in M intervals of time."""
+
+    bound: Array
+    """(M,) lower bounds, m."""
+    links: list[Index]
+    """(M,) link of either arm."""
+    measured: float
+    """Smallest measured distance, m."""
+    when: float
+    """Its time, s."""
+
+
+def _bounds(tracks: tuple[Track, Track], times: Array, target: ClearanceTarget, closest: float) -> _Distances:
+    """Distances of two arms in the intervals between times (M + 1,); `closest`: smallest one measured before, m."""
     t = np.stack([times[:-1], times[1:]], axis=1)
     links = [track.link_at(t.mean(1)) for track in tracks]
     cells, when = _first(tracks, t, links), float(times[0])
     bound, total = np.full(len(t), np.inf), 0
     while len(cells):
         total += len(cells)
-        gaps = cells.gaps()
-        distance = np.sqrt((gaps**2).sum(-1))
+        differences = cells.differences()
+        distance = np.sqrt((differences**2).sum(-1))
         thick = sum(track.intervals.radius[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
-        off = sum(track.off[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
-        bows = (track.intervals.sagitta(s.link, s.section, s.x) for track, s in zip(tracks, cells.sides, strict=True))
-        bend = np.stack(list(bows))
+        error = sum(track.chord_error[s.link, s.section] for track, s in zip(tracks, cells.sides, strict=True))
+        sagitta = np.stack(
+            [track.intervals.sagitta(s.link, s.section, s.x) for track, s in zip(tracks, cells.sides, strict=True)]
+        )
         along = [side.along() for side in cells.sides]
         # The terms of Efron and Stein: squares of the change along either arm and in time.
-        spread = np.stack([*along, ((gaps[..., 1, :] - gaps[..., 0, :]) ** 2).sum(-1).max((1, 2))])
-        least = distance.min((1, 2, 3))
-        surface = least - thick
+        in_time = ((differences[..., 1, :] - differences[..., 0, :]) ** 2).sum(-1).max((1, 2))
+        squares = np.stack([*along, in_time])
+        nearest = distance.min((1, 2, 3))
+        surface = nearest - thick
         if surface.min() < closest:
             row = int(surface.argmin())
             corner = int(distance[row].min((0, 1)).argmin())
             closest, when = float(surface[row]), float(cells.t[row, corner])
-        # |D|^2 >= min |D_k|^2 - V, then both sagittas and both radii are taken off.
-        low = np.sqrt(np.maximum(least**2 - spread.sum(0) / 4, 0.0)) - bend.sum(0) - thick
-        line = wanted.line(closest)
-        sharp = surface - low <= SHARE * max(closest - line, 0.0)
-        # Beyond the limit of cells all count as they are: less sharp, still a bound.
-        over = (low - off >= line) | sharp | (total > wanted.cells)
-        np.minimum.at(bound, cells.which[over], (low - off)[over])
-        # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: the direction that takes most off the bound is halved.
-        taken = spread / (8 * np.maximum(least, 1e-6)) + np.concatenate([bend, np.zeros((1, len(cells)))])
-        cells = cells[~over].halved(tracks, taken[:, ~over].argmax(0))
-    return bound, links, closest, when
+        # |D|^2 >= min |D_k|^2 - V, less both sagittas and both radii.
+        low = np.sqrt(np.maximum(nearest**2 - squares.sum(0) / 4, 0.0)) - sagitta.sum(0) - thick
+        threshold = target.threshold(closest)
+        sharp = surface - low <= SHARE * max(closest - threshold, 0.0)
+        # Beyond the maximum number of cells all are taken as they are: less sharp, but still a bound.
+        done = (low - error >= threshold) | sharp | (total > target.cells)
+        np.minimum.at(bound, cells.which[done], (low - error)[done])
+        # sqrt(d^2 - q / 4) = d - q / (8 d) to first order: halve in the direction that weakens the bound most.
+        weakening = squares / (8 * np.maximum(nearest, 1e-6)) + np.concatenate([sagitta, np.zeros((1, len(cells)))])
+        cells = cells[~done].halved(tracks, weakening[:, ~done].argmax(0))
+    return _Distances(bound, links, closest, when)
 
 
 def _first(tracks: tuple[Track, Track], t: Array, links: Sequence[Index]) -> PairCells:
-    """A cell for every while and every two sections that have a length, or for the plate's own point without any."""
-    shown = []
+    """One cell for every interval of time and every two sections with a length; for an arm without, its point."""
+    exists = []
     for track, link in zip(tracks, links, strict=True):
         long = np.maximum(*track.intervals.length)[link] > SHORT
         long[~long.any(1), 0] = True
-        shown.append(long)
-    which, one, other = np.nonzero(shown[0][:, :, None] & shown[1][:, None, :])
+        exists.append(long)
+    which, *sections = np.nonzero(exists[0][:, :, None] & exists[1][:, None, :])
     sides = []
-    for track, link, section in zip(tracks, links, (one, other), strict=True):
+    for track, link, section in zip(tracks, links, sections, strict=True):
         ends = [track.places(link[which], section, np.full(len(which), x), t[which]) for x in (0.0, 1.0)]
         x = np.tile([0.0, 1.0], (len(which), 1))
         sides.append(Side(link[which], section, x, np.stack(ends, axis=1)))
@@ -309,18 +334,18 @@ PLATE = Frame()
 
 # Coarser than that of an arm and bodies: cells of two arms have eight corners and are halved in three directions.
 ACCURACY = 5e-5
-"""Largest distance of the bound of the distance of two arms below the smallest measured one, m."""
+"""Largest distance of the bound for two arms below their smallest measured distance, m."""
 
 MOST_CELLS = 4_000_000
 """Maximum number of space-time cells of two arms. With too few the bound is less sharp, but still valid."""
 
 CLOSE = "come as close as about"
-"""How a fault of two arms begins that is one, not only nothing that is shown."""
+"""Words in the fault of two arms that are too close, as opposed to an unproved distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedRobot(Displayed):
-    """A robot, and where its plate is in the frame that all robots share.
+    """A robot and the frame of its plate, in the frame that all robots share.
 
     Raises:
         InputError: no robot, or no frame.
@@ -329,7 +354,7 @@ class PlacedRobot(Displayed):
     robot: Robot
     """A concentric or eccentric robot."""
     base: Frame = field(default_factory=Frame)
-    """The frame of its plate in the shared one."""
+    """Frame of its plate in the shared frame."""
     name: str = ""
     """Name in tables and messages."""
 
@@ -349,7 +374,7 @@ class PlacedRobot(Displayed):
 
 
 class TimedMotion(Protocol):
-    """Joint values over time: (T,) s, (T, n) rad, (T, n) m; a `Trajectory`, or what a file holds."""
+    """Joint values over time: (T,) s, (T, n) rad, (T, n) m; a `Trajectory` or the content of a file."""
 
     @property
     def time(self) -> Array: ...
@@ -379,17 +404,17 @@ class ArmsProof(Displayed):
 
     @property
     def least_clearance(self) -> float:
-        """Bound of the least distance between two arms, m."""
+        """Lower bound on the smallest distance between two arms, m."""
         return min(pair.least_clearance for pair in self.pairs)
 
     @property
     def value(self) -> float:
-        """Smallest clearance, m."""
+        """Smallest bound on the distance between two arms, m."""
         return self.least_clearance
 
     @property
     def status(self) -> ProofStatus:
-        """Whether everything is proved, as a sentence."""
+        """Result of the proof, as a sentence."""
         if self.holds:
             return ProofStatus.PROVED
         refuted = any(proof.faults and not proof.open for proof in self.proofs)
@@ -399,39 +424,39 @@ class ArmsProof(Displayed):
 
 
 def checked_arms(arms: Sequence[PlacedRobot]) -> tuple[PlacedRobot, ...]:
-    """Two arms at least; raises InputError for fewer, or what is none."""
+    """Arms as a tuple; raises InputError for fewer than two, or for other objects."""
     try:
-        found = tuple(arms)
+        checked = tuple(arms)
     except TypeError:
         raise InputError(f"arms is {arms!r}; it must be a list of PlacedRobot") from None
-    for k, arm in enumerate(found):
+    for k, arm in enumerate(checked):
         instance(f"arm {k + 1}", arm, PlacedRobot)
-    if len(found) < 2:
-        raise InputError(f"arms has {len(found)}; several robots are at least 2")
-    return found
+    if len(checked) < 2:
+        raise InputError(f"arms has {len(checked)}; several robots are at least 2")
+    return checked
 
 
 def one_each(name: str, values: Sequence[object], arms: Sequence[PlacedRobot]) -> None:
-    """Raise InputError unless there is one for every arm."""
+    """Raise InputError unless there is one value for every arm."""
     if len(values) != len(arms):
         raise InputError(f"{name} has {len(values)} for {len(arms)} arms; it must have one for each")
 
 
 def plate_of(arm: PlacedRobot) -> Sphere:
-    """What all tubes need where they leave the plate, in the frame that arms share: they are there when withdrawn."""
+    """Sphere around the point where the tubes leave the plate, in the shared frame; they are there when retracted."""
     x, y, z = np.asarray(arm.base.origin, dtype=float).tolist()
     return Sphere((x, y, z), float(Constants.of(arm.robot).radius.max()))
 
 
 def between_plates(one: PlacedRobot, other: PlacedRobot) -> float:
-    """Distance of what two arms need at their plates, m."""
+    """Distance of the spheres `plate_of` two arms, m."""
     a, b = plate_of(one), plate_of(other)
     return float(np.linalg.norm(np.subtract(a.centre, b.centre))) - a.radius - b.radius
 
 
 @contextmanager
 def of_arm(arms: Sequence[PlacedRobot], k: int) -> Iterator[None]:
-    """Name the arm in what is wrong with an argument."""
+    """Context in which the messages of InputErrors begin with the name of an arm."""
     try:
         yield
     except InputError as error:
@@ -439,7 +464,7 @@ def of_arm(arms: Sequence[PlacedRobot], k: int) -> Iterator[None]:
 
 
 def called(arms: Sequence[PlacedRobot], k: int) -> str:
-    """What messages call an arm: its number, and its name."""
+    """Number and name of an arm, for messages."""
     return f"arm {k + 1} ({arms[k].called})"
 
 
@@ -455,10 +480,10 @@ def verify_arms(
     rate_limits: RateLimits | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> ArmsProof:
-    """Follow motions of several robots, and say whether any of them snaps, hits a body, or touches another.
+    """Prove that several robots neither snap, nor hit a body, nor touch each other during their motions.
 
-    Every arm is followed by `verify_trajectory` and, between its equilibria, bounded as there; the distance of two arms
-    is bounded from below at all times and all along both (`apart`). Before and after its own times an arm rests.
+    Every arm is verified by `verify_trajectory`. The distance of two arms is bounded from below at all times and all
+    along both (`apart`). Before and after its own times an arm rests.
 
     Args:
         motions: one for each arm, their times on one clock.   starts: stable equilibria at the first samples.
@@ -490,12 +515,13 @@ def verify_arms(
     for k, (arm, motion, begin) in enumerate(zip(known, motions, begins, strict=True)):
         others = [plate for j, plate in enumerate(plates) if j != k]
         with of_arm(known, k):
-            time, *joints = _tables(motion)
+            motion = _checked(motion)
+            joints = motion.rotations, motion.translations
             first = begin or forward_kinematics(arm.robot, *(part[0] for part in joints))
             proofs.append(
                 verify_trajectory(
                     arm.robot,
-                    time,
+                    motion.time,
                     *joints,
                     start=first,
                     obstacles=seen_from(arm.base, [*bodies, *others]),
@@ -505,52 +531,59 @@ def verify_arms(
                     time_limit=max(clock.left, LEAST_SECONDS),
                 )
             )
-        # No bodies: the proof above kept them off, and a track needs the branch and its bounds only.
-        wanted = Wanted(0.0, ACCURACY, MOST_CELLS)
-        verifier = TrajectoryVerifier(arm.robot, scene_of(()), wanted, clock)
-        tracks.append(tracked(verifier, first, time, np.concatenate(joints, axis=1), arm.base))
+        # Without bodies: their clearance is proved above; a track needs only the branch and its bounds.
+        target = ClearanceTarget(0.0, ACCURACY, MOST_CELLS)
+        verifier = TrajectoryVerifier(arm.robot, scene_of(()), target, clock)
+        tracks.append(tracked(verifier, first, motion.time, np.concatenate(joints, axis=1), arm.base))
     faults = [f"{called(known, k)}: {fault}" for k, proof in enumerate(proofs) for fault in proof.faults]
     pairs = []
     for i, j in combinations(range(len(known)), 2):
-        wanted = Wanted(clearance, ACCURACY, MOST_CELLS)
+        target = ClearanceTarget(clearance, ACCURACY, MOST_CELLS)
         most = between_plates(known[i], known[j])
-        pairs.append(apart((i, j), (tracks[i], tracks[j]), wanted, most))
-        faults += _between(known, pairs[-1], clearance)
+        pairs.append(apart((i, j), (tracks[i], tracks[j]), target, most))
+        faults += _pair_faults(known, pairs[-1], clearance)
     return ArmsProof(tuple(proofs), tuple(pairs), tuple(faults))
 
 
-def _tables(motion: TimedMotion) -> tuple[Array, Array, Array]:
-    """Times, rotations and translations of a motion; InputError where it has none, or no row."""
+class _Motion(NamedTuple):
+    """Joint values over time, as arrays."""
+
+    time: Array
+    rotations: Array
+    translations: Array
+
+
+def _checked(motion: TimedMotion) -> _Motion:
+    """Arrays of a motion; raises InputError where it has none, or no row."""
     try:
-        found = [np.asarray(getattr(motion, name), dtype=float) for name in ("time", "rotations", "translations")]
+        tables = [np.asarray(getattr(motion, name), dtype=float) for name in ("time", "rotations", "translations")]
     except (AttributeError, TypeError, ValueError):
         raise InputError(
             "motion is missing; it must have time, rotations and translations, a row for each time"
         ) from None
-    if any(part.ndim < 1 or not len(part) for part in found):
+    if any(part.ndim < 1 or not len(part) for part in tables):
         raise InputError("motion has no rows; it must have one for each time, one time at least")
-    return found[0], found[1], found[2]
+    return _Motion(*tables)
 
 
-def _between(arms: Sequence[PlacedRobot], found: PairProof, clearance: float) -> list[str]:
-    """What is wrong with two arms, or is not shown of them."""
-    words = " and ".join(called(arms, k) for k in found.arms)
-    if found.measured_clearance < clearance:
+def _pair_faults(arms: Sequence[PlacedRobot], proof: PairProof, clearance: float) -> list[str]:
+    """Violated or unproved clearance of two arms, as text."""
+    words = " and ".join(called(arms, k) for k in proof.arms)
+    if proof.measured_clearance < clearance:
         return [
-            f"{words} {CLOSE} {found.measured_clearance * 1e3:.4g} mm at {found.when:.4g} s; they must keep "
+            f"{words} {CLOSE} {proof.measured_clearance * 1e3:.4g} mm at {proof.when:.4g} s; they must keep "
             f"{clearance * 1e3:.6g} mm"
         ]
-    if found.least_clearance == -math.inf:
+    if proof.least_clearance == -math.inf:
         return [f"not proved: no bound of the distance of {words} at all times"]
-    if found.least_clearance < clearance:
-        bound = f"a distance of {found.least_clearance * 1e3:.4g} mm is proved for {words}"
+    if proof.least_clearance < clearance:
+        bound = f"a distance of {proof.least_clearance * 1e3:.4g} mm is proved for {words}"
         return [f"not proved: {bound}; the required clearance is {clearance * 1e3:.6g} mm"]
     return []
 
 
 def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsule, ...]:
-    """Capsules that hold all of an arm, in the frame that arms share: what others keep away from while it rests.
-    Pieces as long as `chord`, m, are taken as straight."""
+    """Capsules that contain an arm at rest, in the shared frame; pieces of length `chord`, m, become straight."""
     ends = equilibrium.tube_end
     length = float(equilibrium.arc_length[-1])
     # Radii step at the ends of tubes: no capsule spans such a step.
@@ -567,38 +600,40 @@ def at_rest(equilibrium: Equilibrium, base: Frame, chord: float) -> tuple[Capsul
 
 @dataclass(frozen=True, eq=False)
 class Lines(Table):
-    """N arms, or one at N instants: points (N, P, 3) and radii (N, P), m; times (N,), s, where they count."""
+    """N arms, or one arm at N instants, as points with radii."""
 
     points: Array
+    """(N, P, 3) m."""
     radius: Array
+    """(N, P) m."""
     time: Array = field(default_factory=lambda: np.zeros(1))
 
     @staticmethod
     def of(equilibria: Sequence[Equilibrium], count: int, base: Frame = PLATE) -> Lines:
-        """Those of equilibria of a robot whose plate stands somewhere, with so many points along each."""
+        """Lines of equilibria of a robot with its plate in a frame, with `count` points each."""
         points, radius = zip(*(ArmSurface(e).line(count) for e in equilibria), strict=True)
         return Lines(np.array(points), np.array(radius)).placed(base)
 
     def placed(self, frame: Frame) -> Lines:
-        """The same, of plates that stand in a frame."""
+        """Lines with their plates in a frame."""
         return replace(self, points=frame.placed(self.points))
 
     def later(self, delay: float) -> Lines:
-        """The same, so many s later."""
+        """Lines with a delay, s."""
         return replace(self, time=self.time + delay)
 
     def at_times(self, times: Array) -> Lines:
-        """The same at other times (T,), linear between instants, at rest before and after."""
+        """Lines at other times (T,), linear between instants, at rest before and after."""
         row = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 1)
         after = np.minimum(row + 1, len(self.time) - 1)
         step = np.where(after > row, self.time[after] - self.time[row], 1.0)
-        share = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
+        fraction = np.clip((times - self.time[row]) / step, 0.0, 1.0)[:, None]
         points, radius = (
-            a[row] + share.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
+            a[row] + fraction.reshape(-1, *[1] * (a.ndim - 1)) * (a[after] - a[row]) for a in (self.points, self.radius)
         )
         return Lines(points, radius, times)
 
-    def gaps(self, other: Lines) -> Array:
+    def distances(self, other: Lines) -> Array:
         """(T,) distances between the surfaces of two arms at the same instants, m."""
         both = zip(self.points, self.radius, other.points, other.radius, strict=True)
         return np.array([(scipy.spatial.distance.cdist(a, b) - r[:, None] - q).min() for a, r, b, q in both])

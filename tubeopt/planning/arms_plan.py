@@ -1,10 +1,9 @@
-"""Planning for several robots: one after the other past those that rest, then as much at a time as they leave each
-other room for.
+"""Plan motions of several robots: one after the other past the arms at rest, then overlapped in time.
 
-Each robot in an order is planned for with the arms before it where they end, and those after it where they begin: one
-after the other these motions are a plan for all. Where no order has one, those that come later first make way: they
-withdraw, and go on from there when it is their turn. Motions are then let begin as early as the distance between moving
-arms allows (on fixed paths, delayed: Akella and Hutchinson 2002), and all is proved.
+In an order of the arms, each motion is planned with the arms before it at their goals and those after it at their
+starts (prioritised planning). If no order has such motions, later arms first retract and continue from there when it is
+their turn. Then each motion starts as early as the distance between moving arms allows, on fixed paths with delays
+(Akella and Hutchinson 2002), and everything is proved.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations, islice, permutations
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,48 +49,51 @@ from .trajectory import Trajectory
 
 # Steps of a fortieth of the longest wait.
 DELAYS = 41
-"""Delays tried for a robot, from none to the rest of all earlier ones."""
+"""Number of delays tried for a motion, from none to the end of all earlier ones."""
 
-# What happens between two instants is covered by ROOM, and then by the proof.
+# Between two instants, RESERVE covers the error; in the end the proof decides.
 INSTANTS, POINTS = 80, 64
-"""Instants of a motion, and points per arm, that determine delays."""
+"""Number of instants of a motion, and of points per arm, for the choice of delays."""
 
 # The first value is enough for slow motions; four times that is tried next, and then no overlap at all.
-ROOM = 3e-4
+RESERVE = 3e-4
 """Reserve of the distance between moving arms, m, for the error between instants and points."""
 
 # A capsule is thicker than the arm by its sagitta: 10 um for a curvature of 20 per m.
 REST_CHORD = 2e-3
-"""Longest piece of an arm at rest that is taken as straight, m."""
+"""Longest straight piece in place of an arm at rest, m."""
 
-Move = tuple[int, Trajectory]
-"""Of an arm, from time 0."""
+
+class Move(NamedTuple):
+    """A motion of one arm, from time 0."""
+
+    arm: int
+    motion: Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class ArmsPlan(Displayed):
-    """Motions of several robots on one clock, which keep away from each other."""
+    """Proved motions of several robots on one clock, with a distance between arms at all times."""
 
     _brief = ("arms", "status", "order")
 
     arms: tuple[PlacedRobot, ...]
-    """The robots, and where they stand."""
+    """Robots with the frames of their plates."""
     trajectories: tuple[Trajectory, ...]
-    """One for each, in its own frame, its time (s) from when it begins to move; its obstacles are those that its path
-    was planned past: with other arms at rest."""
+    """Motion of each arm in its own frame, on the common clock; its obstacles include other arms at rest."""
     order: tuple[int, ...]
-    """Numbers of arms, from 0, in which they were planned for."""
+    """Numbers of the arms, from 0, in the order of planning."""
     obstacles: tuple[Obstacle, ...]
     """Obstacles in the shared frame."""
     min_margin: float
-    """Smallest allowed margin."""
+    """Required margin."""
     min_clearance: float
     """Required clearance, m."""
     proof: ArmsProof
     """Proof of all motions together."""
     seconds: Annotated[float, unit("s"), form(".1f", label="run time"), "run time of planning and proof"]
     withdrawn_first: tuple[int, ...] = ()
-    """Arms that first withdraw. Their trajectories have two parts with rest in between; the proof covers both."""
+    """Arms that first retract. Their trajectories have two parts with a rest in between; the proof covers both."""
 
     @property
     def duration(self) -> float:
@@ -100,7 +102,7 @@ class ArmsPlan(Displayed):
 
     @property
     def value(self) -> tuple[Trajectory, ...]:
-        """The trajectories."""
+        """Motion of each arm."""
         return self.trajectories
 
     @property
@@ -110,7 +112,7 @@ class ArmsPlan(Displayed):
 
     @property
     def status(self) -> str:
-        """Whether everything is proved, as a sentence."""
+        """Result of the proof: "proved", or its faults."""
         return "proved" if self.proved else "; ".join(self.proof.faults)
 
     def rows_at(self, t: float) -> tuple[int, ...]:
@@ -118,10 +120,10 @@ class ArmsPlan(Displayed):
         return tuple(int(np.abs(each.time - t).argmin()) for each in self.trajectories)
 
     def clearance(self, times: ArrayLike) -> Array:
-        """Required clearance, m."""
+        """(T, P) distances of the P pairs of arms at times (T,), m."""
         t = np.asarray(times, dtype=float)
         lines = [_moving(arm, each).at_times(t) for arm, each in zip(self.arms, self.trajectories, strict=True)]
-        return np.stack([one.gaps(other) for one, other in combinations(lines, 2)], axis=1)
+        return np.stack([one.distances(other) for one, other in combinations(lines, 2)], axis=1)
 
 
 @typed
@@ -136,7 +138,7 @@ def plan_arms(
     rate_limits: RateLimits = DEFAULT_RATES,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> ArmsPlan:
-    """Motions of several robots from equilibria to goals, each on one stable branch, none touching another; proved.
+    """Plan motions of several robots to goals, each on one stable branch, without contact between arms; proved.
 
     Args:
         starts, goals: one for every arm, as in `plan_trajectory`; positions and directions of tips are in the frame
@@ -146,9 +148,9 @@ def plan_arms(
         options: of the plan of each; the time limit is for all of it.
 
     Raises:
-        InputError: as `plan_trajectory`; fewer than two arms, a roadmap or a force, which several arms do not have.
-        SolveError: arms that are too close at their starts, or no motion of one arm past the others at rest was found,
-            in no order that was tried, nor with later arms withdrawn before: the message says for which.
+        InputError: as `plan_trajectory`; fewer than two arms; a roadmap or a force, which are not supported here.
+        SolveError: arms are too close at their starts; or no order of motions past the other arms at rest was found,
+            also with later arms retracted before. The message names the arm.
 
     Examples:
         >>> import numpy as np
@@ -184,24 +186,28 @@ def plan_arms(
         for j, end in enumerate(ends):
             if j != k:
                 others += [plate_of(known[j]), *at_rest(end, known[j].base, REST_CHORD)]
-        asked: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "obstacles": seen_from(arm.base, [*bodies, *others]),
             "min_margin": min_margin,
             "rate_limits": rate_limits,
             "options": replace(options, time_limit=limit),
         }
         with of_arm(known, k):
-            goal = _aside(arm, ends[k], options) if withdrawn else goals[k]
-            return plan_trajectory(arm.robot, ends[k], goal, **asked)
+            goal = _retracted(arm, ends[k], options) if withdrawn else goals[k]
+            return plan_trajectory(arm.robot, ends[k], goal, **arguments)
 
     order, moves = _one_by_one(known, first, planned, clock)
-    asks: dict[str, Any] = {"starts": first, "obstacles": bodies, "clearance": options.clearance}
-    asks["min_margin"] = min_margin - 1e-6
-    for motions in _sooner(known, first, moves, options.clearance):
-        proof = verify_arms(known, motions, time_limit=max(clock.left, LEAST_SECONDS), **asks)
+    requirements: dict[str, Any] = {
+        "obstacles": bodies,
+        "clearance": options.clearance,
+        "min_margin": min_margin - 1e-6,
+    }
+    for motions in _overlapped(known, first, moves, options.clearance):
+        limit = max(clock.left, LEAST_SECONDS)
+        proof = verify_arms(known, motions, starts=first, time_limit=limit, **requirements)
         if proof.holds or clock.over:
             break
-    twice = tuple(k for k in order if sum(j == k for j, _ in moves) > 1)
+    twice = tuple(k for k in order if sum(move.arm == k for move in moves) > 1)
     for k in twice:
         own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
         motions = (*motions[:k], own, *motions[k + 1 :])
@@ -209,39 +215,42 @@ def plan_arms(
 
 
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:
-    """Raise SolveError where two arms are too close before they move."""
+    """Raise SolveError if two arms are too close before they move."""
     lines = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
     for i, j in combinations(range(len(arms)), 2):
-        gap = min(float(lines[i].gaps(lines[j])[0]), between_plates(arms[i], arms[j]))
-        if gap < clearance:
+        distance = min(float(lines[i].distances(lines[j])[0]), between_plates(arms[i], arms[j]))
+        if distance < clearance:
             raise SolveError(
                 f"no plan exists: the clearance between {called(arms, i)} and "
-                f"{called(arms, j)} at the start is {gap * 1e3:.3g} mm; it must be at least "
+                f"{called(arms, j)} at the start is {distance * 1e3:.3g} mm; it must be at least "
                 f"{clearance * 1e3:g} mm"
             )
 
 
 def _orders(n: int) -> list[tuple[int, ...]]:
-    """Orders of n arms: first those in which each comes first, then others, six at least where there are."""
-    turned = [tuple((k + j) % n for j in range(n)) for k in range(n)]
-    return list(dict.fromkeys([*turned, *islice(permutations(range(n)), 6)]))[: max(n, 6)]
+    """Orders of n arms: cyclic ones, in which each is first, then others; at least six if there are as many."""
+    cyclic = [tuple((k + j) % n for j in range(n)) for k in range(n)]
+    return list(dict.fromkeys([*cyclic, *islice(permutations(range(n)), 6)]))[: max(n, 6)]
 
 
 Planned = Callable[[int, Sequence[Equilibrium], float, bool], Trajectory]
-"""The motion of an arm from where it rests, as all do, to its goal, within some seconds; or until it is withdrawn."""
+"""Plans the motion of an arm, from the equilibria at which all arms rest, to its goal or until it is retracted:
+(arm, equilibria, time limit in s, retract)."""
 
 
 def _one_by_one(
     arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], planned: Planned, clock: Clock
 ) -> tuple[tuple[int, ...], list[Move]]:
-    """An order in which each arm gets past the others at rest, and moves, one after the other: each to its goal; where
-    no order has such moves, with later arms withdrawn before."""
+    """First order in which each arm can move past the others at rest, and its moves.
+
+    If there is none, later arms are retracted first.
+    """
     reasons: dict[str, None] = {}
-    for aside in (False, True):
+    for retract in (False, True):
         for order in _orders(len(arms)):
-            turns = [(k, True) for k in order[1:] if aside] + [(k, False) for k in order]
+            sequence = [(k, True) for k in order[1:] if retract] + [(k, False) for k in order]
             try:
-                return order, _moves(arms, first, turns, planned, clock.part(0.5))
+                return order, _moves(arms, first, sequence, planned, clock.part(0.5))
             except SolveError as error:
                 reasons[str(error)] = None
     raise SolveError(f"no plan was found that moves the arms one after the other: {'; '.join(reasons)}")
@@ -250,33 +259,33 @@ def _one_by_one(
 def _moves(
     arms: Sequence[PlacedRobot],
     first: Sequence[Equilibrium],
-    turns: Sequence[tuple[int, bool]],
+    sequence: Sequence[tuple[int, bool]],
     planned: Planned,
     limit: Clock,
 ) -> list[Move]:
-    """The moves of arms, one after the other, each to its goal or withdrawn.
+    """Moves of arms, one after the other, each to its goal or, where True, until it is retracted.
 
     Raises:
-        SolveError: one of them does not get to its goal; which cannot withdraw stays where it is.
+        SolveError: an arm does not reach its goal. An arm that cannot retract remains in place.
     """
     ends, moves = list(first), list[Move]()
-    for done, (k, withdrawn) in enumerate(turns):
+    for done, (k, withdrawn) in enumerate(sequence):
         try:
             if limit.over:
                 raise SolveError("the time limit was reached")
-            moves.append((k, planned(k, ends, limit.left / (len(turns) - done), withdrawn)))
+            moves.append(Move(k, planned(k, ends, limit.left / (len(sequence) - done), withdrawn)))
         except SolveError as error:
             if withdrawn:
                 continue
-            before = ", ".join(str(j + 1) for j, _ in moves)
+            before = ", ".join(str(move.arm + 1) for move in moves)
             when = f" after arm {before}" if before else ""
             raise SolveError(f"{called(arms, k)}{when}: {error}") from None
-        ends[k] = moves[-1][1].end
+        ends[k] = moves[-1].motion.end
     return moves
 
 
-def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
-    """Joint values of an arm with its tubes withdrawn, and turned as they are."""
+def _retracted(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Array, Array]:
+    """Joint values of an arm with its tubes retracted, at unchanged rotations."""
     space, n = joint_space(arm.robot, None, options.carriage_gap, options.section_length), arm.robot.n_tubes
     space = space.holding(at.translations)
     q = space.join(at.rotations, at.translations)
@@ -285,62 +294,64 @@ def _aside(arm: PlacedRobot, at: Equilibrium, options: PlanOptions) -> tuple[Arr
     return rotations, np.array(translations)
 
 
-def _sooner(
+def _overlapped(
     arms: Sequence[PlacedRobot],
     first: Sequence[Equilibrium],
     moves: Sequence[Move],
     clearance: float,
 ) -> Iterator[tuple[Trajectory, ...]]:
-    """Motions on one clock, each move begun as early as those before it leave room; then with more room; at last one
-    after the other."""
+    """Motions on one clock: as early as a reserve allows, then with a larger one, last one after the other."""
     lines = [_moving(arms[k], motion) for k, motion in moves]
-    for room in (ROOM, 4 * ROOM, np.inf):
+    for reserve in (RESERVE, 4 * RESERVE, np.inf):
         whole = [Lines.of([e], POINTS, arm.base) for arm, e in zip(arms, first, strict=True)]
         parts: list[list[Trajectory]] = [[] for _ in arms]
         for (k, motion), line in zip(moves, lines, strict=True):
             earliest, latest = float(whole[k].time[-1]), max(float(each.time[-1]) for each in whole)
-            delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(room) else []
+            delays = np.linspace(earliest, latest, DELAYS)[:-1].tolist() if np.isfinite(reserve) else []
             others = [each for j, each in enumerate(whole) if j != k]
-            moved = (at for at in delays if _clear(line.later(at), others, at, clearance + room))
-            at = next(moved, latest)
-            whole[k] = Lines.joined([whole[k], line.later(at)])  # with rest in between
+            valid = (at for at in delays if _clear(line.later(at), others, at, clearance + reserve))
+            at = next(valid, latest)
+            whole[k] = Lines.concatenated([whole[k], line.later(at)])  # with rest in between
             parts[k].append(replace(motion, time=motion.time + at))
         yield tuple(_joined(each) for each in parts)
 
 
 def _moving(arm: PlacedRobot, motion: Trajectory) -> Lines:
-    """An arm at all samples of its motion, in the frame that arms share."""
+    """Arm at all samples of its motion, in the shared frame."""
     return replace(Lines.of(motion.arms, POINTS, arm.base), time=motion.time)
 
 
-def _clear(line: Lines, others: Sequence[Lines], since: float, room: float) -> bool:
-    """Whether an arm that begins to move at a time keeps its distance from the others until they rest, as they did when
-    it was planned for."""
+def _clear(line: Lines, others: Sequence[Lines], since: float, distance: float) -> bool:
+    """True if an arm that starts at a time keeps a distance from the others until they rest.
+
+    After that they are at rest, as in its plan.
+    """
     for other in others:
         if other.time[-1] > since:
             times = np.linspace(since, other.time[-1], INSTANTS)
-            if line.at_times(times).gaps(other.at_times(times)).min() < room:
+            if line.at_times(times).distances(other.at_times(times)).min() < distance:
                 return False
     return True
 
 
 def _joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """Motions of one robot, each from where the one before ends, as one, with rest in between."""
+    """One motion from consecutive motions of a robot, with rests in between."""
     whole = parts[0]
     for part in parts[1:]:
         rests = part.time[0] > whole.time[-1]
-        kept = slice(0 if rests else 1, None)
-        one, other = whole.statistics, part.statistics
+        # Without a rest, the first sample equals the last one before.
+        new = slice(0 if rests else 1, None)
+        before, after = whole.statistics, part.statistics
         summed = {
-            each.name: getattr(one, each.name) + getattr(other, each.name)
-            for each in fields(one)
-            if not isinstance(getattr(one, each.name), str)
+            each.name: getattr(before, each.name) + getattr(after, each.name)
+            for each in fields(before)
+            if not isinstance(getattr(before, each.name), str)
         }
         tables = ("time", "rotations", "translations")
         joined: dict[str, Any] = {
-            name: np.concatenate([getattr(whole, name), getattr(part, name)[kept]]) for name in tables
+            name: np.concatenate([getattr(whole, name), getattr(part, name)[new]]) for name in tables
         }
         turns = tuple(a + b for a, b in zip(whole.turns, part.turns, strict=True))
-        arms, summary = (*whole.arms, *part.arms[kept]), replace(other, **summed)
+        arms, summary = (*whole.arms, *part.arms[new]), replace(after, **summed)
         whole = replace(whole, **joined, arms=arms, turns=turns, statistics=summary)
     return whole

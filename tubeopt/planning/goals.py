@@ -1,9 +1,9 @@
-"""Where a plan begins and where it may end, as equilibria; and what can be said before any search.
+"""Start and goals of a plan as equilibria, and tests of a tip goal before any search.
 
-No tip can be in an obstacle, farther than any arm, or behind a box that no arm gets around. Beyond that, an easier
-question is tested than the one that is asked. Margin, branch, ranges of rotations, obstacles and the direction of the
-tip are left out; ranges of the translations and the order of the tubes are kept. Who cannot reach the place even so
-cannot reach it at all; that the best of some local searches cannot is evidence, not a proof.
+No tip can be in an obstacle, farther than the longest arm, or behind a box that no arm can pass. Beyond that, a relaxed
+problem is tested: without margin, branch, ranges of rotations, obstacles and direction of the tip, but with ranges of
+the translations and the order of the tubes. A place that is unreachable there is unreachable; but if only the best of
+some local searches fails, that is evidence, not a proof.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from ..stability.equilibria import find_equilibria
 from ..typing import Array
 from .question import PlanTask
 
-# The test ends at the first start that comes near, and so costs little where a place can be reached.
+# The test ends at the first start that comes near, so it costs little where a place is reachable.
 STARTS, STEPS = 8, 20
 """Starts of the test for unreachable places, half of them nearest in the table, half spread; and Gauss-Newton steps
 from each."""
@@ -49,17 +49,16 @@ from each."""
 LONGEST_STEP = 0.4
 """Largest change of a coordinate, in units of the joints' scales."""
 
-# Who comes this close may be kept off by the margin or by the ranges, which this test leaves out.
+# At this distance the margin or the ranges may decide, which this test omits.
 NEAR = 0.02
-"""Miss, as a share of the robot's length, below which a place is left to inverse kinematics."""
+"""Distance from a place, relative to the robot's length, below which inverse kinematics decides."""
 
 DIFFERENCE = 1e-5
-"""Step of the differences, in units of the scales."""
+"""Step of finite differences, in units of the scales."""
 
 
 def check_place(task: PlanTask, position: Array) -> None:
-    """Raise SolveError where the tip cannot be at a place: an obstacle is there, or no arm is long enough, straight or
-    around a box."""
+    """Raise SolveError if the tip cannot be at a position (3,): in an obstacle, too far, or behind a box."""
     for k, obstacle in enumerate(task.obstacles):
         # No arm is thinner at its tip than the thinnest tube.
         clear = float(obstacle.signed_distance(position[None])[0] - task.chart.radius.min())
@@ -76,7 +75,7 @@ def check_place(task: PlanTask, position: Array) -> None:
             f"longest arm is {longest * 1e3:.4g} mm"
         )
     for k, body in enumerate(task.obstacles):
-        around = way_around(body, position) if isinstance(body, Box) else 0.0
+        around = path_around(body, position) if isinstance(body, Box) else 0.0
         if around > longest:
             raise SolveError(
                 f"no plan exists: obstacle {k + 1} (Box) is between base plate and goal; a "
@@ -85,33 +84,32 @@ def check_place(task: PlanTask, position: Array) -> None:
             )
 
 
-def way_around(box: Box, position: Array) -> float:
-    """Length (m) that a way from the plate to a place is at least, since a box lies between them; 0 where it does not.
+def path_around(box: Box, position: Array) -> float:
+    """Lower bound on the length (m) of a path from the plate to a position (3,) around a box; 0 if it is not between.
 
-    Where plate and place are on either side of the box along an axis, a way passes the plane in the middle of the box
-    beyond one of its four sides there: at best on the edge of that side, unfolded about it.
+    Where plate and position are on opposite sides of the box along an axis, a path passes the plane in the middle of
+    the box beyond one of its four sides: at best on the edge of that side, unfolded about it.
     """
     low, high, longest = np.array(box.low), np.array(box.high), 0.0
     for k in range(3):
         if not min(0.0, position[k]) < low[k] < high[k] < max(0.0, position[k]):
             continue
-        middle, ways = (low[k] + high[k]) / 2, []
+        middle, lengths = (low[k] + high[k]) / 2, []
         for i in range(3):
             for edge, side in ((low[i], -1.0), (high[i], 1.0)) if i != k else ():
-                # From a point that is itself beyond the side the plane is reached straight on.
+                # From a point that is itself beyond the side, the plane is reached along a straight line.
                 reach = [np.hypot(max(side * (edge - p[i]), 0.0), middle - p[k]) for p in (np.zeros(3), position)]
                 along = position[3 - i - k]
-                # Unfolded about the edge both parts lie in one plane. Across the edge they add up;
-                # `along` is the other leg.
-                ways.append(float(np.hypot(sum(reach), along)))
-        # Every axis gives a lower bound of its own, and the largest of them counts.
-        longest = max(longest, min(ways))
+                # Unfolded about the edge both parts are in one plane. Across the edge they add up; `along` is the other
+                # side of the right triangle.
+                lengths.append(float(np.hypot(sum(reach), along)))
+        # Every axis gives a lower bound; the largest one counts.
+        longest = max(longest, min(lengths))
     return longest
 
 
 def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> float:
-    """Distance (m) from a place (3,) at which the tip ends in the best of some searches; 0 where one comes near, and
-    where the clock is over before all of them ended."""
+    """Distance (m) of the tip from a position (3,) after the best of some searches; 0 if near, or without time."""
     space = task.chart.space
     target = (position, None)
     known = nearest_starts(space, known_starts(space, clock), target, min_margin=0.0, reference=None)
@@ -126,16 +124,16 @@ def least_miss(task: PlanTask, position: Array, clock: Clock | None = None) -> f
 
 
 def _closest(task: PlanTask, start: Array, position: Array) -> float:
-    """Distance at which Gauss-Newton from joint values (m,), taken for tip rotations, ends, m."""
+    """Distance of the tip after Gauss-Newton from joint values (m,), used as tip rotations, m."""
     length, z = task.chart.space.length, start
     miss = np.inf
     for _ in range(STEPS):
         tips = tips_about(task, z)
-        here = float(np.linalg.norm(tips[0] - position))
-        # A step that gains less than a thousandth has come to a local minimum, or to a limit.
-        if here > (1 - 1e-3) * miss:
+        distance = float(np.linalg.norm(tips[0] - position))
+        # A step that gains less than a thousandth is at a local minimum, or at a limit.
+        if distance > (1 - 1e-3) * miss:
             break
-        miss = here
+        miss = distance
         step = None if miss <= NEAR * length else step_towards(task, z, tips, position)
         if step is None:
             break
@@ -144,31 +142,32 @@ def _closest(task: PlanTask, start: Array, position: Array) -> float:
 
 
 def tips_about(task: PlanTask, z: Array) -> Array:
-    """(m + 1, 3) tips, m, at a point (m,) of the chart and a DIFFERENCE farther along each coordinate."""
+    """(m + 1, 3) tips at a point (m,) of the chart, and a DIFFERENCE farther along each coordinate, m."""
     return task.chart.arms(z + np.vstack([np.zeros(len(z)), DIFFERENCE * np.diag(task.scale)]), 0.0).tip
 
 
 def step_towards(task: PlanTask, z: Array, tips: Array, position: Array) -> Array | None:
-    """(m,) the damped step of Gauss-Newton by which tips `tips_about` a point come closer to a place; None for none."""
-    gap = (tips - position) / task.chart.space.length
+    """(m,) damped Gauss-Newton step of a point towards a tip position, from its `tips_about`; None if infeasible."""
+    residual = (tips - position) / task.chart.space.length
     constraints = step_constraints(task, z, LONGEST_STEP)
-    step = damped_step(gap, DIFFERENCE, 1e-3, constraints)
+    step = damped_step(residual, DIFFERENCE, 1e-3, constraints)
     return None if step is None else np.asarray(step * task.scale)
 
 
-def damped_step(gaps: Array, difference: float, damping: float, constraints: tuple[Array, Array]) -> Array | None:
-    """(m,) the step of Gauss and Newton, in units of the scales, that makes a gap (r,) small; None where the
-    constraints leave none. `gaps` (m + 1, r): here, and a `difference` farther along each coordinate."""
-    slope, m = ((gaps[1:] - gaps[0]) / difference).T, len(gaps) - 1
+def damped_step(residuals: Array, difference: float, damping: float, constraints: tuple[Array, Array]) -> Array | None:
+    """(m,) damped Gauss-Newton step, in units of the scales; None if the constraints are infeasible.
+
+    `residuals` (m + 1, r): at the point, and a `difference` farther along each coordinate.
+    """
+    slope, m = ((residuals[1:] - residuals[0]) / difference).T, len(residuals) - 1
     # |J d + g|^2 + damping^2 |d|^2 as rows of one least-squares problem.
     weights = np.vstack([slope, damping * np.eye(m)])
-    found = constrained_least_squares(weights, np.append(-gaps[0], np.zeros(m)), *constraints)
-    return None if found is None else found.x
+    solution = constrained_least_squares(weights, np.append(-residuals[0], np.zeros(m)), *constraints)
+    return None if solution is None else solution.x
 
 
 def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, Array]:
-    """Rows and bounds of a step in units of the scales: ranges of the translations, order, and no change of a
-    coordinate beyond the longest."""
+    """Constraints, rows d >= bounds, of a step d in units of the scales: ranges of translations, order, step size."""
     space = task.chart.space
     n, m = space.robot.n_tubes, len(z)
     unit = np.eye(m)
@@ -181,15 +180,15 @@ def step_constraints(task: PlanTask, z: Array, longest: float) -> tuple[Array, A
 
 # Files have joint values to six digits.
 ROUNDED = 1e-6
-"""Share of a joint's scale by which an end may be out of range: joint values of a file are rounded."""
+"""Excess of an end over the range of a joint, in units of its scale, that is rounding of a file."""
 
 FINISHED = 1e-6
-"""Margin by which an end may fall short: round-off of forward kinematics."""
+"""Shortfall of the margin of an end that is round-off of forward kinematics."""
 
 
 # A time limit has to be positive.
 LEAST_SECONDS = 1e-3
-"""Time limit of inverse kinematics where none is left: it looks at where it begins, and says what it knows."""
+"""Time limit of inverse kinematics when no time is left, s: it only evaluates its start."""
 
 
 MOST_ENDS = 12
@@ -209,20 +208,20 @@ SAME_END = 1e-3
 
 # The grid of tip rotations grows exponentially with the tubes.
 SEARCHED_TUBES, SEARCH_SECONDS = 3, 30.0
-"""Largest number of tubes for which all equilibria at joint values are searched in any case. For more, so many seconds
-must be left, because that cannot be interrupted; otherwise that of forward kinematics is tried."""
+"""Largest number of tubes for which all equilibria at joint values are always searched. The search cannot be
+interrupted, so for more tubes it needs this remaining time, s; otherwise only forward kinematics is tried."""
 
 # A second end shortens short paths by a tenth.
 NEAR_POINTS, ENOUGH_ENDS = 8, 2
 """Roadmap nodes, nearest tip first, that start the inverse kinematics of the goal; and solutions that suffice."""
 
-# A goal without joint values needs no path, so that most of the time goes here first.
+# Without joint values of the goal no path can be searched, so most of the time is for them.
 GOALS_SHARE = 0.6
-"""Share of the remaining time after which no further starts are tried for joint values of a tip goal."""
+"""Fraction of the remaining time after which no further starts are tried for joint values of a tip goal."""
 
 
 def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
-    """(N, 3) places, m; raises InputError for a table of another shape, or of what is no number."""
+    """(N, 3) positions, m; raises InputError for a table of another shape or without numbers."""
     try:
         places = np.array(targets, dtype=float)
     except (TypeError, ValueError):
@@ -234,7 +233,7 @@ def checked_places(targets: ArrayLike, name: str = "targets") -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TipGoal(Displayed):
-    """A pose of the tip.
+    """Goal for the position and direction of the tip.
 
     Raises:
         InputError: a position that is not three finite numbers, or a table of such rows; a direction without length.
@@ -243,7 +242,7 @@ class TipGoal(Displayed):
     position: Array
     """(3,) position of the tip, m. A table (N, 3) is a region: any row meets the goal, and they are tried in order."""
     direction: Array | None = None
-    """(3,) along which it points; None is free."""
+    """(3,) direction of the tip; None if free."""
 
     def __post_init__(self) -> None:
         try:
@@ -259,7 +258,7 @@ class TipGoal(Displayed):
             object.__setattr__(self, "direction", unit_vector("direction of the goal", self.direction))
 
     def places(self) -> list[TipGoal]:
-        """Goals of one position each: of a region the first, and five as far apart as can be."""
+        """Goals of one position each: of a region the first, and five that are as far apart as possible."""
         position = self.position
         if position.ndim != 2:
             return [self]
@@ -276,15 +275,15 @@ class End:
     """An equilibrium at which a plan may end."""
 
     point: Array
-    """(m,) in the chart."""
+    """(m,) point in the chart."""
     joints: Array
-    """(m,)."""
+    """(m,) joint values."""
     turns: tuple[int, ...]
-    """Whole turns added to the goal as given."""
+    """Full turns added to the rotations of the goal."""
 
 
 def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, name: str = "start") -> Equilibrium:
-    """The equilibrium that a plan begins with, under the load; raises InputError and SolveError where there is none."""
+    """Equilibrium at the start of a plan, under the load; raises InputError or SolveError if there is none."""
     known = start.equilibrium if isinstance(start, InverseSolution) else start
     if not isinstance(known, Equilibrium):
         rotations, shift = joints_of(space, name, start)
@@ -295,7 +294,7 @@ def start_equilibrium(space: JointSpace, start: Any, load: Load | None = None, n
 
 
 def check_start(task: PlanTask, start: Equilibrium) -> None:
-    """Raise where a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
+    """Raise if a plan cannot begin: out of range (InputError); margin or clearance too small (SolveError)."""
     _in_range(task.chart.space, "start", start.rotations, start.translations)
     if fault := _fault(task, "start", start):
         raise SolveError(fault, start)
@@ -311,27 +310,30 @@ def ends(
     near: Callable[[Array], Array] | None = None,
     enough: int = 1,
 ) -> list[End]:
-    """The equilibria that meet a goal, the nearest first; for a goal of the tip they are looked for until the clock is
-    over: from points (k, m) of the chart that are allowed and, as `near` knows, have their tips near a place (3,), so
-    many as are `enough`, and where these lead nowhere, from the start.
+    """Equilibria at a goal, nearest to the start first.
+
+    Args:
+        clock: time for the search of joint values with the tip at a goal.
+        near: points (k, m) of the chart with tips near a position (3,), from which a tip goal is solved first, up to
+            `enough` equilibria; if that fails, it is solved from the start.
 
     Raises:
         InputError: a goal that is out of range.
-        SolveError: a goal that no equilibrium meets with the margin and clearance to keep.
+        SolveError: no equilibrium at the goal has the required margin and clearance.
     """
     clock = clock or Clock(math.inf)
-    found, whole = _beside(task, goal, near, enough, clock), False
-    if not found:
-        found, whole = _equilibria(task, start, goal, clock)
+    equilibria, complete = _near_equilibria(task, goal, near, enough, clock), False
+    if not equilibria:
+        equilibria, complete = _equilibria(task, start, goal, clock)
     reasons: list[str] = []
     if task.chart.load is not None:
-        found, reasons = loaded(found, task.chart.load)
-    faults = [_fault(task, "goal", e) for e in found]
-    good = [e for e, fault in zip(found, faults, strict=True) if not fault]
+        equilibria, reasons = loaded(equilibria, task.chart.load)
+    faults = [_fault(task, "goal", e) for e in equilibria]
+    good = [e for e, fault in zip(equilibria, faults, strict=True) if not fault]
     if not good:
         reason = next(iter(reasons + faults), "no plan exists: the goal has no stable equilibrium")
         partly = "no plan was found, as far as the equilibria at the goal are known"
-        raise SolveError(reason if whole else reason.replace("no plan exists", partly))
+        raise SolveError(reason if complete else reason.replace("no plan exists", partly))
     out = [end for e in good for end in _turned(task, e, start.rotations, modulo_turns)]
     if not out:
         raise InputError("goal is out of range: no number of full turns brings its rotations into the limits")
@@ -339,25 +341,24 @@ def ends(
 
 
 def asked_ends(task: PlanTask, start: Equilibrium, goal: Any, enough: int) -> list[End]:
-    """The equilibria at which a plan may end, as its options ask for them; for a goal of the tip first `enough` of
-    those beside a roadmap."""
+    """Equilibria at a goal with the options of the task; for a tip goal up to `enough` from the roadmap, if any."""
     known = task.options.roadmap
     near = None if known is None else partial(known.near, task, count=NEAR_POINTS)
-    share = Clock(GOALS_SHARE * task.clock.left)
-    return ends(task, start, goal, share, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
+    clock = Clock(GOALS_SHARE * task.clock.left)
+    return ends(task, start, goal, clock, modulo_turns=task.options.modulo_turns, near=near, enough=enough)
 
 
-def _nearest(task: PlanTask, start: Equilibrium, found: list[End]) -> list[End]:
-    """Some of them, those nearest to the start first."""
-    here = task.chart.of(start)
-    by_distance = sorted(found, key=lambda end: float(np.linalg.norm((end.point - here) / task.scale)))
+def _nearest(task: PlanTask, start: Equilibrium, candidates: list[End]) -> list[End]:
+    """Ends nearest to the start, at most MOST_ENDS."""
+    origin = task.chart.of(start)
+    by_distance = sorted(candidates, key=lambda end: float(np.linalg.norm((end.point - origin) / task.scale)))
     return by_distance[:MOST_ENDS]
 
 
-def loaded(found: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
-    """Equilibria as they are under a load, and why others are not."""
+def loaded(equilibria: Sequence[Equilibrium], load: Load) -> tuple[list[Equilibrium], list[str]]:
+    """Equilibria under a load, and the reasons where there is none."""
     good, reasons = [], []
-    for e in found:
+    for e in equilibria:
         try:
             good.append(e if e.load == load else under_load(e, load))
         except SolveError as error:
@@ -374,46 +375,46 @@ def other_ends(
     *,
     modulo_turns: bool = False,
 ) -> list[End]:
-    """Further equilibria that meet the goal, if it is one of the tip, the nearest first: its other postures."""
-    wanted = _tip_goal(goal)
-    if wanted is None or task.chart.load is not None:
+    """Equilibria at a tip goal in other configurations than the known ones, nearest first; none for other goals."""
+    tip_goal = _tip_goal(goal)
+    if tip_goal is None or task.chart.load is not None:
         return []
     postures: list[Equilibrium] = []
-    for place in wanted.places()[:PLACES]:
-        asked = _asked(task, start, place, clock)
+    for target in tip_goal.places()[:PLACES]:
+        arguments = _inverse_arguments(task, start, target, clock)
         with suppress(SolveError):  # none in so short a time
-            answers = inverse_kinematics(task.chart.space.robot, place.position, all_solutions=True, **asked)
-            postures += [answer.equilibrium for answer in answers]
+            solutions = inverse_kinematics(task.chart.space.robot, target.position, all_solutions=True, **arguments)
+            postures += [solution.equilibrium for solution in solutions]
     good = [e for e in postures if not _fault(task, "goal", e)]
-    found = [
+    fresh = [
         end
         for e in good
         for end in _turned(task, e, start.rotations, modulo_turns)
         if all(np.abs((end.point - other.point) / task.scale).max() > SAME_END for other in known)
     ]
-    return _nearest(task, start, found)
+    return _nearest(task, start, fresh)
 
 
 def check_goal(robot: Robot, goal: Any) -> None:
-    """Raise InputError for a goal of the tip that is in other units than m."""
-    if (wanted := _tip_goal(goal)) is not None:
-        check_target(robot.tubes, "goal", wanted.position)
+    """Raise InputError for a tip goal in other units than m."""
+    if (tip_goal := _tip_goal(goal)) is not None:
+        check_target(robot.tubes, "goal", tip_goal.position)
 
 
 def of_the_tip(goal: Any) -> bool:
-    """Whether a goal is one of the tip, which several postures may meet."""
+    """True if a goal is one of the tip, which several configurations may meet."""
     return _tip_goal(goal) is not None
 
 
 def goal_seen(goal: Any, frame: Frame) -> Any:
-    """A goal as a plate sees it that stands in a frame: of the tip in its own axes, any other as it is."""
-    known = _tip_goal(goal)
-    if known is None:
+    """Goal in the frame of a plate: a tip goal is transformed, any other is returned as it is."""
+    tip_goal = _tip_goal(goal)
+    if tip_goal is None:
         return goal
-    towards = known.direction
-    if towards is not None:
-        towards = towards @ frame.axes
-    return TipGoal(frame.seen(known.position), towards)
+    direction = tip_goal.direction
+    if direction is not None:
+        direction = direction @ frame.axes
+    return TipGoal(frame.seen(tip_goal.position), direction)
 
 
 def _tip_goal(goal: Any) -> TipGoal | None:
@@ -425,7 +426,7 @@ def _tip_goal(goal: Any) -> TipGoal | None:
 
 
 def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> tuple[list[Equilibrium], bool]:
-    """Equilibria that may meet a goal, and whether a systematic search found no others."""
+    """Equilibria that may meet a goal, and True if a systematic search proves that there are no others."""
     space = task.chart.space
     if isinstance(goal, InverseSolution):
         goal = goal.equilibrium
@@ -433,37 +434,39 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         if goal.robot != space.robot:
             raise InputError("goal is an equilibrium of another robot")
         return [goal], True
-    wanted = _tip_goal(goal)
-    if wanted is not None:
-        return _somewhere(task, start, wanted.places(), clock), False
+    tip_goal = _tip_goal(goal)
+    if tip_goal is not None:
+        return _first_reachable(task, start, tip_goal.places(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
-    found: list[Equilibrium] = []
+    equilibria: list[Equilibrium] = []
     if task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES or clock.left > SEARCH_SECONDS:
         with suppress(SolveError):
-            found = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
-    whole = bool(found) and (task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
-    if not found:
-        found = [forward_kinematics(space.robot, rotations, shift)]
-    # The margin tells best whether the branch is the one that the robot can be brought to.
-    return sorted(found, key=lambda e: -e.margin), whole
+            equilibria = [e for e in find_equilibria(space.robot, rotations, shift) if e.stable]
+    complete = bool(equilibria) and (task.chart.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
+    if not equilibria:
+        equilibria = [forward_kinematics(space.robot, rotations, shift)]
+    # A large margin is the best sign of a branch that the robot can reach.
+    return sorted(equilibria, key=lambda e: -e.margin), complete
 
 
-def _beside(
+def _near_equilibria(
     task: PlanTask, goal: Any, near: Callable[[Array], Array] | None, enough: int, clock: Clock
 ) -> list[Equilibrium]:
-    """Equilibria whose tip has a pose, found by Gauss-Newton from what is known to be near: any that hold, in a
-    fraction of the time in which that nearest to the start is found."""
-    wanted = _tip_goal(goal)
-    if near is None or wanted is None or task.chart.load is not None:
+    """Equilibria at a tip goal, by Gauss-Newton from known points near it.
+
+    Any valid ones, in a fraction of the time that the one nearest to the start takes.
+    """
+    tip_goal = _tip_goal(goal)
+    if near is None or tip_goal is None or task.chart.load is not None:
         return []
-    space, found = task.chart.space, list[Equilibrium]()
+    space, equilibria = task.chart.space, list[Equilibrium]()
     options, weights = _options(task, clock.left), 1 / space.scale
-    for place in wanted.places():
-        # Twice the tolerance of `_fault`, which must not refuse an answer for round-off.
+    for target in tip_goal.places():
+        # Twice the tolerance of `_fault`, which must not reject a solution for round-off.
         question = Goal(
             space,
-            place.position,
-            place.direction,
+            target.position,
+            target.direction,
             task.min_margin + 2 * FINISHED,
             task.scene,
             None,
@@ -480,27 +483,29 @@ def _beside(
                 continue
             search = reach(question, start)
             if search.reached and not _fault(task, "goal", search.posture.equilibrium):
-                found.append(search.posture.equilibrium)
-            if len(found) == enough:
-                return found
-    return found
+                equilibria.append(search.posture.equilibrium)
+            if len(equilibria) == enough:
+                return equilibria
+    return equilibria
 
 
-def _somewhere(task: PlanTask, start: Equilibrium, places: list[TipGoal], clock: Clock) -> list[Equilibrium]:
-    """The equilibrium near the start whose tip has the first of some poses for which there is one."""
-    refused: list[SolveError] = []
-    for k, place in enumerate(places):
+def _first_reachable(task: PlanTask, start: Equilibrium, targets: list[TipGoal], clock: Clock) -> list[Equilibrium]:
+    """Equilibrium near the start with its tip at the first reachable one of some goals."""
+    errors: list[SolveError] = []
+    for k, target in enumerate(targets):
         try:
-            return _posed(task, start, place, clock if len(places) == 1 else Clock(clock.left / (len(places) - k)))
+            return _solve_tip(
+                task, start, target, clock if len(targets) == 1 else Clock(clock.left / (len(targets) - k))
+            )
         except SolveError as error:
-            refused.append(error)
-    if len(places) == 1:
-        raise refused[0]
-    raise SolveError(f"no plan was found to {len(places)} points of the region; to the first: {refused[0]}")
+            errors.append(error)
+    if len(targets) == 1:
+        raise errors[0]
+    raise SolveError(f"no plan was found to {len(targets)} points of the region; to the first: {errors[0]}")
 
 
-def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
-    """The equilibrium near the start whose tip has a pose, by inverse kinematics."""
+def _solve_tip(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> list[Equilibrium]:
+    """Equilibrium near the start with its tip at a goal, by inverse kinematics."""
     position = goal.position
     check_place(task, position)
     miss = 0.0 if task.chart.load is not None else least_miss(task, position, clock)
@@ -510,27 +515,27 @@ def _posed(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> l
             f"of the tip is {miss * 1e3:.4g} mm"
         )
     try:
-        asked = _asked(task, start, goal, clock)
-        answer = inverse_kinematics(task.chart.space.robot, position, **asked)
+        arguments = _inverse_arguments(task, start, goal, clock)
+        solution = inverse_kinematics(task.chart.space.robot, position, **arguments)
     except SolveError as error:
         raise SolveError(f"no plan was found: inverse kinematics found no joint values for the goal: {error}") from None
-    return [answer.equilibrium]
+    return [solution.equilibrium]
 
 
-def _asked(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
-    """What inverse kinematics is asked beside the position."""
-    asks = kept(task, task.min_margin + 2 * FINISHED, clock.left)
-    return {"load": task.chart.load, "direction": goal.direction, "start": start, **asks}
+def _inverse_arguments(task: PlanTask, start: Equilibrium, goal: TipGoal, clock: Clock) -> dict[str, Any]:
+    """Arguments of inverse kinematics for a tip goal, except for its position."""
+    constraints = inverse_constraints(task, task.min_margin + 2 * FINISHED, clock.left)
+    return {"load": task.chart.load, "direction": goal.direction, "start": start, **constraints}
 
 
-def kept(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
-    """What joint values for a place of the tip have to keep, with a margin of at least `floor`, and their time."""
+def inverse_constraints(task: PlanTask, floor: float, seconds: float) -> dict[str, Any]:
+    """Constraints and time limit of inverse kinematics for a task, with margins of at least `floor`."""
     options = _options(task, seconds)
     return {"min_margin": floor, "limits": task.chart.space.limits, "obstacles": task.obstacles, "options": options}
 
 
 def _options(task: PlanTask, seconds: float) -> InverseOptions:
-    """How joint values are asked for in a time, s."""
+    """Options of inverse kinematics with a time limit, s."""
     space = task.chart.space
     return InverseOptions(
         clearance=task.clearance,
@@ -546,7 +551,7 @@ def _in_range(space: JointSpace, name: str, rotations: Array, translations: Arra
 
 
 def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
-    """Why no plan leads to an equilibrium: margin or clearance is too small; empty where they are not."""
+    """Violation of margin or clearance at an equilibrium, as text; or ""."""
     if e.margin < task.min_margin - FINISHED:
         return f"no plan exists: the {name} has margin {e.margin:.4g}; every point must keep {task.min_margin:g}"
     clear = ArmSurface(e).clearance(task.scene)
@@ -557,8 +562,11 @@ def _fault(task: PlanTask, name: str, e: Equilibrium) -> str:
     return f"no plan exists: the arm at the {name} {where} {distance}"
 
 
-def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[End]:
-    """The same equilibrium with whole turns added to its rotations, where asked for; within the limits."""
+def _turned(task: PlanTask, e: Equilibrium, start: Array, modulo: bool) -> list[End]:
+    """Equilibrium as an end; with `modulo`, with all full turns of its rotations that are within the limits.
+
+    `start` (n,): rotations at the start, to which the turns are close.
+    """
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     if not modulo:
         _in_range(space, "goal", e.rotations, e.translations)
@@ -570,11 +578,11 @@ def _turned(task: PlanTask, e: Equilibrium, here: Array, modulo: bool) -> list[E
         most = int(np.floor((space.upper[i] - e.rotations[i]) / (2 * np.pi) + 1e-6))
         ranges.append(range(least, most + 1))
     _in_range(space, "goal", np.clip(e.rotations, space.lower[:n], space.upper[:n]), e.translations)
-    # Of wide ranges the turns nearest to the start: the others are farther, and many.
+    # In wide ranges only the turns nearest to the start: there are many others, farther away.
     near = []
-    for each, gap in zip(ranges, (here - e.rotations) / (2 * np.pi), strict=True):
+    for each, difference in zip(ranges, (start - e.rotations) / (2 * np.pi), strict=True):
         whole = np.array(each)
-        near.append(whole[np.argsort(np.abs(whole - gap))][:MOST_TURNS].tolist())
+        near.append(whole[np.argsort(np.abs(whole - difference))][:MOST_TURNS].tolist())
     return [_end(task, e, turns) for turns in product(*near)]
 
 

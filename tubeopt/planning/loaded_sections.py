@@ -12,7 +12,16 @@ from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
 from ..robots.order import outermost, twisted_tube
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
-from .sections import JUMP, SHAPE_ERROR, Arms, CurvatureBounds, DerivativeBounds, Intervals, TransportBounds, turned
+from .sections import (
+    JUMP,
+    SHAPE_ERROR,
+    Arms,
+    CurvatureBounds,
+    DerivativeBounds,
+    Intervals,
+    TransportBounds,
+    unit_vector,
+)
 
 
 def uncovered(load: Load) -> str:
@@ -221,7 +230,7 @@ class LoadedArms(Arms):
             return errors
         h, owner = np.diff(self.arc_length)[inner], self.owner[inner]
         bend = CurvatureBounds.of(c, *self.crossed)
-        drift, pull = (
+        transport, pull = (
             TransportBounds.of(c, np.array(1.0), *self.crossed),
             [c.most(each, *self.crossed) for each in c.bounds.pull],
         )
@@ -233,19 +242,24 @@ class LoadedArms(Arms):
         u = bend.most + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
         torque = np.maximum(np.abs(self.borne[0][0][inner]), np.abs(self.torque[inner + 1])) + h[:, None] * grows
-        ease, wound = drift.ease, drift.wound
+        ease, twist_slope = transport.ease, transport.twist_slope
         turn = torque * ease.v + c.most(c.bounds.twist[0], *self.crossed)
-        turning = grows * ease.v + torque * ease.d + wound.v
-        swing = turned(DerivativeBounds(turn, turn, turning))
+        turning = grows * ease.v + torque * ease.d + twist_slope.v
+        swing = unit_vector(DerivativeBounds(turn, turn, turning))
         whole, growing = torque.sum(1), grows.sum(1)
         bending = force + u * whole + couple
-        by_tubes = replace(drift.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
-        du = bending / bend.stiffness + moment * drift.give.d + by_tubes.d.sum(1)
+        by_tubes = replace(transport.pulls, v=bend.moment / bend.stiffness[:, None], ddd=None) * swing
+        du = bending / bend.stiffness + moment * transport.bending_compliance.d + by_tubes.d.sum(1)
         a = DerivativeBounds(*pull[:3]) * swing
         grown = du[:, None] * a.v + u[:, None] * a.d + couple * u[:, None]
-        turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + wound.d
+        turned_on = grown * ease.v + 2 * grows * ease.d + torque * ease.dd + twist_slope.d
         bent = force * u + along + du * whole + u * growing + couple * u
-        ddu = bent / bend.stiffness + 2 * bending * drift.give.d + moment * drift.give.dd + by_tubes.dd.sum(1)
+        ddu = (
+            bent / bend.stiffness
+            + 2 * bending * transport.bending_compliance.d
+            + moment * transport.bending_compliance.dd
+            + by_tubes.dd.sum(1)
+        )
         turning_along = couple * (du + u**2)
         twisted = ddu[:, None] * a.v + 2 * du[:, None] * a.d + u[:, None] * a.dd + turning_along[:, None]
         lifted = force * (du + u**2) + 2 * u * along + ddu * whole + 2 * du * growing + u * grown.sum(1) + turning_along
@@ -270,6 +284,18 @@ class LoadedArms(Arms):
 
 
 @dataclass(frozen=True, eq=False)
+class SampledLoads:
+    """Bounds at the samples along the arm at both ends of B intervals with K sections."""
+
+    torque: Array
+    """(B, K, n) torques of the tubes, N m."""
+    torque_change: Array
+    """(B, K, n) differences of torques between both ends, N m."""
+    moment_change: Array
+    """(B, K) differences of moments between both ends, N m."""
+
+
+@dataclass(frozen=True, eq=False)
 class LoadedIntervals(Intervals):
     """Neighbouring equilibria under a load."""
 
@@ -288,7 +314,7 @@ class LoadedIntervals(Intervals):
         """(B, K) of the force, N, and of the moment, N m, of what is ahead. In every section both are linear along it
         and in time."""
         tables = []
-        for e, cuts in ((self.one, self.begin), (self.other, self.end)):
+        for e, cuts in ((self.start, self.start_cuts), (self.end, self.end_cuts)):
             ends, inside = self.arms.ends[e][:, None], (cuts[:, :-1] + cuts[:, 1:]) / 2
             tables.append([self.arms.pull.on(s, ends, inside) for s in (cuts[:, :-1], cuts[:, 1:])])
         table, jets = np.array(tables), []
@@ -311,12 +337,12 @@ class LoadedIntervals(Intervals):
     @cached_property
     def twisting(self) -> tuple[Array, Array]:
         """(B, K, n) sizes of the moments that act on a tube, at the ends of the sections, N m, and per length, N."""
-        pull, cuts = self.arms.pull, (self.begin + self.end) / 2
+        pull, cuts = self.arms.pull, (self.start_cuts + self.end_cuts) / 2
         middle, moment = (cuts[:, :-1] + cuts[:, 1:]) / 2, np.linalg.norm(pull.points[:, MOMENT], axis=1)
         # Before the first section is the plate, where it twists nothing.
         before = (middle[..., None] < np.minimum(pull.at, cuts[:, -1:])[:, None]).sum(1)
         here = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
-        at_ends = here @ (moment[:, None] * pull.twists(self.arms.ends[self.one]))
+        at_ends = here @ (moment[:, None] * pull.twists(self.arms.ends[self.start]))
         size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
         return at_ends, _on_outermost(size, self.stretch < self.arms.constants.ended)
 
@@ -333,12 +359,13 @@ class LoadedIntervals(Intervals):
         return replace(plain, most=plain.most + self.lever / plain.stiffness)
 
     @cached_property
-    def loads(self) -> tuple[Array, Array, Array]:
-        """(B, K, n) sizes of torques, and by how much torques (B, K, n) and moments (B, K) differ at most between both
-        ends, at the ends of PARTS stretches of every section, with the errors of interpolation there."""
-        (torque, moment), (later, after) = (self.arms.sampled(*places) for places in self.parts)
-        each = zip(*(self.arms.load_error(*places) for places in self.parts), strict=True)
-        twisting, bending = (one + other for one, other in each)
-        size = (np.maximum(np.abs(torque), np.abs(later)) + twisting).max(2)
-        change = (np.linalg.norm(after - moment, axis=-1) + bending).max(2)
-        return size, (np.abs(later - torque) + twisting).max(2), change
+    def loads(self) -> SampledLoads:
+        """Torques and moments at the ends of PARTS stretches of every section, with the errors of interpolation."""
+        (torque, moment), (torque_end, moment_end) = (self.arms.sampled(*places) for places in self.parts)
+        errors = zip(*(self.arms.load_error(*places) for places in self.parts), strict=True)
+        torque_error, moment_error = (start + end for start, end in errors)
+        return SampledLoads(
+            torque=(np.maximum(np.abs(torque), np.abs(torque_end)) + torque_error).max(2),
+            torque_change=(np.abs(torque_end - torque) + torque_error).max(2),
+            moment_change=(np.linalg.norm(moment_end - moment, axis=-1) + moment_error).max(2),
+        )

@@ -1,5 +1,4 @@
-"""A motion: joint values as a function of time; the limits that actuators set to it, and what is wrong with a table of
-joint values over time, whatever the arm does: ranges, order, rates, accelerations."""
+"""Joint values over time, limits of the actuators, and violations of ranges, order, rates and accelerations."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ from ..robots.robot import Robot
 from ..typing import Array
 
 INSTANT = 1e-9
-"""Duration (s) of a motion that goes nowhere."""
+"""Duration (s) below which a motion counts as a rest."""
 
 OF_JOINTS = ("rotation", "translation", "rotation_acceleration", "translation_acceleration")
 """Limits that are one number for all tubes, or one per tube."""
@@ -37,7 +36,7 @@ SAMPLE_STEP = 0.04
 """Largest change of a joint between samples, in units of its scale."""
 
 SLACK = 1e-6
-"""Of a rate, and of a range, that is round-off."""
+"""Relative excess of a rate or a range that is round-off."""
 
 Rates = float | tuple[float, ...]
 
@@ -53,31 +52,31 @@ class RateLimits(Displayed):
     rotation: Annotated[
         Rates, key("rotation_deg_per_s"), POSITIVE, Typical(0.03, 4 * np.pi), "largest rotation rate"
     ] = np.pi / 2
-    """Rotation rate, rad/s."""
+    """Largest rotation rate, rad/s."""
     translation: Annotated[
         Rates, key("translation_mm_per_s"), POSITIVE, Typical(1e-4, 0.2), "largest translation rate"
     ] = 0.02
-    """Translation rate, m/s."""
+    """Largest translation rate, m/s."""
     rotation_acceleration: Annotated[
         Rates, key("rotation_deg_per_s2"), POSITIVE, Typical(0.03, 20 * np.pi), "largest rotation acceleration"
     ] = np.pi
-    """Acceleration of the rotations, rad/s^2."""
+    """Largest acceleration of the rotations, rad/s^2."""
     translation_acceleration: Annotated[
         Rates, key("translation_mm_per_s2"), POSITIVE, Typical(1e-4, 5.0), "largest translation acceleration"
     ] = 0.04
-    """Acceleration of the translations, m/s^2."""
+    """Largest acceleration of the translations, m/s^2."""
     tip: Annotated[
         float | None, key("tip_mm_per_s"), POSITIVE, Typical(1e-4, 2.0), "largest tip speed; default no limit"
     ] = None
-    """Speed of the tip, m/s; None for no limit."""
+    """Largest speed of the tip, m/s; None for no limit."""
 
     def __post_init__(self) -> None:
         if self.tip is not None:
             object.__setattr__(self, "tip", positive("tip of the rate limits", self.tip))
         for name in OF_JOINTS:
-            given, label = getattr(self, name), f"{name} of the rate limits"
-            values = tuple(positive(label, each) for each in numbers(label, given))
-            object.__setattr__(self, name, values if np.ndim(given) else values[0])
+            limit, label = getattr(self, name), f"{name} of the rate limits"
+            values = tuple(positive(label, each) for each in numbers(label, limit))
+            object.__setattr__(self, name, values if np.ndim(limit) else values[0])
         check_usual(self, "the rate limits")
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
@@ -99,7 +98,7 @@ DEFAULT_RATES = RateLimits()
 
 with undoubted():
     ANY_RATES = RateLimits(*(1e12,) * 4)
-"""Of actuators that are as fast as they like."""
+"""Limits that no motion reaches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,34 +107,34 @@ class Motion:
 
     curve: PPoly
     tip_limited: bool = False
-    """Whether the speed of the tip is."""
+    """True if the speed of the tip is limited, which needs more samples."""
 
     @staticmethod
     def resting(q: Array) -> Motion:
-        """One that goes nowhere, from joint values (m,)."""
+        """Rest at joint values (m,)."""
         return Motion(PPoly(q[None, None], [0.0, INSTANT / 2]))
 
     @property
     def time(self) -> Array:
-        """(K,) s of the knots."""
+        """(K,) times of the knots, s."""
         return np.asarray(self.curve.x)
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration, s."""
         return float(self.time[-1])
 
     def slower(self, factor: float) -> Motion:
-        """The same in so many times the time."""
+        """Motion with its duration multiplied by a factor."""
         order = np.arange(len(self.curve.c) - 1, -1, -1)[:, None, None]
         return replace(self, curve=PPoly(self.curve.c / factor**order, self.time * factor))
 
     def length(self, scale: Array) -> float:
-        """Of the path in joint space, in units of the joints' scales."""
+        """Length of the path in joint space, in units of the joints' scales."""
         return float(np.linalg.norm(np.diff(self.sampled(scale)[1] / scale, axis=0), axis=1).sum())
 
     def sampled(self, scale: Array) -> tuple[Array, Array]:
-        """Evenly spaced times (T,) and joint values (T, m), close enough that straight lines between them will do."""
+        """Evenly spaced times (T,) and joint values (T, m), close enough for linear interpolation."""
         if self.duration < INSTANT:  # from joint values to the same, but for round-off
             return np.zeros(1), self.curve(np.zeros(1))
         coarse = self.curve(np.linspace(0, self.duration, 40 * len(self.time)))
@@ -147,8 +146,8 @@ class Motion:
 
 
 def joint_range(robot: Robot, limits: JointLimits | None) -> JointSpace:
-    """The joint values of given limits, else of the robot's own; without either, lengths limit translations, and
-    rotations are not limited."""
+    """Joint space of limits, by default those of the robot; without these, rotations are free and lengths limit
+    translations."""
     if limits is None and robot.joint_limits is None:
         free = ((-MOST_TURN, MOST_TURN),) * robot.n_tubes
         limits = JointLimits(free, default_limits(robot.tubes).translations)
@@ -156,7 +155,7 @@ def joint_range(robot: Robot, limits: JointLimits | None) -> JointSpace:
 
 
 def rates_of(t: Array, values: Array) -> tuple[Array, Array]:
-    """(n,) largest rates between samples, and largest accelerations between these, of columns."""
+    """(n,) largest rates between samples, and largest accelerations, of the columns of a table (T, n)."""
     if len(t) < 2:
         return np.zeros(values.shape[1]), np.zeros(values.shape[1])
     h = np.diff(t)[:, None]
@@ -166,7 +165,7 @@ def rates_of(t: Array, values: Array) -> tuple[Array, Array]:
 
 
 def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
-    """Joint values beyond their range, and tubes out of order."""
+    """Faults of joint values beyond their range, and of tubes out of order."""
     faults = []
     space = space.holding(*shift)
     try:
@@ -190,7 +189,7 @@ def out_of_range(space: JointSpace, alpha: Array, shift: Array) -> list[str]:
 
 
 def too_fast(space: JointSpace, rates: Sequence[tuple[Array, Array]], tip_rate: float, limits: RateLimits) -> list[str]:
-    """Joints that are faster, or accelerate more, than their limits, and the tip where it is faster than its own."""
+    """Faults of rates and accelerations of joints, and of the speed of the tip, above their limits."""
     faults = []
     if limits.tip is not None and tip_rate > limits.tip * (1 + SLACK):
         faults.append(f"the tip reaches {tip_rate * 1e3:.4g} mm/s; it must be at most {limits.tip * 1e3:.4g} mm/s")

@@ -1,8 +1,8 @@
-"""Planning a trajectory: goal, search, smoothing, timing, proof; also from a plate that may be placed.
+"""Plan a trajectory: goal, search, smoothing, timing, proof; also from a base plate that may be moved.
 
-Of a region of entry points and a cone of directions many places of the plate are looked at cheaply, by arms of random
-joint values: how close one that is clear of bodies comes to the goal. Plans are then made from the most promising ones,
-until one is found and proved.
+Within a region of entry points and a cone of directions, many poses of the plate are ranked cheaply by arms with random
+joint values: how close a collision-free one comes to the goal. Plans are then made from the most promising poses, until
+one is proved.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import scipy
@@ -50,7 +50,7 @@ from .goals import (
 )
 from .motion import DEFAULT_RATES, Motion, RateLimits
 from .proof import Kept, proved
-from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked, bearing
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task, reserve_deflection
 from .smoothing import smooth
 from .timing import Limits, actuators, at_full_speed, joint_curves, stopping_at, through, track, violated
 from .trajectory import Entry, PlanStatistics, Trajectory
@@ -72,41 +72,51 @@ obstacles, where it takes twice as long."""
 
 # Lengths are sums over samples, which cut corners.
 SAME_LENGTH = 2e-3
-"""Largest relative difference of equal lengths and durations."""
+"""Relative difference up to which lengths and durations are equal."""
 
-# Every spacing that is tried is followed by forward kinematics from end to end.
+# Forward kinematics follows every spacing from end to end.
 ROUNDING_SECONDS, ROUNDING_SHARE = 5.0, 0.3
 """Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
 
-# The first is as round as a turn of a joint by 0.4 rad, the last all but the path itself. Each is about half of the
-# one before, and so is what it cuts off the corners.
+# The first rounds over a rotation of 0.4 rad, the last is nearly the path itself. Each cuts off the corners about half
+# as much as the one before.
 SPACINGS = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
 """Spacings of the polyline points before rounding, in units of the joint scales, tried in turn."""
 
-# Between the points of its grid the tip can be a little too fast. A motion that is faster than this has another fault.
+# Between the points of its grid the tip can be a little too fast. A larger excess has another cause.
 MAX_OVERSPEED = 1.1
 """Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
 
-# A motion without its end is of no use.
+# A motion without its end is useless.
 LATE_SECONDS = 0.25
 """Largest overrun of the time limit for following an unproved motion to its end, s."""
 
 # Round-off: start and goal are the same joint values.
 SHORT = 1e-9
-"""Length of a way (joints' scales) on which nothing is smoothed."""
+"""Length of a path, in units of the joint scales, below which it is not smoothed."""
 
 
-def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tuple[Motion, str, int, int]]:
-    """Motions near a way, the best first, and last the way itself with rests at its corners: each as fast as it may be,
-    with the objective of its smoothing, iterations and knots.
+class Candidate(NamedTuple):
+    """A motion to prove."""
 
-    What is smoothed for length is neither longer nor slower than what it began from; what is smoothed for time is no
-    slower than that, nor than what is smoothed for length.
+    motion: Motion
+    smoothed_for: str
+    """Objective of its smoothing, "corners" if only corners are rounded, "" if it stops at them."""
+    iterations: int
+    """Number of iterations of the smoothing."""
+    knots: int
+
+
+def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Candidate]:
+    """Time-optimal motions near a path (k, m), best first; the last is the path itself, with stops at its corners.
+
+    A motion smoothed for length is neither longer nor slower than the path; one smoothed for time is no slower than
+    that, nor than the motion smoothed for length.
     """
     clock, limits, aim, extra = task.clock, actuators(task, first), task.options.objective, task.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    found = []
+    candidates = list[Candidate]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     most = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
     own = Clock(min(most, SMOOTHING_SHARE * clock.left), clock)
@@ -116,28 +126,30 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[tupl
         best = smooth(task, first, points, limits, name, own)
         if best is not None:
             exact = name == "margin" or extra is not None
-            way = best.motion.sampled(task.scale)[1], best.points[-1]
-            rounder = None if exact else _rounded(task, first, way, limits, own)
+            joints = best.motion.sampled(task.scale)[1]
+            rounder = None if exact else _rounded(task, first, joints, best.points[-1], limits, own)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
-            found.append((motion, name, best.iterations, len(best.points)))
+            candidates.append(Candidate(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
         rest = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_SHARE * clock.left), clock)
-        way = np.concatenate(curves), points[-1]
-        if len(curves) > 1 and (corners := _rounded(task, first, way, limits, rest)) is not None:
-            found.append((corners, "corners", 0, len(points)))
+        joints = np.concatenate(curves)
+        if len(curves) > 1 and (corners := _rounded(task, first, joints, points[-1], limits, rest)) is not None:
+            candidates.append(Candidate(corners, "corners", 0, len(points)))
         if aim == "time":
-            found = [each for each in found if each[0].duration <= resting.duration]
-            found.sort(key=lambda each: each[0].duration)
+            candidates = [each for each in candidates if each.motion.duration <= resting.duration]
+            candidates.sort(key=lambda each: each.motion.duration)
         else:
             longest, slowest = (x * (1 + SAME_LENGTH) for x in (resting.length(task.scale), resting.duration))
-            short = [(each[0].length(task.scale), each) for each in found if each[0].duration <= slowest]
-            found = [each for length, each in sorted(short, key=lambda pair: pair[0]) if length <= longest]
-    return [*found, (resting, "", 0, len(points))]
+            lengths = [(each.motion.length(task.scale), each) for each in candidates if each.motion.duration <= slowest]
+            candidates = [each for length, each in sorted(lengths, key=lambda pair: pair[0]) if length <= longest]
+    return [*candidates, Candidate(resting, "", 0, len(points))]
 
 
 def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
-    """Whether a way in joint space, curves of joint values (k, m), can become much shorter: none is shorter than the
-    straight line. With bodies in the way smoothing takes twice as long; its equations are those without a load."""
+    """True if a path, curves of joint values (k, m), can become much shorter: none is shorter than the straight line.
+
+    Among bodies smoothing takes twice as long; its equations are without a load.
+    """
     options = task.options
     if task.chart.load is not None:
         return False
@@ -148,36 +160,37 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     return 1 - straight / length > (WORTH_AMONG_BODIES if task.obstacles else WORTH)
 
 
-def _rounded(
-    task: PlanTask, first: Equilibrium, way: tuple[Array, Array], limits: Limits, clock: Clock
-) -> Motion | None:
-    """The fastest motion close to a way, its bends as round as they may be; None where even slight rounding leads where
-    the robot may not be, or time is over. `way`: joint values (k, m), and the point of the chart (m,) at its end."""
-    q, end = way
+def _rounded(task: PlanTask, first: Equilibrium, q: Array, end: Array, limits: Limits, clock: Clock) -> Motion | None:
+    """Time-optimal motion close to joint values (k, m), with the roundest valid corners; None if none is valid in time.
+
+    `end` (m,): point of the chart at the end.
+    """
     for spacing in SPACINGS:
         if clock.over:
             return None
         motion = through(q, task.scale, limits, spacing)
-        places = motion.time[-1:], end[None]
-        if not violated(task, first, motion, clock, places)[0].any():
+        if not violated(task, first, motion, clock, (motion.time[-1:], end[None])).intervals.any():
             return motion
     return None
 
 
 def build(
-    task: PlanTask, first: Equilibrium, end: End | None, motion: Motion, found: PlanStatistics
+    task: PlanTask, first: Equilibrium, end: End | None, motion: Motion, statistics: PlanStatistics
 ) -> Trajectory | Faults:
-    """Sample a motion, make its ends exact, and prove it as far as there is time; where it has faults, these. What was
-    `found` before is told with the length of what is made of it and the seconds of the proof."""
+    """Sample a motion, make its ends exact, and prove it as far as time allows; returns its faults if it has any.
+
+    `statistics` of the search are completed by length and duration of the proof.
+    """
     rates, clock, space = task.rates, task.clock, task.chart.space
     t, q = motion.sampled(task.scale)
-    begin = space.join(first.rotations, first.translations)
+    start = space.join(first.rotations, first.translations)
     last = q[-1] if end is None else end.joints
+    # Differences at the ends are spread over the motion by a cubic that is at rest at both ends.
     x = (t / t[-1] if t[-1] > 0 else np.ones(len(t)))[:, None]
     blend = x * x * (3 - 2 * x)
-    q = q + (begin - q[0]) * (1 - blend) + (last - q[-1]) * blend
-    q[0], q[-1] = begin, last
-    q = np.clip(q, np.minimum(space.lower, begin), np.maximum(space.upper, begin))
+    q = q + (start - q[0]) * (1 - blend) + (last - q[-1]) * blend
+    q[0], q[-1] = start, last
+    q = np.clip(q, np.minimum(space.lower, start), np.maximum(space.upper, start))
     table = np.array([space.joint(row) for row in q])
     table[0] = [*first.rotations, *first.translations]
     n = space.robot.n_tubes
@@ -187,10 +200,9 @@ def build(
     if not (proof.holds or proof.open):
         overspeed = 1.0 if rates.tip is None else proof.largest_tip_rate / rates.tip
         if 1 < overspeed < MAX_OVERSPEED and len(proof.faults) == 1:
-            slower = motion.slower(overspeed)
-            return build(task, first, end, slower, found)
+            return build(task, first, end, motion.slower(overspeed), statistics)
         return proof.faults
-    # A proof that time ended may not have come to the last of them.
+    # An unfinished proof may not have reached the last samples.
     late = Clock(LATE_SECONDS)
     arms = (*proof.samples, *track(task, proof.samples[-1], q[len(proof.samples) :], late))
     if len(arms) < len(q):
@@ -199,7 +211,7 @@ def build(
         return (*proof.faults, "the motion ends on another branch than that of the goal")
     length = float(np.linalg.norm(np.diff(q / task.scale, axis=0), axis=1).sum())
     seconds = clock.seconds
-    proving = seconds - found.search_seconds - found.smooth_seconds
+    proof_seconds = seconds - statistics.search_seconds - statistics.smooth_seconds
     return Trajectory(
         robot=first.robot,
         time=t,
@@ -213,58 +225,60 @@ def build(
         min_clearance=task.clearance - task.reserve,
         rate_limits=rates,
         proof=proof,
-        statistics=replace(found, length=length, proof_seconds=proving, seconds=seconds),
+        statistics=replace(statistics, length=length, proof_seconds=proof_seconds, seconds=seconds),
     )
 
 
 def passing(
     task: PlanTask, first: Equilibrium, q: Array, last: Array, how: str, motions: int = 0
 ) -> Trajectory | Faults:
-    """The fastest motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart, with
-    how these were found by looking at so many motions."""
-    found = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), task.clock.seconds)
+    """Time-optimal motion through joint values (k, m), from an equilibrium to the point `last` (m,) of the chart.
+
+    `how` and `motions`: method of the search and number of motions that it checked.
+    """
+    statistics = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), task.clock.seconds)
     motion = through(q, task.scale, actuators(task, first))
     end = End(last, q[-1], (0,) * first.robot.n_tubes)
-    made = build(task, first, end, motion, found)
-    if isinstance(made, Trajectory):  # nothing was smoothed
-        return replace(made, statistics=replace(made.statistics, raw_length=made.statistics.length))
-    return made
+    result = build(task, first, end, motion, statistics)
+    if isinstance(result, Trajectory):  # without smoothing both lengths are equal
+        return replace(result, statistics=replace(result.statistics, raw_length=result.statistics.length))
+    return result
 
 
 def no_time(clock: Clock) -> str:
-    """What is wrong where the clock is over."""
+    """Fault when the time limit is reached."""
     return f"the time limit of {clock.limit:g} s left no time to follow the path found"
 
 
-# Each attempt triples the reserve of the margin. Where the third fails, what is missing lies between checked points of
+# Each attempt triples the reserve of the margin. Where the third fails, the violation is between the checked points of
 # any path there.
 ATTEMPTS = 3
 """Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
 
-# A search that uses up all of the time leaves none to follow the path that it has found.
+# A search that uses all of the time leaves none to follow its path.
 SEARCH_SHARE = 0.9
 """Share of the time limit after which the search ends, so that the result can be reported in time."""
 
-# The partial path is timed and followed, and why the search failed is looked into.
+# The partial path is timed and followed, and the cause of the failure is searched.
 REPORT_SECONDS, REPORT_SHARE = 2.0, 0.35
-"""Time reserved for the report: so many seconds, at most a share of the time limit."""
+"""Time reserved for the report, s, and its largest fraction of the time limit."""
 
 # All configurations of a target take inverse kinematics seconds, which a short search needs itself.
 POSTURES_SECONDS, NEAREST_SHARE = 15.0, 0.4
 """Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
 follow."""
 
-# The rest is left to a search from scratch.
+# The other part is for a search from scratch.
 ROADMAP_SHARE = 0.3
-"""Share of the search time for a roadmap, which comes first."""
+"""Fraction of the search time for a roadmap, which is tried first."""
 
-# Up to sixty random cuts are tried, each of which checks one motion.
+# Up to sixty random shortcuts are tried, each of which checks one motion.
 SHORTEN_SECONDS, SHORTEN_SHARE = 2.0, 0.3
-"""Maximum duration of cutting corners of the path, s, and share of the remaining time."""
+"""Maximum duration of shortcutting, s, and fraction of the remaining time."""
 
-# A motion whose proof would take longer than the time that is left is cut short.
+# A partial motion is cut short so that its proof fits into the remaining time.
 PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
-"""Typical upper limits of the time of a proof, s: in any case, and per sample of the motion."""
+"""Typical upper limits of the time of a proof, s: constant part, and per sample of the motion."""
 
 
 @typed
@@ -311,34 +325,35 @@ def plan_trajectory(  # noqa: PLR0913
         >>> plan.proved
         True
     """
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, load, (start, goal))
+    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, load, (start, goal))
     check_goal(robot, goal)
     with task.in_time():
         return _planned(task, start, goal)
 
 
 def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
-    """The plan; raises as `plan_trajectory` does, and LateError."""
+    """Plan of a task; raises as `plan_trajectory`, and LateError."""
     chart, options = task.chart, task.options
     first = start_equilibrium(chart.space, start, chart.load)
-    task = bearing(task, first.translations)
+    task = reserve_deflection(task, first.translations)
     check_start(task, first)
-    hasty = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
-    goals = asked_ends(task, first, goal, 1 if hasty else ENOUGH_ENDS)
+    quick = options.roadmap is not None and options.objective == "none" and of_the_tip(goal)
+    goals = asked_ends(task, first, goal, 1 if quick else ENOUGH_ENDS)
     n = len(first.translations)
-    task = bearing(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
+    task = reserve_deflection(task, first.translations, *(chart.space.joint(end.joints)[n:] for end in goals))
     task = _between(task, first, goals)
     faults: Faults = ()
     for attempt in range(ATTEMPTS):
-        task, goals, way = _way(task, first, goal, goals, options.seed + attempt)
-        if way.points is None:
-            raise _not_found(task, first, goals, way)
-        reached = way.points[-1]
-        end = min(goals, key=lambda each: float(np.abs(each.point - reached).max()))
-        made = _make(task, first, end, way)
-        if isinstance(made, Trajectory):
-            return made
-        faults = made
+        search = _search(task, first, goal, goals, options.seed + attempt)
+        task, goals, path = search.task, search.goals, search.path
+        if path.points is None:
+            raise _search_error(task, first, goals, path)
+        last = path.points[-1]
+        end = min(goals, key=lambda each: float(np.abs(each.point - last).max()))
+        result = _smooth_and_prove(task, first, end, path)
+        if isinstance(result, Trajectory):
+            return result
+        faults = result
         if task.clock.over:
             break
         task = _between(task.roomier(), first, goals)
@@ -349,72 +364,76 @@ def _between(task: PlanTask, first: Equilibrium, goals: Sequence[End]) -> PlanTa
     return task.from_to(task.chart.of(first), *(end.point for end in goals))
 
 
-def _way(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> tuple[PlanTask, list[End], Way]:
-    """A way to the goals; where none is found to a goal of the tip, one to other postures that meet it."""
+class _Search(NamedTuple):
+    """Result of a search, with the goals and the task for which it holds."""
+
+    task: PlanTask
+    goals: list[End]
+    path: Way
+
+
+def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
+    """Path to one of the goals; if there is none to a tip goal, to other configurations with that tip."""
     options, clock = task.options, task.clock
     until = options.time_limit - min(REPORT_SECONDS, REPORT_SHARE * options.time_limit)
     left = max(0.0, min(SEARCH_SHARE * options.time_limit, until) - clock.seconds)
     postures = of_the_tip(goal) and left > POSTURES_SECONDS
-    begin = task.chart.of(first)
+    start = task.chart.of(first)
     if options.roadmap is not None:
-        way = options.roadmap.shortest_path(task, begin, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
+        way = options.roadmap.shortest_path(task, start, [end.point for end in goals], Clock(ROADMAP_SHARE * left))
         if way.points is None and len(goals) < ENOUGH_ENDS and of_the_tip(goal):
             goals = asked_ends(task, first, goal, ENOUGH_ENDS)
             task = _between(task, first, goals)
             rest = Clock(ROADMAP_SHARE * max(0.0, left - clock.seconds))
-            way = options.roadmap.shortest_path(task, begin, [end.point for end in goals], rest)
+            way = options.roadmap.shortest_path(task, start, [end.point for end in goals], rest)
         if way.points is not None:
-            return task, goals, way
+            return _Search(task, goals, way)
         left = max(0.0, until - clock.seconds)
     search = Clock(NEAREST_SHARE * left if postures else left)
     find = partial(find_way, how=options.search, improving=options.search_seconds)
-    way = find(task, begin, [end.point for end in goals], search, seed=seed)
+    way = find(task, start, [end.point for end in goals], search, seed=seed)
     if way.impossible and (of_the_tip(goal) or len(goals) == MOST_ENDS or task.chart.load is not None):
-        way = replace(way, impossible=False, why=f"{way.why} (to what was tried; others may meet the goal)")
+        way = replace(way, impossible=False, why=f"{way.why} (for the tried configurations; others may meet the goal)")
     if way.points is not None or not postures:
-        return task, goals, way
+        return _Search(task, goals, way)
     rest = Clock(left - search.seconds)
-    others = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
-    goals = [*goals, *others]
+    more = other_ends(task, first, goal, goals, rest.part(0.5), modulo_turns=options.modulo_turns)
+    goals = [*goals, *more]
     task = _between(task, first, goals)
-    again = find(task, begin, [end.point for end in others or goals], rest, seed=seed + 1)
-    return task, goals, replace(again, motions=way.motions + again.motions, impossible=False)
+    again = find(task, start, [end.point for end in more or goals], rest, seed=seed + 1)
+    return _Search(task, goals, replace(again, motions=way.motions + again.motions, impossible=False))
 
 
-def _make(task: PlanTask, first: Equilibrium, end: End, way: Way) -> Trajectory | Faults:
-    """Smooth a way and prove it: the smoothed motion, else the shortened way with rests at its corners."""
+def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, way: Way) -> Trajectory | Faults:
+    """Trajectory along a path: the first provable motion of `motions_near`; the faults of the last if there is none."""
     assert way.points is not None
     clock = task.clock
     searched = clock.seconds
     try:
-        points = _shorter(task, way)
+        # The path of a roadmap is the shortest there: without smoothing, only unnecessary corners are left out.
+        if way.how == "roadmap" and task.options.objective == "none":
+            points = without_corners(task, way.points)
+        else:
+            cut = Clock(min(SHORTEN_SECONDS, SHORTEN_SHARE * clock.left))
+            points = shorten(task, way.points, cut, seed=task.options.seed)
         raw = task.length(way.points)
         motions = motions_near(task, first, points)
     except LateError:
         return (no_time(clock),)
     smoothed = clock.seconds
     faults: Faults = ()
-    for motion, how, iterations, knots in motions:
-        numbers = (way.motions, raw, 0.0, iterations, knots, searched, smoothed - searched)
-        made = build(task, first, end, motion, PlanStatistics(way.how, how, *numbers))
-        if isinstance(made, Trajectory):
-            return made
-        faults = made
+    for candidate in motions:
+        numbers = (way.motions, raw, 0.0, candidate.iterations, candidate.knots, searched, smoothed - searched)
+        statistics = PlanStatistics(way.how, candidate.smoothed_for, *numbers)
+        result = build(task, first, end, candidate.motion, statistics)
+        if isinstance(result, Trajectory):
+            return result
+        faults = result
     return faults
 
 
-def _shorter(task: PlanTask, way: Way) -> Array:
-    """The points of a way with corners cut; of one over a roadmap, which is the shortest there, without smoothing only
-    those corners are left out that it can do without."""
-    assert way.points is not None
-    if way.how == "roadmap" and task.options.objective == "none":
-        return without_corners(task, way.points)
-    clock = Clock(min(SHORTEN_SECONDS, SHORTEN_SHARE * task.clock.left))
-    return shorten(task, way.points, clock, seed=task.options.seed)
-
-
-def _not_found(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Way) -> SolveError:
-    """What to say where the search ended without a way: how close it came, and with what."""
+def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Way) -> SolveError:
+    """Error after a search without a path, with the partial trajectory that comes closest to the goal."""
     clock = task.clock
     if way.impossible:
         return SolveError(f"no plan exists: {way.why}")
@@ -425,9 +444,9 @@ def _not_found(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Wa
         with suppress(LateError):
             points, motion = _affordable(task, way.closest, actuators(task, first), clock.left)
         if motion is not None:
-            found = PlanStatistics("partial", "", way.motions, 0.0, 0.0, 0, len(points), clock.seconds)
-            made = build(task, first, None, motion, found)
-            partial = made if isinstance(made, Trajectory) and made.proof.holds else None
+            statistics = PlanStatistics("partial", "", way.motions, 0.0, 0.0, 0, len(points), clock.seconds)
+            result = build(task, first, None, motion, statistics)
+            partial = result if isinstance(result, Trajectory) and result.proof.holds else None
     near = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
     why = f"; {way.why}" if way.why else ""
     count = "1 motion was" if way.motions == 1 else f"{way.motions} motions were"
@@ -436,7 +455,7 @@ def _not_found(task: PlanTask, first: Equilibrium, goals: Sequence[End], way: Wa
 
 
 def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, Motion | None]:
-    """The longest beginning of a way whose proof should take no longer than `left` seconds, as a motion with rests."""
+    """Longest first part of a path whose proof should take no longer than `left` seconds, as a motion with stops."""
     while len(points) > 1:
         motion = stopping_at(joint_curves(task, points), limits)
         samples = len(motion.sampled(task.scale)[0])
@@ -447,16 +466,16 @@ def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> t
     return points, None
 
 
-# They rank poses of the plate; plans decide.
+# They only rank poses of the plate; plans decide.
 ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
 """Random arms that rank poses of the plate, those considered per goal position (nearest first), and points of each."""
 
-# A pose that leads nowhere must not use up the time of those after it.
+# A pose without a plan must not use the time of those after it.
 SPLIT = 4
-"""While more than so many poses of the plate remain, each gets this fraction of the remaining time."""
+"""While more than SPLIT poses of the plate remain, each gets 1 / SPLIT of the remaining time."""
 
 MOST = 16384
-"""Places of the plate that can be looked at."""
+"""Maximum number of poses of the plate."""
 
 
 @typed
@@ -492,8 +511,10 @@ class EntryRegion(Displayed):
             raise InputError("the entry has no freedom; it must have a radius, a box, places or a cone")
 
     def frames(self, count: int, seed: int = 0) -> list[Frame]:
-        """Places of the plate, spread evenly, the first as it is given: without a tilt, and in the middle of a disc
-        or box. Of places that are given there is each, however small the count."""
+        """Evenly distributed poses of the plate; the first is not tilted and in the middle of a disc or box.
+
+        Every one of given `places` has a pose, even if `count` is smaller.
+        """
         count = max(whole("count", count, 1), 0 if self.places is None else len(self.places))
         if count > MOST:
             raise InputError(f"the entry has {count} base poses to check; it must have at most {MOST}")
@@ -518,7 +539,7 @@ class EntryRegion(Displayed):
 
 
 class PlanGiven(TypedDict, total=False):
-    """What `plan_trajectory` takes that says nothing of where the plate stands."""
+    """Arguments of `plan_trajectory` that do not depend on the pose of the plate."""
 
     min_margin: float
     rate_limits: RateLimits
@@ -538,7 +559,7 @@ def plan_from_region(
     progress: Callable[[int, int], object] | None = None,
     **given: Unpack[PlanGiven],
 ) -> Trajectory:
-    """A motion as of `plan_trajectory`, from a base plate that is placed within a region.
+    """Plan a trajectory, as `plan_trajectory`, from a base plate that may be placed within a region.
 
     Args:
         start, goal, obstacles, options: as for `plan_trajectory`; obstacles and tip positions in the frame of the given
@@ -566,7 +587,7 @@ def plan_from_region(
     """
     instance("region", region, EntryRegion)
     check_goal(robot, goal)
-    task = asked(robot, obstacles, options=options, places=(start, goal), **given)
+    task = plan_task(robot, obstacles, options=options, places=(start, goal), **given)
     first = start_equilibrium(task.chart.space, start)
     frames = region.frames(count, options.seed)
     if progress is not None:
@@ -610,54 +631,55 @@ def plan_from_region(
 
 
 def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
-    """(K,) m: how far one stays from the goal from every place, the less the better, as far as random arms tell;
-    infinite where the start does not keep its clearance. Of the first places only, where half of the time is over."""
+    """Scores (K,) of poses of the plate, m: distance of the closest random arm from the goal; smaller is better.
+
+    Infinite where the start violates its clearance. Fewer than K if half of the time is over.
+    """
     of_tip = of_the_tip(goal)
     at_start = Lines.of([first], POINTS)
-    arms = _random(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], POINTS)
+    arms = _random_arms(task) if of_tip else Lines.of([start_equilibrium(task.chart.space, goal, name="goal")], POINTS)
     # The ranking must leave time for the plans.
-    half, found = task.clock.part(0.5), list[float]()
+    half, scores = task.clock.part(0.5), list[float]()
     for frame in frames:
-        if found and half.over:
+        if scores and half.over:
             break
-        if _room(task, at_start.placed(frame))[0] < task.clearance:
-            found.append(np.inf)
+        if _clearance(task, at_start.placed(frame))[0] < task.clearance:
+            scores.append(np.inf)
         elif of_tip:
-            found.append(_missed(task, arms, goal_seen(goal, frame), frame))
+            scores.append(_miss(task, arms, goal_seen(goal, frame), frame))
         else:
-            found.append(max(task.clearance - _room(task, arms.placed(frame))[0], 0.0))
-    return np.array(found)
+            scores.append(max(task.clearance - _clearance(task, arms.placed(frame))[0], 0.0))
+    return np.array(scores)
 
 
-def _random(task: PlanTask) -> Lines:
-    """Stable arms of random joint values."""
+def _random_arms(task: PlanTask) -> Lines:
+    """Stable arms with random joint values."""
     chart = task.chart
     arms = chart.arms(chart.space.sample(ARMS), task.min_margin)
-    kept = np.flatnonzero(arms.stable)
-    s = np.linspace(0.0, 1.0, POINTS) * arms.arc_length[kept, -1:]
-    shown = s[:, :, None] <= arms.tube_end[kept][:, None, :] + 1e-12
-    return Lines(arms.at(s, kept), np.where(shown, chart.radius, 0.0).max(2))
+    stable = np.flatnonzero(arms.stable)
+    s = np.linspace(0.0, 1.0, POINTS) * arms.arc_length[stable, -1:]
+    exists = s[:, :, None] <= arms.tube_end[stable][:, None, :] + 1e-12
+    return Lines(arms.at(s, stable), np.where(exists, chart.radius, 0.0).max(2))
 
 
-def _room(task: PlanTask, arms: Lines) -> Array:
-    """(N,) distance of arms from bodies, m."""
+def _clearance(task: PlanTask, arms: Lines) -> Array:
+    """(N,) distances of arms from bodies, m."""
     return np.asarray((nearest_distance(task.obstacles, arms.points) - arms.radius).min(1))
 
 
-def _missed(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
-    """How far arms that are turned about the plate's z, as they all may be, stay from a goal, and from their clearance,
-    m: the least of both together."""
+def _miss(task: PlanTask, arms: Lines, goal: TipGoal, frame: Frame) -> float:
+    """Smallest sum of distance from a goal and missing clearance over arms turned about the plate's z, m."""
     least = np.inf
     tip = arms.points[:, -1]
     for place in goal.places():
         x, y, z = np.asarray(place.position, dtype=float)
-        # Turned about z as a whole an arm stays an equilibrium: only radius and height of its tip count.
+        # Turned about z as a whole an arm remains an equilibrium: only radius and height of its tip matter.
         miss = np.hypot(np.hypot(tip[:, 0], tip[:, 1]) - np.hypot(x, y), tip[:, 2] - z)
         near = np.argsort(miss)[:NEAREST_ARMS]
         turn = np.arctan2(y, x) - np.arctan2(tip[near, 1], tip[near, 0])
         axes = scipy.spatial.transform.Rotation.from_rotvec(turn[:, None] * [0.0, 0.0, 1.0]).as_matrix()
         # Points are rows: R p is p @ R^T.
-        turned = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
-        short = np.maximum(task.clearance - _room(task, turned), 0.0)
-        least = min(least, float((miss[near] + short).min(initial=np.inf)))
+        rotated = Lines(frame.placed(arms.points[near] @ axes.transpose(0, 2, 1)), arms.radius[near])
+        missing = np.maximum(task.clearance - _clearance(task, rotated), 0.0)
+        least = min(least, float((miss[near] + missing).min(initial=np.inf)))
     return least

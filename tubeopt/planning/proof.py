@@ -1,16 +1,15 @@
-"""Proof of a trajectory: followed once more, by another solver than that of the search, and between its equilibria too.
+"""Proof of a trajectory: equilibria by a second solver, and closed-form bounds between them.
 
-The joint values are followed by `forward_kinematics` (collocation and Newton's method, where the planner integrates
-from the tip). What lies between two equilibria is bounded in closed form (see `branch` and `clearing`): that one
-unbroken branch of stable equilibria joins them, and how close the arm comes to bodies, at all times, all along and all
-around. Both rest on equilibria that are solved for to the tolerance of forward kinematics (1e-8 rad, estimated) and
-on their margins; samples are integrated once more by DOP853. The least margin is found numerically.
+The joint values are followed by `forward_kinematics` (collocation and Newton's method; the planner integrates from the
+tip). Between two equilibria, `branch` proves that one branch of stable equilibria joins them, and `trajectory_trace`
+bounds the clearance, at all times and all along the arm. Both assume equilibria within the tolerance of forward
+kinematics (1e-8 rad, estimated) and their margins; some are integrated again by DOP853. The smallest margin is found
+numerically.
 
-How fast the tip is, from above: what its second and third derivatives by time leave it between equilibria.
-
-See "Speed of the tip" in `docs/theory-proofs.md`. In the middle of a link the velocity is the mean one but for a 24th
-of the third derivative; between two places where it is known it is linear but for an eighth of that. Where it is
-known at both ends of a link, the cubic through both tips with these velocities leaves a 31st.
+The speed of the tip is bounded by its second and third time derivatives between equilibria; see "Speed of the tip" in
+`docs/theory-proofs.md`. In the middle of a link the velocity differs from the mean velocity by at most h^2 / 24 times
+the third derivative. Between two times with a known velocity it differs from a linear function by at most h^2 / 8 times
+that. With known velocities at both ends of a link, it differs from that of the cubic through both tips by h^2 / 31.
 """
 
 from __future__ import annotations
@@ -48,104 +47,117 @@ from ..stability.deflection import ForceBound, under_any_force
 from ..stability.following import checked_waypoints
 from ..typing import Array, Delegate, Mask, StatusEnum
 from .motion import SLACK, RateLimits, joint_range, out_of_range, rates_of, too_fast
-from .trajectory_trace import SHORTEST, Link, Step, TrajectoryTrace, TrajectoryVerifier, Wanted, follow, halves, joined
+from .trajectory_trace import (
+    SHORTEST,
+    ClearanceTarget,
+    Link,
+    Step,
+    TrajectoryTrace,
+    TrajectoryVerifier,
+    bisect,
+    follow,
+    prove_branch,
+)
 
 TIGHT = 0.029
-"""Share of the speed of the tip by which its bound may lie above what was measured."""
+"""Largest relative distance of the speed bound above the measured speed."""
 
+# The largest integral of the Peano kernel of that derivative.
 HERMITE = 0.03231
-"""The derivative of a function differs at most by this, times a bound of its third derivative and the square of the
-length, from that of the cubic with the same values and slopes at both ends."""
+"""Factor of h^2 |f'''| in the bound on |f' - c'|, where the cubic c has the values and slopes of f at both ends."""
 
-# The rest of the cubic's speed between them is bounded by 12 |bow| / (8 SAMPLES^2), 2 % of it.
+# Between the samples the speed grows by at most 12 |bow| / (8 SAMPLES^2), 2 % of it.
 SAMPLES = 8
-"""Parts of a link at the ends of which the speed along that cubic is evaluated."""
+"""Number of parts of a link between samples of the speed along that cubic."""
 
 STEADY = 1e-9
-"""Share of the largest joint rate by which directions of motion may differ where they are the same."""
+"""Largest difference of joint rates, relative to the fastest joint, at which directions of motion are the same."""
 
-# More at once would halve links that the first halving had already made sharp.
+# More at once would bisect links that the first bisection had already made sharp.
 MOST_HALVINGS = 2
-"""At a time."""
+"""Maximum number of bisections of a link in one round."""
 
 # 4096 parts of a link; beyond a fold the bound stays loose however short the links are.
 FINEST = 12
-"""Times that links are halved for that at most."""
-
+"""Maximum number of rounds."""
 
 Slopes = dict[tuple[Equilibrium, Carriages, int], Array]
-"""(3, 2n) J of equilibria, by the carriages on which tubes move together, and the side."""
+"""Jacobians (3, 2n) of the tip at equilibria, by the carriages on which tubes move together, and the side."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Speed of the tip, m/s: an upper bound `most`, infinite where nothing is proved, and what was `measured`."""
+    """Speed of the tip, m/s."""
 
-    most: float
+    bound: float
+    """Upper bound; infinite where nothing is proved."""
     measured: float
+    """Largest mean speed between two equilibria, less the error of the tips."""
 
 
 def paced(verifier: TrajectoryVerifier, links: Sequence[Link], span: float, limit: float) -> Pace:
-    """The pace of a motion that takes `span`, s, along links that follow each other, halved where its bound is not
-    sharp, or does not show that a `limit`, m/s, is kept."""
+    """Speed of the tip in a motion of duration `span`, s, along consecutive links.
+
+    Links are bisected where the bound is not sharp, or above a `limit`, m/s, that the motion may satisfy.
+    """
     links, most, measured = list(links), 0.0, 0.0
     slopes: Slopes = {}
     for _ in range(FINEST):
         row = _Row(verifier, links, span, slopes)
-        # Less the errors of both tips, so that this speed is certainly reached.
+        # Less the errors of both tips, so that this speed certainly occurs.
         measured = float((row.speed - row.wrong).max(initial=0.0))
-        if not all(len(link.off) and np.isfinite(link.off).all() for link in links):
+        if not all(len(link.chord_error) and np.isfinite(link.chord_error).all() for link in links):
             return Pace(math.inf, measured)
-        # Derivatives by the share of a link, divided by h^2 and h^3, are those by time.
+        # Derivatives by the fraction of a link, divided by h^2 and h^3, are those by time.
         rates = np.array([link.rates for link in links]).reshape(-1, 2).T / row.passed ** np.array([[2], [3]])
-        own, reached = row.fastest(rates, min(measured * (1 + TIGHT), limit))
-        most, reached = float(own.max(initial=0.0)), max(measured, reached)
-        line = reached * (1 + TIGHT)
-        # A bound must be sharp, and within the limit too, unless a speed that is reached breaks the limit anyway.
-        loose = own > (min(line, limit) if reached <= limit else line)
-        loose &= np.array([link.other.at - link.one.at >= SHORTEST for link in links], dtype=bool)
-        # The speed over less than the accuracy of the tips is not known better.
+        own, attained = row.fastest(rates, min(measured * (1 + TIGHT), limit))
+        most, attained = float(own.max(initial=0.0)), max(measured, attained)
+        sharp = attained * (1 + TIGHT)
+        # A bound must be sharp and within the limit, unless a speed that occurs exceeds the limit anyway.
+        loose = own > (min(sharp, limit) if attained <= limit else sharp)
+        loose &= np.array([link.end.at - link.start.at >= SHORTEST for link in links], dtype=bool)
+        # Over distances below the accuracy of the tips the speed cannot be known better.
         loose &= own * row.passed > TOLERANCE * verifier.length
-        if not loose.any() or verifier.over:
+        if not loose.any() or verifier.exhausted:
             break
-        # What the bound gives away falls with the square of the length, and faster near folds; halves get the cubic.
+        # The excess of the bound falls with the square of the length, and faster near folds; halves use the cubic.
         best = np.minimum(own, row.speed + HERMITE * rates[1] * row.passed**2)
-        wide = np.maximum(best - reached, TIGHT * reached) / (TIGHT * reached or 1.0)
-        # Assumes that a halving gains 2^3; what is loose after that is halved in the next round.
+        wide = np.maximum(best - attained, TIGHT * attained) / (TIGHT * attained or 1.0)
+        # Assume a factor 2^3 per bisection; links that are loose after that are bisected in the next round.
         times = np.where(loose, np.ceil(np.log2(wide) / 3).clip(1, MOST_HALVINGS), 0).tolist()
         parts: list[Link] = []
         for link, count, bound in zip(links, times, own.tolist(), strict=True):
-            # The bound of a whole link is valid for its halves: they start with it.
+            # The bound of a whole link is valid for its halves.
             more = [replace(link, fastest=bound)] if count else []
             for _ in range(int(count)):
-                more = [half for each in more for half in halves(verifier, each)]
+                more = [half for each in more for half in bisect(verifier, each)]
             parts += more
         links = [link for link, count in zip(links, times, strict=True) if not count]
-        links += joined(verifier, parts)[0]
+        links += prove_branch(verifier, parts).links
         # In order of time: bounds of neighbours are combined.
-        links.sort(key=lambda link: link.one.at)
+        links.sort(key=lambda link: link.start.at)
     return Pace(most, measured)
 
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """B links that follow each other, in a motion that takes `span`, s."""
+    """B consecutive links of a motion of duration `span`, s."""
 
     verifier: TrajectoryVerifier
     links: list[Link]
     span: float
     slopes: Slopes
-    """What was computed of J."""
+    """Jacobians computed so far."""
 
     @cached_property
     def passed(self) -> Array:
-        """(B,) s."""
-        return np.array([self.span * (link.other.at - link.one.at) for link in self.links])
+        """(B,) durations of the links, s."""
+        return np.array([self.span * (link.end.at - link.start.at) for link in self.links])
 
     @cached_property
     def steps(self) -> list[Step]:
-        """(B + 1,)."""
-        return [self.links[0].one, *(link.other for link in self.links)] if self.links else []
+        """The B + 1 steps between the links."""
+        return [self.links[0].start, *(link.end for link in self.links)] if self.links else []
 
     @cached_property
     def chord(self) -> Array:
@@ -155,52 +167,50 @@ class _Row:
 
     @cached_property
     def speed(self) -> Array:
-        """(B,) their sizes."""
+        """(B,) mean speeds of the tip, m/s."""
         return np.asarray(np.linalg.norm(self.chord, axis=1))
 
     @cached_property
     def wrong(self) -> Array:
-        """(B,) by how much the errors of both tips may change that size."""
+        """(B,) bound on the error of `speed` due to errors of both tips, m/s."""
         error = np.array([step.equilibrium.tip_error for step in self.steps])
         # The difference of two tips is off by the sum of their errors, at most twice the larger one.
         return np.asarray(2 * np.maximum(error[1:], error[:-1]) / self.passed)
 
     @cached_property
     def rate(self) -> Array:
-        """(B, 2n) of the joints."""
+        """(B, 2n) rates of the joints."""
         return np.diff([step.joints for step in self.steps], axis=0) / self.passed[:, None]
 
     @cached_property
     def pace(self) -> Array:
-        """(B,) the largest rate of a joint; 1 at rest."""
+        """(B,) largest rate of a joint; 1 at rest."""
         most = np.abs(self.rate).max(1)
         return np.where(most > 0, most, 1.0)
 
     @cached_property
     def alike(self) -> Mask:
-        """(B - 1,) whether joints go on along the same straight line at the inner steps, and so do the sections of the
-        arm."""
+        """(B - 1,) True where joints continue along the same straight line at an inner step, and sections in order."""
         n, along = self.verifier.robot.n_tubes, self.rate / self.pace[:, None]
         same = (np.abs(np.diff(along, axis=0)) <= STEADY).all(1)
         if not self.rate[:, n:].any():
             return np.asarray(same)
-        # A gap that changes its sign over two links: breakpoints pass each other. One sign is enough, since the table
-        # is antisymmetric.
-        gap = self._gaps(np.array([step.joints[n:] for step in self.steps]))
-        return np.asarray(same & ~((gap[:-2] > ROUND_OFF) & (gap[2:] < -ROUND_OFF)).any((1, 2)))
+        # A distance that changes its sign over two links: breakpoints pass each other. One sign is enough, since the
+        # table is antisymmetric.
+        distance = self._distances(np.array([step.joints[n:] for step in self.steps]))
+        return np.asarray(same & ~((distance[:-2] > ROUND_OFF) & (distance[2:] < -ROUND_OFF)).any((1, 2)))
 
-    def _gaps(self, translations: Array) -> Array:
-        """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n)."""
+    def _distances(self, translations: Array) -> Array:
+        """(S, P, P) between breakpoints, the plate and places of the load, at translations (S, n), with sign, m."""
         points = self.verifier.cuts(translations)
         return np.asarray(points[:, :, None] - points[:, None, :])
 
     def velocity(self, step: int, link: int) -> Array | None:
-        """(3,) velocity of the tip at the first or last step of a link, m/s, in the limit from inside the link; None at
-        a fold.
+        """(3,) velocity of the tip at a step of a link, m/s, as the limit from inside the link; None at a fold.
 
         It is J q'. But where breakpoints meet, each column of J has another order of the sections, and columns do not
-        add up. There q' is a sum of parts that keep the order which the sections have in the link: all moving tubes
-        together at the rate of the slowest, then all others by what the next is faster, and so on.
+        add up. There q' is a sum of parts that keep the order of the sections in the link: all moving tubes together at
+        the rate of the slowest, then the others together at the difference to the next rate, and so on.
         """
         e, inwards, n = self.steps[step].equilibrium, 1 if step == link else -1, self.verifier.robot.n_tubes
         turn, shift = np.split(inwards * self.rate[link], 2)
@@ -221,9 +231,9 @@ class _Row:
         return np.asarray(inwards * velocity)
 
     def _meeting(self, step: int, shift: Array) -> bool:
-        """Whether moving breakpoints of tubes at rates (n,) meet others, the plate or a place of the load at a step."""
+        """True if breakpoints of tubes with rates `shift` (n,) meet others, the plate or a place of the load."""
         n, ended = self.verifier.robot.n_tubes, self.verifier.constants.ended
-        meet = np.abs(self._gaps(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
+        meet = np.abs(self._distances(self.steps[step].joints[None, n:])[0]) <= ROUND_OFF
         owner = np.full(len(meet), -1)
         # Points are the plate, the breakpoints of all tubes, then places of the load; only those of tubes move.
         owner[1 : 1 + n * ended] = np.tile(np.arange(n), ended)
@@ -231,7 +241,7 @@ class _Row:
         return bool((meet & (owner[:, None] != owner) & (moves[:, None] | moves)).any())
 
     def _slopes(self, e: Equilibrium, together: Mask | None = None, side: int = 1) -> Array:
-        """(3, 2n) J to one side, in which some tubes (n,) share a carriage, and so do the others."""
+        """(3, 2n) one-sided J, where the tubes `together` (n,) share a carriage, and so do the others."""
         carriages = self.verifier.robot.moving_together
         if together is not None:
             groups = (np.flatnonzero(mask).tolist() for mask in (together, ~together))
@@ -241,47 +251,51 @@ class _Row:
             self.slopes[key] = position_slopes(e, carriages, side=side)
         return self.slopes[key]
 
-    def fastest(self, rates: Array, line: float) -> tuple[Array, float]:
-        """(B,) bounds of the speed in links where the second and third derivatives of the tip are at most `rates`
-        (2, B); J is asked for where they are above a `line`, m/s, without it, and tells a speed that is reached."""
+    def fastest(self, rates: Array, threshold: float) -> tuple[Array, float]:
+        """(B,) upper bounds on the speed in links, m/s, and the largest exact speed that was computed.
+
+        `rates` (2, B) bound the second and third derivative of the tip. J is computed where the bound without it is
+        above a `threshold`, m/s.
+        """
         if not self.links:
             return np.zeros(0), 0.0
         h, third, speed = self.passed, rates[1], self.speed
         wrong = self.wrong
         # With |v'| <= a, v differs from its mean over h by a h / 2 at most: at an end, with v' = a throughout.
         plain = np.minimum(speed + rates[0] * h / 2 + wrong, [link.fastest for link in self.links])
-        # About the middle the second derivative cancels, and the third one leaves a 24th.
+        # In the middle the second derivative cancels, and the third one leaves h^2 / 24.
         middle = speed + third * h**2 / 24 + wrong
-        # From the middle of a link to that of the next, by what the joints go instead of time: at other rates too.
+        # From the middle of a link to that of the next, by the joint path instead of time, since rates may differ.
         pace = self.pace
-        far, slow, bent = h * pace, middle / pace, third / pace**3
-        long, both = (far[1:] + far[:-1]) / 2, np.maximum(bent[1:], bent[:-1])
-        inner = np.where(self.alike, np.maximum(slow[1:], slow[:-1]) + both * long**2 / 8, np.inf)
+        path, slope, slope_tt = h * pace, middle / pace, third / pace**3
+        length, third_path = (path[1:] + path[:-1]) / 2, np.maximum(slope_tt[1:], slope_tt[:-1])
+        inner = np.maximum(slope[1:], slope[:-1]) + third_path * length**2 / 8
+        inner = np.where(self.alike, inner, np.inf)
         sides = np.stack([np.append(np.inf, inner), np.append(inner, np.inf)]) * pace
-        out, reached = np.minimum(plain, sides.max(0)), 0.0
-        enough = speed + HERMITE * third * h**2 <= line
-        for k in np.flatnonzero((out > line) & np.isfinite(third)).tolist():
+        bound, attained = np.minimum(plain, sides.max(0)), 0.0
+        enough = speed + HERMITE * third * h**2 <= threshold
+        for k in np.flatnonzero((bound > threshold) & np.isfinite(third)).tolist():
             ends: list[Array | None] = [None, None]
             # The side without a bound first: J is necessary there, and may make the other side unnecessary.
             for side in np.argsort(np.isfinite(sides[:, k]), kind="stable").tolist():
                 missing = not np.isfinite(sides[side, k])
-                if not missing and (not enough[k] or min(plain[k], sides[:, k].max()) <= line):
+                if not missing and (not enough[k] or min(plain[k], sides[:, k].max()) <= threshold):
                     break
                 ends[side] = end = self.velocity(k + side, k)
-                there = 0.0 if end is None else float(np.linalg.norm(end))
-                reached = max(reached, there)
+                end_speed = 0.0 if end is None else float(np.linalg.norm(end))
+                attained = max(attained, end_speed)
                 if missing and end is not None:
                     # Linear from the middle to the end, h / 2 away, but for third (h / 2)^2 / 8.
-                    sides[side, k] = max(middle[k], there) + third[k] * h[k] ** 2 / 32
+                    sides[side, k] = max(middle[k], end_speed) + third[k] * h[k] ** 2 / 32
             if ends[0] is not None and ends[1] is not None:
                 # An error of the mean changes the cubic's velocity by 6 x (1 - x) <= 1.5 times itself.
                 cubic = fastest_on_cubic(self.chord[k], ends[0], ends[1]) + 1.5 * wrong[k]
                 plain[k] = min(plain[k], cubic + HERMITE * third[k] * h[k] ** 2)
-        return np.asarray(np.minimum(plain, sides.max(0))), reached
+        return np.asarray(np.minimum(plain, sides.max(0))), attained
 
 
 def fastest_on_cubic(mean: Array, begin: Array, end: Array) -> float:
-    """Upper bound of the speed along the cubic with velocities (3,) `begin` and `end` at its ends and this `mean`."""
+    """Upper bound on the speed along the cubic with mean velocity `mean` (3,) and the velocities `begin` and `end`."""
     x, bow = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (begin + end) / 2
     # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
     # bounds the speed between samples.
@@ -297,12 +311,12 @@ MOST_CELLS = 3_000_000
 
 # A wrong mesh, or numbers of another robot, show at any equilibrium.
 VERIFIED, AGREEMENT = 5, 1e-6
-"""Equilibria that are integrated once more, and the largest difference of a tip from its re-integration, over the
-length of the robot."""
+"""Number of equilibria to re-integrate; largest difference of a tip from its re-integration, relative to the robot's
+length."""
 
 
 class ProofStatus(StatusEnum):
-    """What is known of a trajectory that was followed once more; every value reads as a sentence."""
+    """Result of a proof; every value reads as a sentence."""
 
     PROVED = "the trajectory is proved from end to end"
     OPEN = "the time limit was reached before the proof finished; no violation was found"
@@ -311,16 +325,16 @@ class ProofStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class ProofStatistics:
-    """What a proof took, and how far it came."""
+    """Effort and progress of a proof."""
 
     equilibria: Annotated[int, "number of equilibria of the proof"]
     followed: Annotated[float, unit("percent"), "part of the motion that was followed"]
-    """Of the time, up to the last equilibrium."""
+    """Fraction of the time up to the last equilibrium."""
 
 
 @dataclass(frozen=True)
 class Paces:
-    """How fast a trajectory is, and how far its tip goes."""
+    """Speeds and accelerations of a trajectory, and the length of its tip path."""
 
     largest_rotation_rate: Annotated[float, unit("deg_per_s"), "largest rotation rate of a tube"]
     largest_translation_rate: Annotated[float, unit("mm_per_s"), "largest translation rate of a tube"]
@@ -344,7 +358,7 @@ class Proof(Displayed):
     snap: Annotated[float | None, key("snap_at_percent"), "position of a snap along the motion"]
     """Fraction of the time, from `find_snap`; None where the branch reaches the end."""
     least_margin: Annotated[float, form(".4f", label="least margin"), "smallest margin"]
-    """At the equilibria of the proof; 0 at a snap."""
+    """Smallest margin at the equilibria of the proof; 0 at a snap."""
     least_clearance: Annotated[float, unit("mm"), "proved distance of the arm from obstacles"]
     """Lower bound on the distance between arm and obstacles at all times up to `end`, m. The arm is every point within
     the radius of the outermost tube from the centreline, so it has round ends. Infinite without obstacles, -inf without
@@ -352,7 +366,7 @@ class Proof(Displayed):
     """
     measured_clearance: Annotated[float, unit("mm"), "smallest distance at the checked instants"]
     paces: Paces
-    """Speeds and accelerations."""
+    """Speeds, accelerations and path length."""
     reintegration: Annotated[
         float, unit("mm"), "largest difference of a tip from adaptive re-integration; under a load, the estimated error"
     ]
@@ -386,7 +400,7 @@ class Proof(Displayed):
 
     @property
     def status(self) -> ProofStatus:
-        """Whether the trajectory is proved, as a sentence."""
+        """Result of the proof, as a sentence."""
         if self.holds:
             return ProofStatus.PROVED
         return ProofStatus.OPEN if self.open else ProofStatus.FAULTY
@@ -398,26 +412,22 @@ class Proof(Displayed):
 
     @property
     def clearance_bound(self) -> float:
-        """`least_clearance`, which is a bound, m."""
+        """`least_clearance`, m."""
         return self.least_clearance
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What a trajectory must keep; as of `verify_trajectory`."""
+    """Requirements on a trajectory, as arguments of `verify_trajectory`."""
 
     bodies: tuple[Obstacle, ...]
-    """Obstacles."""
     min_margin: float
-    """Least margin."""
     clearance: float
-    """Of the arm from them, m."""
+    """Required distance of the arm from the bodies, m."""
     rate_limits: RateLimits | None
-    """Of the actuators and the tip."""
     limits: JointLimits | None
-    """Of the joints."""
     max_force: float
-    """On the tip, N."""
+    """Largest dead force on the tip, in addition to the load, N."""
 
 
 @typed
@@ -438,7 +448,7 @@ def verify_trajectory(  # noqa: PLR0913
     max_force: float = 0.0,
     load: Load | None = None,
 ) -> Proof:
-    """Proof or faults of any trajectory, which is followed from its start. Joint values are linear between samples.
+    """Proof or faults of any trajectory, followed from its start; joint values are linear between samples.
 
     Args:
         time: (T,) s, increasing.   rotations, translations: (T, n) rad and m; translations default to home.
@@ -484,14 +494,13 @@ def verify_trajectory(  # noqa: PLR0913
 
 
 def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock) -> Proof:
-    """What is found on a trajectory through joint values (T, 2n) at times t (T,), s, which begins with an equilibrium
-    at the first of them."""
+    """Proof of a trajectory of joint values (T, 2n) at times t (T,), s, from an equilibrium at the first."""
     robot, load, (alpha, shift) = first.robot, first.load, np.split(joints, 2, axis=1)
     forced = under_any_force(robot, shift, kept.max_force, load) if kept.max_force else None
     moved = forced.deflection if forced is not None and math.isfinite(forced.deflection) else 0.0
-    # A force may move the arm that much closer to bodies than the bound of the arm without it shows.
-    wanted = Wanted(kept.clearance + moved, ACCURACY, MOST_CELLS)
-    verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), wanted, clock, load)
+    # A force may move the arm closer to bodies by its deflection.
+    target = ClearanceTarget(kept.clearance + moved, ACCURACY, MOST_CELLS)
+    verifier = TrajectoryVerifier(robot, scene_of(kept.bodies), target, clock, load)
     rate_limits = kept.rate_limits
     tip = math.inf if rate_limits is None or rate_limits.tip is None else rate_limits.tip
     trace = follow(verifier, first, t, joints)
@@ -507,7 +516,7 @@ def proved(first: Equilibrium, t: Array, joints: Array, kept: Kept, clock: Clock
 
 
 def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array], load: Load | None) -> Equilibrium:
-    """The stable equilibrium at the first joint values, under the load."""
+    """Stable equilibrium at the first joint values, under the load."""
     if load is not None:
         check_load(robot, load, tuple(joints[1].tolist()))
     first = forward_kinematics(robot, *joints, load=load) if start is None else start
@@ -522,7 +531,7 @@ def _first(robot: Robot, start: Equilibrium | None, joints: tuple[Array, Array],
 
 
 def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
-    """What is not shown for all forces."""
+    """Faults of the bounds for all forces on the tip."""
     size = f"{forced.max_force * 1e3:g} mN"
     if forced.margin <= 0:
         return [f"not proved: nothing shows that no force of up to {size} on the tip snaps or buckles the robot"]
@@ -533,21 +542,21 @@ def _force_faults(forced: ForceBound, min_margin: float) -> list[str]:
 
 
 def _tip_faults(pace: Pace, limit: float, *, pushed: bool) -> list[str]:
-    """What is not shown of the speed of the tip, where it is limited."""
+    """Faults of the bound on the speed of the tip, where it is limited."""
     allowed = f"it must be at most {limit * 1e3:.4g} mm/s"
     if limit == math.inf or pace.measured > limit * (1 + SLACK):
         return []
     if pushed:
         return [f"not proved: nothing bounds the speed of the tip while a force changes; {allowed}"]
-    if pace.most == math.inf:
+    if pace.bound == math.inf:
         return [f"not proved: nothing bounds the speed of the tip; {allowed}"]
-    if pace.most > limit * (1 + SLACK):
-        return [f"not proved: of the speed of the tip only {pace.most * 1e3:.5g} mm/s are shown; {allowed}"]
+    if pace.bound > limit * (1 + SLACK):
+        return [f"not proved: of the speed of the tip only {pace.bound * 1e3:.5g} mm/s are shown; {allowed}"]
     return []
 
 
 def _under_force(proof: Proof, forced: ForceBound) -> Proof:
-    """The same with what is left under any force."""
+    """Proof with the margin and clearance left under any force."""
     shown = forced.margin > 0
     return replace(
         proof,
@@ -580,8 +589,8 @@ def _times(time: ArrayLike, count: int) -> Array:
 def _branch_faults(
     verifier: TrajectoryVerifier, trace: TrajectoryTrace, min_margin: float, time: Array
 ) -> tuple[list[str], list[str]]:
-    """What is wrong with the branch, its margin and its clearance; and what of them is not shown."""
-    faults, unproved, wanted = [], [], verifier.wanted.clearance
+    """Violations of branch, margin and clearance; and requirements on them that are not proved."""
+    faults, unproved, required = [], [], verifier.target.clearance
     if trace.snap is not None:
         at = f"{100 * trace.snap:.3g} % of the trajectory ({time[0] + trace.snap * np.ptp(time):.3g} s)"
         flutter = f"the robot begins to flutter at {at} or a little later: its equilibrium becomes unstable"
@@ -594,24 +603,24 @@ def _branch_faults(
         needed = f"more than {verifier.count} equilibria would be needed"
         why = "the time limit was reached" if verifier.clock.over else needed
         unproved.append(f"not proved: {why} {followed}")
-    elif trace.lost and verifier.says:
-        unproved.append(f"not proved: {verifier.says}")
-    elif trace.lost:
-        a, b = trace.lost[0]
+    elif trace.unproved and verifier.unprovable:
+        unproved.append(f"not proved: {verifier.unprovable}")
+    elif trace.unproved:
+        a, b = trace.unproved[0]
         for step in trace.steps:
-            if a <= step.at <= b and (sure := verifier.sure(step.equilibrium)) <= 0:
+            if a <= step.at <= b and (sure := verifier.sure_margin(step.equilibrium)) <= 0:
                 at = f"{100 * step.at:.4g} % of the trajectory the margin is {step.equilibrium.margin:.3g}"
                 least = f"the least eigenvalue of the symmetric part of the linearised equations is {sure:.3g}"
                 why = f"not proved: at {at}, but {least}; a proof under moments needs it above 0"
                 return faults, [*unproved, why]
         where = f"{100 * a:.8g} % and {100 * b:.8g} % of the trajectory"
         unproved.append(f"not proved: nothing shows that one stable branch joins {where}")
-    if trace.measured < wanted:
+    if trace.measured < required:
         shown = trace.measured * 1e3
-        faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {wanted * 1e3:.6g} mm")
-    elif -math.inf < trace.clearance < wanted:
+        faults.append(f"the arm comes as close as {shown:.4g} mm; it must keep {required * 1e3:.6g} mm")
+    elif -math.inf < trace.clearance < required:
         shown = trace.clearance * 1e3
-        unproved.append(f"not proved: of the clearance of {wanted * 1e3:.6g} mm only {shown:.4g} mm are shown")
+        unproved.append(f"not proved: of the clearance of {required * 1e3:.6g} mm only {shown:.4g} mm are shown")
     return faults, unproved
 
 
@@ -630,7 +639,7 @@ def _judge(
     table: tuple[Array, Array, Array],
     rate_limits: RateLimits | None,
 ) -> Proof:
-    """Gather what was found, with what is wrong with the table itself."""
+    """Proof with all faults, also those of the table itself."""
     (t, alpha, shift), (trace, pace) = table, found
     steps = [step.equilibrium for step in trace.steps]
     tips = np.array([e.tip_position for e in steps])
@@ -651,7 +660,7 @@ def _judge(
         least_clearance=trace.clearance,
         measured_clearance=trace.measured,
         paces=Paces(
-            *(turning[0], moving[0], turning[1], moving[1], tip_step, pace.most, pace.measured),
+            *(turning[0], moving[0], turning[1], moving[1], tip_step, pace.bound, pace.measured),
             tip_length=float(moved.sum()),
         ),
         reintegration=again,
@@ -664,10 +673,10 @@ def _judge(
 
 
 def _at_samples(steps: Sequence[Step], t: Array) -> tuple[Equilibrium, ...]:
-    """Of steps that follow times (T,) the equilibria at these, as far as they go."""
+    """Equilibria at the times (T,) of the samples, up to the last step."""
     at = np.array([step.at for step in steps])
-    share = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)
+    fraction = (t - t[0]) / ((t[-1] - t[0]) or 1.0) if len(t) > 1 else np.ones(1)
     # Half of the shortest link earlier: round-off must not choose the step after a sample.
-    nearest = np.searchsorted(at, share - SHORTEST / 2)
+    nearest = np.searchsorted(at, fraction - SHORTEST / 2)
     reached = nearest < len(at)
     return tuple(steps[k].equilibrium for k in nearest[reached])

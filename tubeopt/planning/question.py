@@ -1,4 +1,4 @@
-"""The chart of a robot that bears a load: points are equilibria without it, arms are what the load makes of them."""
+"""Question of a plan: options, requirements and the chart, also of a robot under a load."""
 
 from __future__ import annotations
 
@@ -32,44 +32,44 @@ from .loaded_sections import uncovered
 from .motion import DEFAULT_RATES, RateLimits
 
 SAME = 1e-6
-"""Tips (rad) of equilibria that are one."""
+"""Largest difference of the tip rotations (rad) of equal equilibria."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedChart(TipCoordinates):
-    """As `TipCoordinates`; every arm is that into which the stable equilibrium of its point grows with the load."""
+    """Tip coordinates of a robot under a load: points are equilibria without it, arms those after it has grown."""
 
     def of(self, equilibrium: Equilibrium) -> Array:
-        """The point of an equilibrium: that of what is left of it without its load.
+        """Point of an equilibrium: that of its shape after the load is removed.
 
         Raises:
-            SolveError: it snaps as the load is taken off.
+            SolveError: it snaps as the load is removed.
         """
-        known = equilibrium
-        if known.load is not None:
-            known = forward_kinematics(known.robot, known.rotations, known.translations, load=Load(), start=known)
-        return super().of(known)
+        e = equilibrium
+        if e.load is not None:
+            e = forward_kinematics(e.robot, e.rotations, e.translations, load=Load(), start=e)
+        return super().of(e)
 
     def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> Arms:
-        """As those of `TipCoordinates`, under the load."""
+        """Arms of points (k, m) under the load, with margins above `margin`."""
         plain, shift = super().arms(z, 0.0, clock), self.translations(z)
-        floor, found = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
+        floor, loaded = np.broadcast_to(margin, len(z)), dict[int, Equilibrium]()
         for k in np.flatnonzero(plain.stable).tolist():
             if clock is not None and clock.over:
                 raise LateError
             e = self._loaded(z[k, : shift.shape[1]], plain.rotations[k], shift[k])
             if e is not None:
-                found[k] = e
-        stable = np.array([k in found and found[k].margin > floor[k] for k in range(len(z))], dtype=bool)
-        width = max((len(e.arc_length) for e in found.values()), default=plain.points.shape[1])
+                loaded[k] = e
+        stable = np.array([k in loaded and loaded[k].margin > floor[k] for k in range(len(z))], dtype=bool)
+        width = max((len(e.arc_length) for e in loaded.values()), default=plain.points.shape[1])
         points, tangents, s = (_widened(table, width) for table in (plain.points, plain.tangents, plain.arc_length))
-        for k, e in found.items():
+        for k, e in loaded.items():
             own = e.position, e.frame[:, :, 2], e.arc_length
             points[k], tangents[k], s[k] = (_widened(table[None], width)[0] for table in own)
         return Arms(plain.rotations, stable, points, tangents, s, plain.tube_end)
 
     def _loaded(self, tips: Array, rotations: Array, translations: Array) -> Equilibrium | None:
-        """The equilibrium under the load at joint values, grown from the one without it that has these tips."""
+        """Equilibrium under the load at joint values, from the one without it that has these tip rotations."""
         robot = self.space.robot
         try:
             bare = forward_kinematics(robot, rotations, translations)
@@ -83,17 +83,16 @@ class LoadedChart(TipCoordinates):
 
 
 def _widened(table: Array, width: int) -> Array:
-    """(N, width, ...) of a table (N, p, ...): its last points repeated, or left out."""
+    """(N, width, ...) table from one (N, p, ...), with its last points repeated or omitted."""
     more = [(0, 0)] * table.ndim
     more[1] = (0, max(0, width - table.shape[1]))
     return np.pad(table, more, mode="edge")[:, :width].copy()
 
 
-# The deflection between both ends is bounded by the proof; the search reserves a little more than at its ends, so that
-# the proof does not fail by a hair.
-FORCE_ROOM = 1.05
-"""Safety factor on the displacement of the arm by a force, known at the ends of a motion."""
-
+# The proof bounds the deflection between both ends too; the search reserves a little more than at the ends, so that
+# the proof does not narrowly fail.
+DEFLECTION_FACTOR = 1.05
+"""Safety factor on the deflection of the arm by a force at the ends of a motion."""
 
 WEIGHTS = {
     "length": (1.0, 0.1, 0.0, 0.0),
@@ -101,20 +100,20 @@ WEIGHTS = {
     "effort": (0.02, 0.05, 1e-2, 0.0),
     "margin": (0.02, 0.05, 0.0, 1.0),
 }
-"""Of length, time, effort and margin, for every objective."""
+"""Weights of length, time, effort and margin, for every objective."""
 
 PATH_QUANTITIES = ("rotations", "translations", "tip_position", "tip_direction")
-"""What a custom cost on the path may speak of, at every knot."""
+"""Quantities in a custom cost on the path, at every knot."""
 
 
 class PathSource(Protocol):
     """Source of known paths among obstacles, such as a `Roadmap`."""
 
     def shortest_path(self, task: PlanTask, start: Array, goals: Sequence[Array], clock: Clock) -> Way:
-        """The shortest known path from a point to one of the goals; without points if there is none."""
+        """Shortest known path from a point to one of the goals; without points if there is none."""
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
-        """At most `count` points with tips nearest to a place."""
+        """Points with tips nearest to a place, at most `count`."""
 
 
 @dataclass(frozen=True)
@@ -187,25 +186,22 @@ DEFAULT_PLAN = PlanOptions()
 
 @dataclass(frozen=True, eq=False)
 class PlanTask(Task):
-    """What must hold all along a plan, how fast the actuators are, and how it is made.
-
-    The clock, of the time limit, runs from when it was asked.
-    """
+    """Requirements on a plan, with limits of the actuators and options; its clock of the time limit is running."""
 
     max_force: float = 0.0
-    """On the tip, N, up to which margin and clearance shall hold."""
+    """Largest force on the tip under which margin and clearance must hold, N."""
     reserve: float = 0.0
-    """Part of `clearance` for that, m."""
+    """Part of `clearance` for the deflection by that force, m."""
     rates: RateLimits = DEFAULT_RATES
-    """How fast the actuators are."""
+    """Limits of the actuators."""
     options: PlanOptions = DEFAULT_PLAN
-    """What was asked for beyond that."""
+    """Options of search and smoothing."""
     cost: tuple[Expression, float] | None = None
-    """Of smoothing, the own one of a pose, and what it is multiplied by."""
+    """Custom cost of a pose in the smoothing, and its weight."""
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """Raise SolveError where the clock is over in the middle of something."""
+        """Context that turns a LateError into a SolveError."""
         try:
             yield
         except LateError:
@@ -213,7 +209,7 @@ class PlanTask(Task):
             raise SolveError(f"no path was found within the time limit of {limit}") from None
 
 
-def asked(
+def plan_task(
     robot: Robot,
     obstacles: Sequence[Obstacle],
     min_margin: float = 0.05,
@@ -223,7 +219,7 @@ def asked(
     load: Load | None = None,
     places: Sequence[Any] = (),
 ) -> PlanTask:
-    """The task, its clock running from here; `places` are the configurations that its joint space has to have.
+    """Task of a plan, with its clock running; `places` are configurations that its joint space must contain.
 
     Raises:
         InputError: arguments of another kind, or with numbers that make no sense.
@@ -259,7 +255,7 @@ def asked(
 
 
 def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
-    """The chart of a robot that bears a load; raises InputError where no plan could be proved."""
+    """Chart of a robot under a load; raises InputError where no plan could be proved."""
     instance("load", load, Load)
     what = uncovered(load)
     if what:
@@ -270,15 +266,15 @@ def _loaded(space: JointSpace, load: Load, options: PlanOptions) -> LoadedChart:
     return LoadedChart(space, load)
 
 
-def bearing(task: PlanTask, *translations: Array) -> PlanTask:
-    """The task with room for what a force on the tip moves the arm by at translations (n,) each, and between them.
+def reserve_deflection(task: PlanTask, *translations: Array) -> PlanTask:
+    """Task with the clearance increased by the deflection under a tip force, at and between translations (n,) each.
 
     Raises:
-        SolveError: at one of them it is not shown that every such force leaves the margin.
+        SolveError: at one of them the margin is not proved for every such force.
     """
     if not task.max_force:
         return task
-    robot, alone = task.chart.space.robot, []
+    robot, deflections = task.chart.space.robot, []
     for each in translations:
         bound = under_any_force(robot, each, task.max_force, task.chart.load)
         if bound.margin <= 0 or bound.margin < task.min_margin:
@@ -288,9 +284,9 @@ def bearing(task: PlanTask, *translations: Array) -> PlanTask:
                 f"{bound.margin:.3g} under any tip force up to {task.max_force * 1e3:g} mN; "
                 f"it must be at least {max(task.min_margin, 0.0):g}"
             )
-        alone.append(bound.deflection)
+        deflections.append(bound.deflection)
     between = under_any_force(robot, np.array(translations), task.max_force, task.chart.load).deflection
-    reserve = FORCE_ROOM * (between if np.isfinite(between) else max(alone))
+    reserve = DEFLECTION_FACTOR * (between if np.isfinite(between) else max(deflections))
     return replace(task, clearance=task.clearance - task.reserve + reserve, reserve=reserve)
 
 
@@ -301,11 +297,11 @@ def path_cost(extra: CustomObjective, n: int) -> Expression:
         InputError: it makes no sense, or speaks of more than joint values, tip position and tip direction.
     """
     extra.checked()
-    found = recorded(extra.expression, n, 1, extra.words)
-    for one in found.quantities:
-        if one.pose is None or one.name not in PATH_QUANTITIES:
+    cost = recorded(extra.expression, n, 1, extra.words)
+    for quantity in cost.quantities:
+        if quantity.pose is None or quantity.name not in PATH_QUANTITIES:
             known = ", ".join(PATH_QUANTITIES)
-            raise InputError(f"the cost {extra.words} uses {one.name}; on a path it may use {known}")
-    if found.value.numel_out() != 1:
-        raise InputError(f"the cost {extra.words} has {found.value.numel_out()} numbers; it must be one")
-    return found
+            raise InputError(f"the cost {extra.words} uses {quantity.name}; on a path it may use {known}")
+    if cost.value.numel_out() != 1:
+        raise InputError(f"the cost {extra.words} has {cost.value.numel_out()} numbers; it must be one")
+    return cost

@@ -1,4 +1,4 @@
-"""Fraction of places that a robot reaches by snap-free paths: quality of a design for a region of a patient.
+"""Fraction of targets that a robot reaches by snap-free paths: quality of a design for a region of a patient.
 
 The paths are those of a roadmap, checked as in the search of a plan: margin, clearance and ranges at points so close
 that the deviation between them is less than the reserve. `plan_trajectory` proves them one by one.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -37,63 +37,63 @@ from .arms_plan import plan_arms
 from .goals import check_start, checked_places, start_equilibrium, step_towards, tips_about
 from .motion import DEFAULT_RATES
 from .plan import plan_trajectory
-from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task
 from .roadmap import Roadmap, roadmap_of
 
 POINTS, CONNECTED_POINTS = 30, 4
-"""Roadmap nodes with the nearest tips that are considered per place, and reachable ones that approach it."""
+"""Number of roadmap nodes, nearest tip first, considered per target; and of reachable ones that start the approach."""
 
 STEPS = 15
 """Maximum number of Gauss-Newton steps from each of these."""
 
-# A design that misses a place by more is no better than one that misses it by far.
+# Beyond this, the distance from a target does not distinguish designs.
 FAR_MISS = 0.01
-"""Miss, m, beyond which a place counts nothing in the score of a region."""
+"""Distance from a target, m, from which on it does not contribute to the score of a region."""
 
 SAME = 0.05
-"""Difference of tip rotations (rad) up to which two equilibria at the same joint values are one."""
+"""Difference of tip rotations (rad) up to which equilibria at the same joint values are equal."""
 
 SHORTER = 0.5 ** np.arange(5)
-"""Shares of a step that are tried."""
+"""Fractions of a step that are tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReachShare(Displayed):
-    """Fraction of N places that the tip reaches, with the arms that reach them."""
+    """Result of `evaluate_reach`: fraction of N targets that the tip reaches, and the arms there."""
 
     targets: Array
     """(N, 3) target positions, m."""
     miss: Array
-    """(N,) smallest distance of each place from the tips that are reachable by a path, start included, m."""
+    """(N,) smallest distance of each target from tips reachable by a path, including the start, m."""
     tolerance: float
-    """Largest distance at which a place counts as reached, m."""
+    """Largest distance of a reached target from the tip, m."""
     rotations: Array = field(repr=False)
-    """(N, n) rotations of these arms, rad; NaN for places without one."""
+    """(N, n) rotations of these arms, rad; NaN for targets without one."""
     translations: Array = field(repr=False)
     """(N, n) translations of these arms, m."""
     tip_rotations: Array = field(repr=False)
     """(N, n) rotations of their tubes at the ends, rad; they identify one of several equilibria."""
     examined: int = 0
-    """Points at which the robot may be that the roadmap has."""
+    """Number of points of the roadmap."""
 
     @property
     def reached(self) -> Mask:
-        """(N,) which of the places are reached."""
+        """(N,) True for reached targets."""
         return np.asarray(self.miss <= self.tolerance)
 
     @property
     def share(self) -> float:
-        """Fraction of the places that are reached."""
+        """Fraction of the targets that are reached."""
         return float(self.reached.mean())
 
     def arm(self, robot: Robot, k: int) -> Equilibrium | None:
-        """The equilibrium in which a robot reaches place k; None where none has these joint values and this tip."""
+        """Equilibrium in which a robot reaches target k; None if none has these joint values and this tip."""
         joints, tips = (self.rotations[k], self.translations[k]), self.tip_rotations[k]
         with suppress(SolveError):
-            found = [forward_kinematics(robot, *joints)]
-            if np.abs(found[0].tip_rotations - tips).max() > SAME:  # the one that the robot takes at once is another
-                found = [e for e in find_equilibria(robot, *joints) if e.stable]
-            best = min(found, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
+            equilibria = [forward_kinematics(robot, *joints)]
+            if np.abs(equilibria[0].tip_rotations - tips).max() > SAME:  # on another branch
+                equilibria = [e for e in find_equilibria(robot, *joints) if e.stable]
+            best = min(equilibria, key=lambda e: float(np.abs(e.tip_rotations - tips).max()), default=None)
             if best is not None and np.linalg.norm(best.tip_position - self.targets[k]) <= 2 * self.tolerance:
                 return best
         return None
@@ -112,13 +112,13 @@ def evaluate_reach(
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 300,
 ) -> ReachShare:
-    """The places that the tip reaches from a start, by paths with margin and clearance.
+    """Targets that the tip reaches from a start, by paths with margin and clearance.
 
-    The reached fraction is a lower estimate, on average the better the larger `count`.
+    The fraction is a lower estimate that improves with `count` on average.
 
     Args:
         start: as for `plan_trajectory`.   targets: (N, 3) target positions of the tip, m, as `Anatomy.target`.
-        tolerance: largest distance of the tip from a reached place, m.
+        tolerance: largest distance of the tip from a reached target, m.
         obstacles, min_margin, options: as for `build_roadmap`; the time limit covers the whole call.
         count: number of points of the roadmap.
 
@@ -138,50 +138,53 @@ def evaluate_reach(
     places = checked_places(targets)
     check_target(robot.tubes, "targets", places)
     tolerance = usual_length("tolerance", tolerance, TOLERATED)
-    task = asked(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
+    task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
     begin, n = task.chart.of(first), robot.n_tubes
     miss = np.linalg.norm(first.tip_position - places, axis=1)
     joints, tips = np.full((len(places), len(begin)), np.nan), np.full((len(places), n), np.nan)
     examined = 0
-    with suppress(LateError, SolveError):  # what was found by then
+    with suppress(LateError, SolveError):  # results so far are returned
         roadmap = roadmap_of(task, count)
         examined, own = len(roadmap), task.from_to(begin, begin)
         search = _Search(own, roadmap, begin, own.arms(roadmap.points).tip)
         for k, place in enumerate(places):
-            for gap, z in search.approached(place, tolerance):
-                if gap >= miss[k] or task.clock.over:
+            for distance, z in search.approach(place, tolerance):
+                if distance >= miss[k] or task.clock.over:
                     break
-                if search.leads(z):
-                    miss[k], joints[k], tips[k] = gap, task.chart.joints(z[None])[0], z[:n]
+                if search.reaches(z):
+                    miss[k], joints[k], tips[k] = distance, task.chart.joints(z[None])[0], z[:n]
     whole = np.array([task.chart.space.joint(q) for q in joints])
     return ReachShare(places, miss, tolerance, whole[:, :n], whole[:, n:], tips, examined)
 
 
 @dataclass(eq=False)
 class _Search:
-    """PathSource from `begin` (m,) over a roadmap, whose points have their tips at `tips` (N, 3)."""
+    """Search for paths over a roadmap from one start."""
 
     task: PlanTask
     roadmap: Roadmap
-    begin: Array
+    start: Array
+    """(m,) point of the chart."""
     tips: Array
-    joined: dict[int, bool] = field(default_factory=dict)
+    """(N, 3) tips of the points of the roadmap, m."""
+    reachable: dict[int, bool] = field(default_factory=dict)
+    """Results for points of the roadmap."""
 
-    def leads(self, z: Array) -> bool:
-        """Whether a way is found to a point (m,)."""
-        return self.roadmap.shortest_path(self.task, self.begin, [z], self.task.clock).points is not None
+    def reaches(self, z: Array) -> bool:
+        """True if there is a path to a point (m,)."""
+        return self.roadmap.shortest_path(self.task, self.start, [z], self.task.clock).points is not None
 
-    def approached(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
-        """How close one comes to a place from the nearest points to which ways lead, and where; the closest first."""
+    def approach(self, place: Array, tolerance: float) -> list[tuple[float, Array]]:
+        """Distances from a target (m) and points (m,) there, from the nearest reachable nodes; closest first."""
         ends = list[tuple[float, Array]]()
         for j in np.argsort(np.linalg.norm(self.tips - place, axis=1))[:POINTS].tolist():
             if self.task.clock.over or len(ends) == CONNECTED_POINTS:
                 break
-            if j not in self.joined:
-                self.joined[j] = self.leads(self.roadmap.points[j])
-            if self.joined[j]:
+            if j not in self.reachable:
+                self.reachable[j] = self.reaches(self.roadmap.points[j])
+            if self.reachable[j]:
                 ends.append(_approach(self.task, self.roadmap.points[j], place, 0.2 * tolerance))
                 if ends[-1][0] <= tolerance:
                     break
@@ -189,7 +192,7 @@ class _Search:
 
 
 def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tuple[float, Array]:
-    """How close (m) Gauss-Newton comes to a place by points at which the robot may be, and the last of them."""
+    """Distance from a target (m) after Gauss-Newton over valid points, and the last point."""
     z, tips = start, tips_about(task, start)
     miss = float(np.linalg.norm(tips[0] - place))
     for _ in range(STEPS):
@@ -208,7 +211,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
 
 
 def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
-    """Raise InputError for what `evaluate_reach` does not take."""
+    """Raise InputError for arguments that `evaluate_reach` does not accept."""
     usual_length("tolerance", tolerance, TOLERATED)
     if not 0 <= finite("min_margin", min_margin) < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
@@ -218,11 +221,11 @@ def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count
 
 @dataclass(frozen=True, eq=False)
 class RegionReach(Displayed):
-    """Goal of `search_design`: a robot reaches places of a region from its start by paths with margin and clearance.
+    """Goal of `search_design`: a robot reaches targets in a region from its start by paths with margin and clearance.
 
-    The base plate may be movable. The fraction is a lower bound: a larger roadmap (`count`) may reach more places, and
-    a very small one none. With few places many designs have the same fraction; the score then includes how far the
-    others are missed. Robots are compared with the same random numbers.
+    The base plate may be movable. The fraction is a lower bound: a larger roadmap (`count`) may reach more targets, and
+    a very small one none. With few targets many designs have the same fraction; so the score includes the distances
+    from missed targets. Robots are compared with the same random numbers.
 
     Raises:
         InputError: a table of wrong shape, numbers out of range.
@@ -231,13 +234,13 @@ class RegionReach(Displayed):
     start: tuple[Any, Any]
     """Initial joint values (rotations, translations) of every robot."""
     targets: Array
-    """(N, 3) places for the tip, m, in the frame of the plate as it stands."""
+    """(N, 3) targets of the tip, m, in the frame of the given plate."""
     obstacles: Sequence[Obstacle] = ()
     """Obstacles in the frame of the given plate."""
     tolerance: float = 5e-4
-    """Largest distance of the tip from a reached place, m."""
+    """Largest distance of the tip from a reached target, m."""
     min_margin: float = 0.05
-    """Smallest allowed margin."""
+    """Required margin."""
     options: PlanOptions = DEFAULT_PLAN
     """Options as for `evaluate_reach`."""
     count: int = 200
@@ -259,7 +262,7 @@ class RegionReach(Displayed):
 
     @property
     def ranges(self) -> Array:
-        """(k, 2) of how the plate may be moved: along x, y and z, m, then about x and y, rad, where it may be."""
+        """(k, 2) ranges of the motion of the plate: along x, y and z, m, then about x and y, rad; only free ones."""
         most = np.array([self.shift] * 3 * bool(self.shift) + [self.tilt] * 2 * bool(self.tilt))
         return np.column_stack([-most, most])
 
@@ -271,7 +274,7 @@ class RegionReach(Displayed):
         return Frame(axes, shift if len(shift) else np.zeros(3))
 
     def evaluate(self, robot: Robot, own: Array) -> ReachShare:
-        """The places that a robot reaches from a plate that is moved.
+        """Targets that a robot reaches from a moved plate.
 
         Raises:
             InputError, SolveError: as of `evaluate_reach`.
@@ -289,54 +292,54 @@ class RegionReach(Displayed):
         )
 
     def __call__(self, robot: Robot, own: Array) -> tuple[float, float]:
-        """Score, from 0 where all places are reached to 1, and the share."""
-        found = self.evaluate(robot, own)
-        return score([found], found.share)
+        """Score, from 0 (all targets reached) to 1, and the fraction of reached targets."""
+        reach = self.evaluate(robot, own)
+        return score([reach], reach.share)
 
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
-        """Numbers of proved and of tried plans to the first reached places, at most `most`."""
+        """Numbers of proved and of tried plans to the first reached targets, at most `most`."""
         some, proved = np.flatnonzero(found.reached)[:most], 0
         bodies, options = seen_from(self.base(own), self.obstacles), replace(self.options, objective="none")
-        asked: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
+        arguments: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
         for k in some.tolist():
             goal = found.arm(robot, k)
             with suppress(SolveError):
-                proved += goal is not None and plan_trajectory(robot, self.start, goal, **asked).proved
+                proved += goal is not None and plan_trajectory(robot, self.start, goal, **arguments).proved
         return proved, len(some)
 
 
-def score(found: Sequence[ReachShare], share: float) -> tuple[float, float]:
-    """From 0 where all is reached to 1, by a share and how far places are missed, up to `FAR_MISS`; and the share."""
-    missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / FAR_MISS, 1.0) for each in found]
+def score(results: Sequence[ReachShare], share: float) -> tuple[float, float]:
+    """Score, from 0 (all reached) to 1, from a fraction and the distances from missed targets; and the fraction."""
+    missed = [np.minimum(np.maximum(each.miss - each.tolerance, 0.0) / FAR_MISS, 1.0) for each in results]
     return float(np.mean(missed) + 1 - share) / 2, share
 
 
-# Pieces of 2 mm on an arm of 200 mm: the bound gives away 1 mm^2 / d at a distance d.
+# Pieces of 2 mm on an arm of 200 mm: the bound is 1 mm^2 / d too small at a distance d.
 REST_POINTS = 100
-"""Points along an arm at rest, between which its distance from another is bounded."""
+"""Number of points along an arm at rest for the bound on its distance from another."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairShare(Displayed):
-    """What became of the pairs of N places for two tips."""
+    """Result of `PairReach`: pairs of N targets for two tips."""
 
     reached: tuple[ReachShare, ReachShare]
-    """Of either robot, which places it reaches by itself."""
+    """Targets that each robot reaches by itself."""
     apart: Array = field(repr=False)
-    """(N, N) lower bound of the distance (m) of the arms at rest with the first tip at one place, the second at
-    another; NaN where either is not reached."""
+    """(N, N) lower bound on the distance of the arms at rest, with the first tip at target i and the second at j, m;
+    NaN where one is not reached."""
     clearance: float
-    """That they must keep, m."""
+    """Required distance of the arms, m."""
 
     @property
     def held(self) -> Mask:
-        """(N, N) the pairs of different places that both tips hold without touching."""
+        """(N, N) True for pairs of different targets that both tips reach with the required distance."""
         with np.errstate(invalid="ignore"):
             return np.asarray((self.apart >= self.clearance) & ~np.eye(len(self.apart), dtype=bool))
 
     @property
     def share(self) -> float:
-        """Of the ordered pairs of different places those that are held."""
+        """Fraction of the ordered pairs of different targets that are reached."""
         count = len(self.apart)
         return float(self.held.sum() / (count * (count - 1)))
 
@@ -344,9 +347,9 @@ class PairShare(Displayed):
 @typed
 @dataclass(frozen=True, eq=False)
 class PairReach(Displayed):
-    """Goal of `search_pair`: two robots hold any two places of a region at the same time without touching.
+    """Goal of `search_pair`: two robots reach any two targets in a region at the same time without contact.
 
-    The base plates may be moved. Each robot reaches its place by a path with margin and clearance from obstacles, on
+    The base plates may be moved. Each robot reaches its target by a path with margin and clearance from obstacles, on
     its own (`RegionReach`). The distance of the two arms is bounded from below at rest; use `plan_arms` to prove a
     motion of both.
 
@@ -359,13 +362,13 @@ class PairReach(Displayed):
     bases: tuple[Frame, Frame]
     """Poses of the base plates."""
     targets: Array
-    """(N, 3) places for the tips, m, at least two, in the frame of the bases."""
+    """(N, 3) targets of the tips, m, at least two, in the frame of the bases."""
     obstacles: Sequence[Obstacle] = ()
     """Obstacles in the frame of the bases."""
     tolerance: float = 5e-4
-    """Largest distance of the tip from a reached place, m."""
+    """Largest distance of the tip from a reached target, m."""
     min_margin: float = 0.05
-    """Smallest allowed margin."""
+    """Required margin."""
     options: PlanOptions = DEFAULT_PLAN
     """Options as for `evaluate_reach`; the arms keep their clearance from each other too."""
     count: int = 200
@@ -401,7 +404,7 @@ class PairReach(Displayed):
 
     @property
     def ranges(self) -> Array:
-        """(k, 2) of how the plates may be moved: those of `RegionReach` for the one, then for the other."""
+        """(k, 2) ranges of the motions of the plates: those of `RegionReach` for the first, then for the second."""
         return np.concatenate([side.ranges for side in self.sides])
 
     def plates(self, own: Array) -> tuple[Frame, Frame]:
@@ -413,7 +416,7 @@ class PairReach(Displayed):
         return first, second
 
     def evaluate(self, one: Robot, other: Robot, own: Array) -> PairShare:
-        """Fraction of the pairs of places that two robots hold from moved plates.
+        """Pairs of targets that two robots reach from moved plates.
 
         Raises:
             InputError, SolveError: as for `evaluate_reach`.
@@ -431,32 +434,40 @@ class PairReach(Displayed):
         return PairShare((sides[0], sides[1]), apart, self.options.clearance)
 
     def __call__(self, one: Robot, other: Robot, own: Array) -> tuple[float, float]:
-        """Score, from 0 where all pairs are held to 1, and the share; places that are missed count by how far."""
-        found = self.evaluate(one, other, own)
-        return score(found.reached, found.share)
+        """Score, from 0 (all pairs reached) to 1, with the distances from missed targets; and the fraction of pairs."""
+        result = self.evaluate(one, other, own)
+        return score(result.reached, result.share)
 
     def plans_proved(self, one: Robot, other: Robot, own: Array, found: PairShare, most: int) -> tuple[int, int]:
-        """Numbers of proved and of tried motions to pairs that are held; at most `most`, evenly picked."""
+        """Numbers of proved and of tried motions to reached pairs; at most `most`, evenly picked."""
         pairs = np.argwhere(found.held)
         some = pairs[np.unique(np.linspace(0, len(pairs) - 1, most).astype(int))] if len(pairs) else pairs
         arms = [PlacedRobot(robot, base) for robot, base in zip((one, other), self.plates(own), strict=True)]
         options, proved = replace(self.options, objective="none"), 0
-        asked: dict[str, Any] = {"obstacles": self.obstacles, "min_margin": self.min_margin, "options": options}
+        arguments: dict[str, Any] = {"obstacles": self.obstacles, "min_margin": self.min_margin, "options": options}
         for pair in some.tolist():
             ends = zip(found.reached, (one, other), pair, strict=True)
             goals = [goal for side, robot, k in ends if (goal := side.arm(robot, k)) is not None]
             with suppress(SolveError):
-                proved += plan_arms(arms, self.starts, goals, **asked).proved
+                proved += plan_arms(arms, self.starts, goals, **arguments).proved
         return proved, len(some)
 
 
-_Arm = tuple[Array, Array, float, float]
-"""Centreline (P, 3) in the frame of the bases and radii (P,) of an arm at rest; square of the length of its
-pieces, and how far it bends off them, m."""
+class _Arm(NamedTuple):
+    """An arm at rest as pieces of equal length."""
+
+    points: Array
+    """(P, 3) centreline in the frame of the bases, m."""
+    radius: Array
+    """(P,) m."""
+    square: float
+    """Squared length of a piece, m^2."""
+    sagitta: float
+    """Bound on the distance of the centreline from its pieces, m."""
 
 
 def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
-    """Arms at the places that are reached."""
+    """Arms at the reached targets, by number."""
     arms: dict[int, _Arm] = {}
     for k in np.flatnonzero(found.reached).tolist():
         e = found.arm(robot, k)
@@ -464,17 +475,20 @@ def _at_rest(robot: Robot, found: ReachShare, base: Frame) -> dict[int, _Arm]:
             continue
         outline = ArmSurface(e)
         line, radius = outline.line(REST_POINTS)
-        # The arm is as thick up to the next point as it is at the one before: it grows thinner towards its tip.
+        # A piece is as thick as the thicker of its ends: the arm becomes thinner towards its tip.
         thick = np.maximum.accumulate(radius[::-1])[::-1]
         thick[1:] = np.maximum(thick[1:], thick[:-1])
         square = (float(e.arc_length[-1]) / (REST_POINTS - 1)) ** 2
-        arms[k] = base.placed(line), thick, square, outline.bend * square / 8
+        arms[k] = _Arm(base.placed(line), thick, square, outline.bend * square / 8)
     return arms
 
 
 def _apart(one: _Arm, other: _Arm) -> float:
-    """Lower bound of the distance of two arms, m: between pieces it is at least the root of the least square of the
-    distances of their ends less a quarter of the squares of their lengths, see `apart`."""
-    far = scipy.spatial.distance.cdist(one[0], other[0], "sqeuclidean")
-    straight = np.sqrt(np.maximum(far - (one[2] + other[2]) / 4, 0.0))
-    return float((straight - one[1][:, None] - other[1]).min()) - one[3] - other[3]
+    """Lower bound on the distance of two arms, m.
+
+    Squared distances between pieces are at least those of their ends less a quarter of their squared lengths, as in
+    `arms`.
+    """
+    square = scipy.spatial.distance.cdist(one.points, other.points, "sqeuclidean")
+    straight = np.sqrt(np.maximum(square - (one.square + other.square) / 4, 0.0))
+    return float((straight - one.radius[:, None] - other.radius).min()) - one.sagitta - other.sagitta

@@ -1,9 +1,8 @@
-"""A roadmap for many plans of one robot among the same bodies: where it can be, and the ways between, remembered.
+"""Roadmap for many plans of one robot among the same bodies (lazy PRM, Bohlin and Kavraki 2000).
 
-Its points are equilibria in the space of tip rotations and translations, in which a straight line is a motion without
-a snap as long as it is stable. Whether a motion between neighbours holds is looked at when a way leads over it (Bohlin
-and Kavraki 2000), and remembered for the next. Where bodies, margin or clearance change, what was remembered is
-forgotten, and looked at once more as ways need it, while the points stay.
+Its nodes are equilibria in the space of tip rotations and translations, in which a straight line is a motion without a
+snap as long as it is stable. An edge is checked only when a path uses it, and the result is stored for the next query.
+If bodies, margin or clearance change, the results are deleted; the nodes remain.
 """
 
 from __future__ import annotations
@@ -27,33 +26,33 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..typing import Array, Index
 from .motion import DEFAULT_RATES
-from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task
 
-# Fewer leave maps in parts; more are more motions to check.
+# Fewer can leave the graph disconnected; more are more motions to check.
 NEIGHBOURS = 10
-"""Nearest points that each point is joined with; start and goals with twice as many."""
+"""Number of nearest nodes that a node is connected to; twice as many for start and goals."""
 
 # Points are integrated in one call, and many of them are refused.
 DRAWN = 512
-"""Points that are drawn at once."""
+"""Number of random points per round."""
 
 
 @dataclass(eq=False)
 class Roadmap(Displayed):
-    """Points of the chart of a robot at which it may be, and which of them may be joined."""
+    """Valid points in the chart of a robot, and edges between them."""
 
     points: Array
     """(N, m) points in the coordinates of the robot."""
     parameters: Array = field(repr=False)
     """Parameters of the robot; a saved map is only used for the same robot."""
     edges: Index = field(repr=False)
-    """(E, 2) numbers of points."""
+    """(E, 2) numbers of the points of every edge."""
     known: dict[tuple[int, int], bool] = field(default_factory=dict, repr=False)
     """Result of the check of each edge, for the last query."""
     asked_with: tuple[Any, ...] = field(default=(), repr=False)
     """Requirements of the last query, for which `known` is valid."""
     tips: Array | None = field(default=None, repr=False)
-    """(N, 3) m, of the points, once they were asked for."""
+    """(N, 3) tips of the points, m; computed when first needed."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -63,7 +62,7 @@ class Roadmap(Displayed):
 
         The result has no `points` if the map has no such path, or after the time limit.
         """
-        self._remember(task)
+        self._match(task)
         count, ends = len(self.points), np.stack([start, *goals])
         places = np.concatenate([self.points, ends]) / task.scale
         near = np.argsort(np.linalg.norm(places[count:, None] - places[:count], axis=2), axis=1)
@@ -79,37 +78,37 @@ class Roadmap(Displayed):
         open_ = ~np.isin(name, [a * len(places) + b for (a, b), holds in self.known.items() if not holds])
         tried = 0
         while not clock.over:
-            found = _shortest(len(places), edges[open_], length[open_], count)
-            if found is None:
+            nodes = _shortest(len(places), edges[open_], length[open_], count)
+            if nodes is None:
                 return Way(None, "roadmap", tried, why="the roadmap has no path")
-            pairs = list(pairwise(found))
-            # Both ends first: what begins and ends a way is what the map does not know yet.
+            pairs = list(pairwise(nodes))
+            # From both ends inwards: the first and the last edge are new to the roadmap.
             for a, b in sorted(pairs, key=lambda pair: min(pairs.index(pair), len(pairs) - 1 - pairs.index(pair))):
-                one, other = sorted((a, b))
-                if (one, other) in self.known or (one, other) in own:
+                low, high = sorted((a, b))
+                if (low, high) in self.known or (low, high) in own:
                     continue
                 tried += 1
                 holds = task.motion(points[a], points[b])
-                if clock.left == 0:  # of which a motion that fails says nothing
+                if clock.left == 0:  # a check that ran out of time proves nothing
                     break
-                (self.known if other < count else own)[one, other] = holds
+                (self.known if high < count else own)[low, high] = holds
                 if not holds:
-                    open_ &= name != one * len(places) + other
+                    open_ &= name != low * len(places) + high
                     break
             else:
-                return Way(points[found], "roadmap", tried)
+                return Way(points[nodes], "roadmap", tried)
         return Way(None, "roadmap", tried, why="the time for the roadmap was over")
 
     def near(self, task: PlanTask, place: Array, count: int) -> Array:
         """(k, m) points of the map, at most `count`, with tips nearest to a place (3,); the nearest first."""
-        self._remember(task)
+        self._match(task)
         if self.tips is None:
             self.tips = task.chart.arms(self.points, 0.0).tip
         far = np.linalg.norm(self.tips - place, axis=1)
         return np.asarray(self.points[np.argsort(far, kind="stable")[:count]])
 
-    def _remember(self, task: PlanTask) -> None:
-        """Forget what was found of edges where another question is asked."""
+    def _match(self, task: PlanTask) -> None:
+        """Delete the results of edges if the requirements differ; raise InputError for another robot."""
         if not np.array_equal(task.chart.parameters, self.parameters):
             raise InputError("the roadmap is of another robot")
         if self.points.shape[1] != len(task.scale):
@@ -117,27 +116,27 @@ class Roadmap(Displayed):
                 "start or goal separates carriages that move together in the roadmap; plan without the roadmap"
             )
         rooms = task.margin_room, task.clearance_room
-        asks = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
-        if asks != self.asked_with:
+        requirements = (Same(task.obstacles), task.min_margin, task.clearance, task.floor, *rooms)
+        if requirements != self.asked_with:
             self.known.clear()
-        self.asked_with = asks
+        self.asked_with = requirements
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Points and neighbours as .npz; what is known of edges is not kept, since bodies are not."""
+        """Save points and edges as .npz, without the results of edges, which depend on the bodies."""
         np.savez_compressed(path, points=self.points, edges=self.edges, parameters=self.parameters)
 
 
 def _shortest(size: int, edges: Index, length: Array, start: int) -> list[int] | None:
-    """Numbers of the points of the shortest way from `start` to the nearest of those that come after it."""
+    """Nodes of the shortest path from node `start` to the nearest of the nodes after it; None without a path."""
     graph = scipy.sparse.csr_array((length, (edges[:, 0], edges[:, 1])), shape=(size, size))
     far, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
     goals = np.arange(start + 1, size)
     if not np.isfinite(far[goals]).any():
         return None
-    way = [int(goals[np.argmin(far[goals])])]
-    while way[-1] != start:
-        way.append(int(before[way[-1]]))
-    return way[::-1]
+    path = [int(goals[np.argmin(far[goals])])]
+    while path[-1] != start:
+        path.append(int(before[path[-1]]))
+    return path[::-1]
 
 
 @typed
@@ -150,7 +149,7 @@ def build_roadmap(
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 500,
 ) -> Roadmap:
-    """A roadmap of `count` points at which a robot may be, or of fewer where `options.time_limit` ends the search.
+    """Build a roadmap of `count` valid points, or of fewer if `options.time_limit` ends the search.
 
     Args:
         obstacles, min_margin, limits, options: as of `plan_trajectory`; of the options clearance, gaps, time limit and
@@ -166,25 +165,23 @@ def build_roadmap(
         >>> len(tubeopt.build_roadmap(robot, count=20))
         20
     """
-    return roadmap_of(asked(robot, obstacles, min_margin, DEFAULT_RATES, limits, options), count)
+    return roadmap_of(plan_task(robot, obstacles, min_margin, DEFAULT_RATES, limits, options), count)
 
 
 def roadmap_of(task: PlanTask, count: int) -> Roadmap:
-    """A roadmap of `count` points at which the robot of a task may be, or of fewer where its clock ends the search;
-    raises SolveError where fewer than two points were found."""
+    """Roadmap of `count` valid points, or of fewer if the clock ends; raises SolveError for fewer than two."""
     options, n = task.options, task.chart.space.robot.n_tubes
     random = np.random.default_rng(options.seed)
-    space, found, total = task.chart.space, [], 0
+    space, valid, total = task.chart.space, list[Array](), 0
     shifts = space.sample(16 * DRAWN)[:, n:]
     while total < count and not task.clock.over:
         z = np.column_stack([random.uniform(-np.pi, np.pi, (DRAWN, n)), random.choice(shifts, DRAWN)])
         try:
-            kept = z[task.holds(z)]
+            valid.append(z[task.holds(z)])
         except LateError:
             break
-        found.append(kept)
-        total += len(kept)
-    points = np.concatenate(found)[:count] if found else np.zeros((0, len(space.lower)))
+        total += len(valid[-1])
+    points = np.concatenate(valid)[:count] if valid else np.zeros((0, len(space.lower)))
     if len(points) < 2:
         raise SolveError(
             f"no roadmap was found within {options.time_limit:g} s: {len(points)} free configurations were found"
@@ -197,7 +194,7 @@ def roadmap_of(task: PlanTask, count: int) -> Roadmap:
 
 @typed
 def load_roadmap(path: str | PathLike[str]) -> Roadmap:
-    """The roadmap that `Roadmap.save` wrote.
+    """Load a roadmap from a file of `Roadmap.save`.
 
     Raises:
         InputError: no such file, or none of a roadmap.

@@ -1,6 +1,4 @@
-"""Smoothing: the path that was found becomes the best motion nearby, by direct collocation over time.
-
-A trajectory as one nonlinear program: direct collocation over time, one equilibrium block at every knot.
+"""Smoothing: the best motion near a path, by direct collocation over time with one equilibrium block at every knot.
 
 Time runs from 0 to 1; the duration T is an unknown. Unknowns at every knot are the joint values q, their rates
 q' = T dq/dt, and the tip rotations z, in which the equilibrium block is explicit (see `explicit`): its equations are
@@ -12,10 +10,10 @@ Between knots q is cubic, so q'' is linear and q' is quadratic, and the bounds
     |q'| <= rate sqrt(S)   (on the three Bezier coefficients),   |q''| <= acceleration S   (at both ends)
 
 hold everywhere, and are convex in the square of the duration, S = T^2. Length, int |q'|^2, and effort, int |q''|^2, are
-quadratic in q and q'. Joint values alone could jump between knots to another branch with the same joint values: the tip
-rotations change by a bounded amount per interval, and their motion counts as well. The Hessian that IPOPT is given is
-exact but for the curvature of the equilibrium, of active margins and of obstacles. Blocks are mapped over the knots,
-and so are their derivatives: CasADi by itself would pass through all knots once for every unknown that an equation has.
+quadratic in q and q'. Joint values alone could jump between knots to another branch with the same joint values. So the
+change of the tip rotations per interval is bounded, and their motion is part of the length. The Hessian for IPOPT is
+exact except for the curvature of the equilibrium, of active margins and of obstacles. Blocks and their derivatives are
+mapped over the knots: CasADi by itself would pass through all knots once for every unknown of an equation.
 """
 
 from __future__ import annotations
@@ -40,29 +38,29 @@ from ..inverse.arm_surface import cubic
 from ..inverse.clock import Clock
 from ..inverse.task import Arms
 from ..solvers.settings import NO_SENSITIVITIES
-from ..typing import Array, Mask
+from ..typing import Array
 from .motion import Motion
 from .question import WEIGHTS, PlanTask
 from .timing import Limits, violated
 
-# Distances come out a few millimetres too small on an arm of 200 mm, for all knots alike, which `_to_keep` takes out.
-# Sharper ones bend faster than the steps of IPOPT, whose Hessian leaves obstacles out.
+# Distances are a few millimetres too small on an arm of 200 mm, at all knots alike, which `_required` compensates.
+# Sharper ones curve too fast for the steps of IPOPT, whose Hessian omits obstacles.
 SHARPNESS = 400.0
 """Sharpness of the smooth minimum distance, over the length of the robot: it is at most log(points) / 400 too small."""
 
 SPLITS = 4
 """Points per step of the arm at which its distance from bodies is measured."""
 
-# Where joints hardly turn the tips may: without a weight they would wander.
+# Where joints hardly move the tips may: without a weight they would drift.
 TIP_WEIGHT = 0.05
 """Weight of the motion of the tip rotations relative to that of the joints, in the length."""
 
 MOST_NODES = 1_000_000
-"""Of a table of distances: its splines and their derivatives take 32 bytes for each."""
+"""Maximum number of nodes of a distance table: its splines and their derivatives take 32 bytes for each."""
 
 # Steps of voxels would be corners for Newton's method.
 BLUR = 1.5
-"""Nodes by which a table of distances is blurred."""
+"""Standard deviation, in nodes, of the Gaussian filter on a table of distances."""
 
 TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
@@ -72,7 +70,7 @@ OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
-    # The answer is followed and proved: four digits of the cost are enough, equations need more.
+    # The motion is followed and proved: four digits of the cost are enough, equations need more.
     "ipopt.tol": 1e-4,
     "ipopt.constr_viol_tol": 1e-7,
     "ipopt.acceptable_tol": 1e-2,
@@ -87,27 +85,29 @@ OPTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class PathQuestion:
-    """What makes two programs the same but for numbers."""
+    """Structure of a program; programs of equal structure differ only in their parameters."""
 
     kind: Kind
-    """Of the arm."""
+    """Structure of the arm."""
     carriages: tuple[tuple[int, ...], ...]
     """Groups of tubes, from 0."""
     intervals: int
-    """Between knots."""
+    """Number of intervals between knots."""
     rows: int
-    """Of the order of the joints."""
+    """Number of constraints on the order of the joints."""
     obstacles: tuple[Obstacle, ...]
     length: float
-    """Of the robot, m."""
+    """Length of the robot, m."""
     extra: tuple[Expression, float] | None = None
     """Custom cost: an expression of the quantities of one pose, and its weight; negative if it is maximised."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathProgram:
-    """The program, its Hessian, and its constraints with their Jacobian. Unknowns, in units of the scale, by columns:
-    joint values (m, K), rates (m, K), tip rotations (n, K), square of the duration, margin.
+    """Nonlinear program of a path with its derivatives.
+
+    Unknowns, in units of the scale, by columns: joint values (m, K), rates (m, K), tip rotations (n, K), square of the
+    duration, margin.
     """
 
     problem: dict[str, Any]
@@ -116,28 +116,33 @@ class PathProgram:
     rows: dict[str, int]
     """Number of constraints of each kind, in order."""
     least: ca.Function
-    """(unknowns, parameters) -> the smooth least distances by columns (rows, K), m."""
+    """(unknowns, parameters) -> smooth minimum distances by columns (rows, K), m."""
     body: list[int]
-    """Of which obstacle every one of these rows is."""
+    """Number of the obstacle of each of these rows."""
     parameters: tuple[str, ...]
-    """Their names, in order."""
+    """Names of the parameters, in order."""
 
-    def values(self, **given: Any) -> Array:
-        """The parameters in order: robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,)
-        over the scale, times the unit of time and its square; weights (4,) of length, time, effort and margin; order
-        (rows, m) of the joints; step (intervals,) share of the time of each interval; twist (intervals,) largest change
-        of a tip rotation, rad; radius (n,) of the arm, m."""
-        return np.concatenate([np.ravel(np.asarray(given[name], dtype=float), order="F") for name in self.parameters])
+    def values(self, **parameters: Any) -> Array:
+        """Parameters in order, as one vector.
+
+        robot (7n,); offset (n,) of the translations; scale (m,); rate, acceleration (m,) over the scale, times the unit
+        of time and its square; weights (4,) of length, time, effort and margin; order (rows, m) of the joints; step
+        (intervals,) duration of each interval as a fraction of the time; twist (intervals,) largest change of a tip
+        rotation, rad; radius (n,) of the arm, m.
+        """
+        return np.concatenate(
+            [np.ravel(np.asarray(parameters[name], dtype=float), order="F") for name in self.parameters]
+        )
 
     def solver(self, seconds: float) -> ca.Function:
-        """IPOPT, to spend at most so many seconds."""
+        """IPOPT with a time limit, s."""
         options = {**OPTIONS, "ipopt.max_wall_time": max(seconds, 0.1)}
         options |= {"hess_lag": self.hessian, "jac_g": self.jacobian}
         return ca.nlpsol("path", "ipopt", self.problem, options)
 
 
 def path_program(question: PathQuestion) -> PathProgram:
-    """The program of a question, built once as long as it is among the last ones."""
+    """Program of a structure, from a cache of recent ones."""
     return (_among_bodies if question.obstacles else _in_free_space)(question)
 
 
@@ -154,17 +159,21 @@ def _program(question: PathQuestion) -> PathProgram:
     shift = spread @ q[n:, :] + ca.repmat(p["offset"], 1, knots)
     at = tip, shift, ca.repmat(margin, 1, knots), ca.repmat(p["robot"], 1, knots), ca.repmat(p["radius"], 1, knots)
     knot = _knot(question)
-    # Symbols stand for what the arms are until all else is differentiated.
+    # Symbols replace the arms until everything else is differentiated.
     arms = ca.MX.sym("arms", knot.size1_out(0), knots)
     rotations, fields, least = ca.vertsplit(arms, [0, n, n + question.kind.sections, arms.shape[0]])
-    early, middle, late = _cubic(joints, rates, ca.repmat(p["step"].T, m, 1))
+    h = ca.repmat(p["step"].T, m, 1)
+    delta, v_0, v_1 = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
+    # Hermite's cubic with slopes v_0, v_1 and mean slope delta: q'' at both ends, and the middle Bezier coefficient of
+    # q'; the mean of the three coefficients v_0, 3 delta - v_0 - v_1, v_1 is delta.
+    early, late = (6 * delta - 4 * v_0 - 2 * v_1) / h, (2 * v_0 + 4 * v_1 - 6 * delta) / h
+    middle = 3 * delta - v_0 - v_1
     speed, force = ca.repmat(p["rate"], 1, intervals), ca.repmat(p["acceleration"], 1, intervals)
     accelerations = ca.vertcat(early, late) / ca.vertcat(force, force)
-    step = ca.repmat(p["step"].T, m, 1) / 3
-    # The inner Bezier coefficients of q: where they keep ranges and order, so does all of the interval between knots.
-    between = ca.horzcat(joints[:, :-1] + step * rates[:, :-1], joints[:, 1:] - step * rates[:, 1:])
+    # The inner Bezier coefficients of q: if they satisfy ranges and order, so does all of the interval between knots.
+    between = ca.horzcat(joints[:, :-1] + h / 3 * v_0, joints[:, 1:] - h / 3 * v_1)
     order = ca.reshape(p["order"], question.rows, m)
-    turned, twist = tip[:, 1:] - tip[:, :-1], ca.repmat(p["twist"].T, n, 1)
+    dtip, twist = tip[:, 1:] - tip[:, :-1], ca.repmat(p["twist"].T, n, 1)
     speeds = ca.vertcat(ca.vec(rates[:, 1:-1] / ca.repmat(p["rate"], 1, knots - 2)), ca.vec(middle / speed))
     # |x| <= y as x - y <= 0 and -x - y <= 0: smooth, and linear where y is.
     parts = {
@@ -174,49 +183,56 @@ def _program(question: PathQuestion) -> PathProgram:
         "order": ca.vec(order @ (between * ca.repmat(p["scale"], 1, 2 * intervals))) / question.length,
         "speed": ca.vertcat(speeds, -speeds) - ca.sqrt(square),
         "force": ca.vertcat(ca.vec(accelerations), -ca.vec(accelerations)) - square,
-        "twist": ca.vertcat(ca.vec(turned - twist), ca.vec(-turned - twist)),
+        "twist": ca.vertcat(ca.vec(dtip - twist), ca.vec(-dtip - twist)),
     }
     if question.obstacles:
         parts["clearance"] = ca.vec(least) / question.length
-    h = ca.repmat(p["step"].T, m, 1)
-    w, along = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(turned**2 / h[:n, :]))
-    # q'' is linear between `early` and `late`: int q''^2 = h (early^2 + early late + late^2) / 3.
-    moved, effort = _squares(joints, rates, h), ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
-    objective = w[0] * (moved + along) + w[1] * square + w[2] * effort - w[3] * margin
+    w, tip_length = p["weights"], TIP_WEIGHT * ca.sum1(ca.sum2(dtip**2 / h[:n, :]))
+    # int |q'|^2 of the cubics; and, since q'' is linear, int q''^2 = h (early^2 + early late + late^2) / 3.
+    squares = 36 * delta**2 - 6 * delta * (v_0 + v_1) + 4 * v_0**2 + 4 * v_1**2 - 2 * v_0 * v_1
+    length = ca.sum1(ca.sum2(h * squares / 30))
+    effort = ca.sum1(ca.sum2(h * (early**2 + early * late + late**2) / 3))
+    objective = w[0] * (length + tip_length) + w[1] * square + w[2] * effort - w[3] * margin
     x = ca.vertcat(ca.vec(joints), ca.vec(rates), ca.vec(tip), square, margin)
-    given = ca.vertcat(*p.values())
-    problem = {"x": x, "f": objective, "p": given}
-    bent: Any = 0
+    parameters = ca.vertcat(*p.values())
+    problem = {"x": x, "f": objective, "p": parameters}
+    extra_hessian: Any = 0
     if question.extra is not None:
         arm = explicit_arm(question.kind).map(knots)(*at[:4])[2:]
-        extra, bent = _extra(question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x)
+        extra, extra_hessian = _extra(
+            question, {"rotations": q[:n, :], "translations": shift, "arm": arm}, p["step"], x
+        )
         problem["f"] = objective + extra
     rows = {name: part.numel() for name, part in parts.items()}
-    problem["g"], jacobian = _constraints(ca.vertcat(*parts.values()), arms, knot, at, x, given)
-    distances = ca.Function("least", [x, given], [ca.vec(knot.map(knots)(*at)[n + question.kind.sections :, :])])
-    hessian = _hessian({**problem, "f": objective}, rows, bent)
-    return PathProgram(problem, hessian, jacobian, rows, distances, rows_of_bodies(question), tuple(sizes))
+    problem["g"], jacobian = _constraints(ca.vertcat(*parts.values()), arms, knot, at, x, parameters)
+    distances = ca.Function("least", [x, parameters], [ca.vec(knot.map(knots)(*at)[n + question.kind.sections :, :])])
+    hessian = _hessian({**problem, "f": objective}, rows, extra_hessian)
+    return PathProgram(problem, hessian, jacobian, rows, distances, _body_of_rows(question), tuple(sizes))
 
 
 def _knot(question: PathQuestion) -> ca.Function:
-    """(tip rotations, translations, margin, robot, radius of the arm) of one knot -> in one column joint rotations,
-    determinants of the Jacobi fields, and least distances, m, of none where there are no bodies."""
+    """Function of one knot: (tip rotations, translations, margin, robot, radius of the arm) -> column.
+
+    The column has joint rotations, determinants of the Jacobi fields, and minimum distances from bodies, m.
+    """
     kind = question.kind
     sizes = {"tip": kind.n, "shift": kind.n, "margin": 1, "robot": kind.size, "radius": kind.n}
-    tip, shift, margin, robot, radius = given = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    tip, shift, margin, robot, radius = inputs = [ca.MX.sym(name, size) for name, size in sizes.items()]
     if not question.obstacles:
         rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
         least: Any = ca.MX(0, 1)
     else:
         rotations, fields, *arm = explicit_arm(kind)(tip, shift, margin, robot)
         least = _distance(question)(*arm, shift, robot, radius)
-    return ca.Function("knot", given, [ca.densify(ca.vertcat(rotations, fields, least))])
+    return ca.Function("knot", inputs, [ca.densify(ca.vertcat(rotations, fields, least))])
 
 
 def _constraints(g: Any, arms: Any, knot: ca.Function, at: tuple[Any, ...], x: Any, p: Any) -> tuple[Any, Any]:
-    """The constraints, of which an expression has symbols for the `arms` that the function `knot` makes of `at`; and as
-    a function (x, p) they and their Jacobian, in which every knot is differentiated by what it depends on."""
-    # Chain rule: each knot's own small Jacobian, on the diagonal, times that of its arguments by the unknowns.
+    """Constraints, and the function (x, p) -> (constraints, Jacobian).
+
+    `g` has symbols `arms` in place of the outputs of the function `knot` at arguments `at`.
+    """
+    # Chain rule: the small Jacobian of each knot, on the diagonal, times that of its arguments by the unknowns.
     count, chain = arms.shape[1], ca.jacobian(ca.vec(ca.vertcat(*at[:3])), x)
     one = [ca.MX.sym(knot.name_in(k), knot.sparsity_in(k)) for k in range(knot.n_in())]
     by = ca.vertcat(*one[:3])
@@ -230,37 +246,24 @@ def _constraints(g: Any, arms: Any, knot: ca.Function, at: tuple[Any, ...], x: A
 _in_free_space = lru_cache(maxsize=32)(_program)
 
 _among_bodies = lru_cache(maxsize=4)(_program)
-"""What is cached keeps its bodies, which may be tables of 100 MB."""
+"""Smaller cache: its programs contain bodies, which may be tables of 100 MB."""
 
 
 def _extra(question: PathQuestion, known: dict[str, Any], step: Any, x: Any) -> tuple[Any, Any]:
-    """The mean of a custom cost along the path, times its weight, and its Hessian but for the curvature of the arm."""
+    """Weighted mean of a custom cost along the path, and its Hessian without the curvature of the arm."""
     assert question.extra is not None
     (expression, weight), knots = question.extra, question.intervals + 1
     last = [known["arm"][0].shape[1] // knots * (k + 1) - 1 for k in range(knots)]
     known = {**known, "tip_position": known["arm"][0][:, last], "tip_direction": known["arm"][1][:, last]}
-    given = ca.vertcat(*(known[one.name] for one in expression.quantities))
-    share = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
-    y, factor = ca.SX.sym("y", given.shape[0]), ca.SX.sym("share")
-    bent = ca.densify(ca.hessian(factor * expression.value(y), y)[0])
-    blocks = ca.Function("bent", [y, factor], [bent]).map(knots)(given, share.T)
-    slope = ca.jacobian(ca.vec(given), x)
-    mean = ca.dot(expression.value.map(knots)(given), share.T)
-    return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, given.shape[0])) @ slope
-
-
-def _cubic(joints: Any, rates: Any, h: Any) -> tuple[Any, Any, Any]:
-    """q'' at both ends of every interval, and the middle Bezier coefficient of q' in between (m, intervals)."""
-    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
-    # Hermite's cubic with slopes a, b and mean slope delta. The mean of Bezier coefficients of q' is delta: the middle
-    # one is 3 delta - a - b.
-    return (6 * delta - 4 * a - 2 * b) / h, 3 * delta - a - b, (2 * a + 4 * b - 6 * delta) / h
-
-
-def _squares(joints: Any, rates: Any, h: Any) -> Any:
-    """int |q'|^2 of cubics between knots."""
-    delta, a, b = (joints[:, 1:] - joints[:, :-1]) / h, rates[:, :-1], rates[:, 1:]
-    return ca.sum1(ca.sum2(h * (36 * delta**2 - 6 * delta * (a + b) + 4 * a**2 + 4 * b**2 - 2 * a * b) / 30))
+    quantities = ca.vertcat(*(known[quantity.name] for quantity in expression.quantities))
+    # Trapezoidal rule.
+    weights = (ca.vertcat(step, 0) + ca.vertcat(0, step)) / 2
+    y, factor = ca.SX.sym("y", quantities.shape[0]), ca.SX.sym("factor")
+    hessian = ca.densify(ca.hessian(factor * expression.value(y), y)[0])
+    blocks = ca.Function("hessian", [y, factor], [hessian]).map(knots)(quantities, weights.T)
+    slope = ca.jacobian(ca.vec(quantities), x)
+    mean = ca.dot(expression.value.map(knots)(quantities), weights.T)
+    return weight * mean, weight * slope.T @ ca.diagcat(*ca.horzsplit(blocks, quantities.shape[0])) @ slope
 
 
 def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Function:
@@ -268,20 +271,22 @@ def _hessian(problem: dict[str, Any], rows: dict[str, int], extra: Any) -> ca.Fu
     x, p = problem["x"], problem["p"]
     factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem["g"].numel())
     first = sum(size for name, size in list(rows.items())[: list(rows).index("speed")])
-    # The only curved constraint of the joints has -sqrt(S), with the second derivative S^(-3/2) / 4.
-    pressing = ca.sum1(multipliers[first : first + rows["speed"]])
+    # The only nonlinear constraint of the joints has -sqrt(S), with the second derivative S^(-3/2) / 4.
+    speed_multiplier = ca.sum1(multipliers[first : first + rows["speed"]])
     square = x[x.numel() - 2]
-    table = factor * (ca.hessian(problem["f"], x)[0] + extra)
-    bend = ca.MX(
-        ca.Sparsity.triplet(x.numel(), x.numel(), [x.numel() - 2], [x.numel() - 2]), pressing / 4 / square**1.5
+    cost = factor * (ca.hessian(problem["f"], x)[0] + extra)
+    speed = ca.MX(
+        ca.Sparsity.triplet(x.numel(), x.numel(), [x.numel() - 2], [x.numel() - 2]), speed_multiplier / 4 / square**1.5
     )
     names = ["x", "p", "lam_f", "lam_g"]
-    return ca.Function("hess_lag", [x, p, factor, multipliers], [ca.triu(table + bend)], names, ["hess_lag"])
+    return ca.Function("hess_lag", [x, p, factor, multipliers], [ca.triu(cost + speed)], names, ["hess_lag"])
 
 
 def _distance(question: PathQuestion) -> ca.Function:
-    """(rows,) smooth least distances of one arm, never larger than they are but by what a table blurs: one from every
-    body with a formula, one in every step of the arm from a table, which as a rule is all around."""
+    """Function of one arm: (rows,) smooth minimum distances, lower bounds except for the blur of a table, m.
+
+    One row for every body with a formula, and one per step of the arm for a table, which usually surrounds the arm.
+    """
     n = question.kind.n
     count = explicit_arm(question.kind).size2_out(2)
     inputs = [ca.MX.sym("p", 3, count), ca.MX.sym("t", 3, count), ca.MX.sym("s", count)]
@@ -292,23 +297,23 @@ def _distance(question: PathQuestion) -> ca.Function:
     least = []
     for k, obstacle in enumerate(question.obstacles):
         if isinstance(obstacle, TABLES):
-            room = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
+            distance = ca.reshape(_tabulated(obstacle, places) - thick, SPLITS, count - 1)
         else:
             body = ca.Function(f"body_{k}", [x, y, z], [obstacle.distance(x, y, z)]).map(places.shape[1])
-            room = (body(places[0, :], places[1, :], places[2, :]) - thick).T
-        least += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(room)]
+            distance = (body(places[0, :], places[1, :], places[2, :]) - thick).T
+        least += [-ca.logsumexp(-sharp * part) / sharp for part in ca.horzsplit(distance)]
     return ca.Function("least_distance", inputs, [ca.vertcat(*least)])
 
 
-def rows_of_bodies(question: PathQuestion) -> list[int]:
-    """Of every row of `_distance` the number of its body."""
+def _body_of_rows(question: PathQuestion) -> list[int]:
+    """Number of the body of every row of `_distance`."""
     steps = explicit_arm(question.kind).size2_out(2) - 1
     counts = [steps if isinstance(body, TABLES) else 1 for body in question.obstacles]
     return [k for k, count in enumerate(counts) for _ in range(count)]
 
 
 def _tabulated(body: MeshObstacle | DistanceField, places: Any) -> Any:
-    """(1, a) distances of places (3, a) from a body that is a table, beyond its lattice those of its border."""
+    """(1, a) distances of places (3, a) from a body that is a table; beyond its lattice, those of its border, m."""
     lattice = body.lattice
     at = ca.DM(lattice.frame.axes.T) @ (places - ca.repmat(ca.DM(lattice.frame.origin), 1, places.shape[1]))
     last = ca.DM((np.array(lattice.values.shape) - 1) * lattice.spacing)
@@ -318,11 +323,11 @@ def _tabulated(body: MeshObstacle | DistanceField, places: Any) -> Any:
 
 @lru_cache(maxsize=8)
 def table_function(body: MeshObstacle | DistanceField) -> ca.Function:
-    """Cubic B-splines with a body's distances as their weights, at a place (3,) of its lattice, m from the first node.
+    """Function of a place (3,), m from the first node of a body's lattice: cubic B-splines weighted by its distances.
 
-    A sum of weights needs no equations to be solved, so a table of millions is a function at once. The steps of voxels
-    are blurred, which the bounds on distances, made at the knots that smoothing begins with, take into account. Tables
-    of more than MOST_NODES lose every second node, or more.
+    The distances are weights, not interpolated values, so no system is solved and a table of millions is a function at
+    once. This and the filter blur the steps of voxels; `_required`, evaluated at the first knots, compensates. Tables
+    of more than MOST_NODES are thinned out.
     """
     lattice = body.lattice
     stride = int(np.ceil((lattice.values.size / MOST_NODES) ** (1 / 3)))
@@ -346,7 +351,7 @@ def _places(kind: Kind, count: int) -> ca.Function:
         h = s[k + 1] - s[k]
         for x in np.arange(1, SPLITS + 1) / SPLITS:
             places.append(cubic(points[:, k], points[:, k + 1], tangents[:, k], tangents[:, k + 1], x, h))
-            # A tube shows on all of a section: steps do not reach across its end.
+            # Steps do not extend across the end of a tube, so the middle decides.
             thick.append(ca.mmax(radius * ((s[k] + s[k + 1]) / 2 < end)))
     out = [ca.horzcat(*places), ca.horzcat(*thick)]
     return ca.Function("places", [points, tangents, s, shift, robot, radius], out)
@@ -354,56 +359,57 @@ def _places(kind: Kind, count: int) -> ca.Function:
 
 UNFINISHED = ("Maximum_WallTime_Exceeded", "Maximum_Iterations_Exceeded")
 
-# Each halves the intervals that fail. What fails after three is no matter of knots.
+# Each bisects the intervals that fail. What fails after three does not depend on knots.
 REFINEMENTS = 3
-"""Times that knots are added where the motion between them is not allowed."""
+"""Maximum number of times that knots are added where the motion between them violates a requirement."""
 
 # Joint values alone could jump between knots to another branch, whose tip rotations differ by more.
 TWIST = 0.3
-"""Change of a tip rotation between knots that is always allowed, rad."""
+"""Smallest limit on the change of a tip rotation between knots, rad."""
 
-# The margin between knots sags by the square of their distance; after a failure as much is added as was missing, and
-# half.
+# Between knots the margin is lower, by the square of their distance; after a failure 1.5 times the shortfall is added.
 MARGIN_RESERVE = 3e-3
-"""Margin beyond that of the search that knots keep at first, for what is between them."""
+"""First reserve of the margin at knots beyond that of the search."""
 
 # The smoothed motion stays close to the path, and every body adds rows for all knots.
 BODY_REACH = 0.1
-"""Distance of knots from obstacles, as a share of the longest tube, within which these count."""
+"""Distance of the arm from obstacles, relative to the longest tube, within which these are constraints."""
 
 # Every column of a knot's Jacobian costs about as much as the arm.
 MOST_OPERATIONS = 150_000
-"""Operations of one equilibrium, about those of six tubes, beyond which derivatives take too long."""
+"""Number of operations of one equilibrium, about that of six tubes, beyond which derivatives take too long."""
 
 BUILD_PER_OPERATION, BUILD_PER_BODY, BUILD_PER_NODE = 5e-5, 5e-2, 1e-6
-"""Upper limits on most machines, s, of the time to build the program, which nothing can cut short, and to begin to
-solve it: per operation of an equilibrium, per obstacle, and per node of a table of distances."""
+"""Time to build the program, which cannot be interrupted, and to start its solution on a slow machine, s: per
+operation of an equilibrium, per obstacle, and per node of a table of distances."""
 
 # A determinant of 0 is the fold itself, where IPOPT would converge to equilibria beyond it.
 LEAST_FIELDS = 1e-3
-"""Least determinant of the Jacobi fields, which begin as 1."""
+"""Smallest determinant of the Jacobi fields, which is 1 at the tip."""
 
 ROUND_OFF = 1e-9
-"""Excess over ranges that is none, in units of the scales."""
+"""Round-off in joint ranges, in units of the scales."""
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A smoothed motion, its knots (K, m) in the chart, and how many iterations and knots it took."""
+    """A smoothed motion."""
 
     motion: Motion
     points: Array
+    """(K, m) knots in the chart."""
     iterations: int
+    """Number of iterations of IPOPT."""
 
 
 def building(task: PlanTask) -> float:
-    """Seconds of work that it may take to build the program of a task and to begin to solve it."""
+    """Time that building the program of a task and starting its solution may take, s."""
     nodes = sum(min(body.lattice.values.size, MOST_NODES) for body in task.obstacles if isinstance(body, TABLES))
     return BUILD_PER_OPERATION * task.chart.size + BUILD_PER_BODY * len(task.obstacles) + BUILD_PER_NODE * nodes
 
 
 def resample(task: PlanTask, points: Array, count: int) -> Array:
-    """(count, m) points of a way, evenly spaced by the length of joint motion."""
+    """(count, m) points of a path, evenly spaced by the length of joint motion."""
     z = np.concatenate([points[:1], *(task.line(a, b)[1:] for a, b in pairwise(points))])
     q = task.chart.joints(z) / task.scale
     # Both metrics count: where the joints hardly move, the arm may.
@@ -418,11 +424,13 @@ def resample(task: PlanTask, points: Array, count: int) -> Array:
 def smooth(
     task: PlanTask, start: Equilibrium, points: Array, limits: Limits, objective: str, clock: Clock
 ) -> Smoothed | None:
-    """The best motion near a way, from rest to rest; None where the program does not converge to an allowed one before
-    the clock is over. How long it takes is told by objectives of time and effort only."""
+    """Best motion near a path, from rest to rest; None if no valid motion is found within the time.
+
+    Its duration is optimal for the objectives time and effort only.
+    """
     intervals, iterations = task.options.smoothing_intervals, 0
-    z, share = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
-    room = np.array([task.margin_room + MARGIN_RESERVE, task.clearance_room])
+    z, step = resample(task, points, intervals + 1), np.full(intervals, 1 / intervals)
+    reserve = np.array([task.margin_room + MARGIN_RESERVE, task.clearance_room])
     if task.chart.size > MOST_OPERATIONS:
         return None
     for _ in range(REFINEMENTS + 1):
@@ -430,23 +438,27 @@ def smooth(
         near = _near(task, arms)
         if clock.left < clock.parallel_slowdown * building(near):
             return None
-        found = _solve(near, (z, arms), share, limits, objective, room, clock)
-        if found is None:
+        result = _solve(near, (z, arms), step, limits, objective, reserve, clock)
+        if result is None:
             return None
-        iterations += found.iterations
-        bad, short = violated(task, start, found.motion, clock, (found.motion.time, found.points))
-        if not bad.any():
-            return replace(found, iterations=iterations)
+        iterations += result.iterations
+        violations = violated(task, start, result.motion, clock, (result.motion.time, result.points))
+        if not violations.intervals.any():
+            return replace(result, iterations=iterations)
         if clock.over:
             return None
-        z, share = _split(found.points, share, bad)
-        # What was missing and half, since the knots that are added shift where the least lies.
-        room += 1.5 * short
+        # Add a knot in the middle of each bad interval.
+        bad, z = violations.intervals, result.points
+        after = np.flatnonzero(bad) + 1
+        z = np.insert(z, after, (z[after - 1] + z[after]) / 2, axis=0)
+        step = np.repeat(np.where(bad, step / 2, step), 1 + bad)
+        # 1.5 times the shortfall, since the added knots shift the minimum.
+        reserve += 1.5 * violations.shortfall
     return None
 
 
 def _near(task: PlanTask, arms: Arms) -> PlanTask:
-    """The same with the bodies alone that the arm may meet near knots."""
+    """Task with only those bodies that the arm may meet near knots."""
     if not task.obstacles:
         return task
     reach = BODY_REACH * task.chart.space.length + task.clearance + float(task.chart.radius.max())
@@ -456,17 +468,19 @@ def _near(task: PlanTask, arms: Arms) -> PlanTask:
 
 
 def _solve(
-    task: PlanTask, knots: tuple[Array, Arms], share: Array, limits: Limits, objective: str, room: Array, clock: Clock
+    task: PlanTask, knots: tuple[Array, Arms], step: Array, limits: Limits, objective: str, reserve: Array, clock: Clock
 ) -> Smoothed | None:
-    """The program's solution from knots (K, m) in the chart and their arms, with so much room (2,) above the margin and
-    the clearance (m) to keep, at knots."""
+    """Solution of the program from knots (K, m) in the chart and their arms; None if IPOPT fails.
+
+    `step`: durations of the intervals, as fractions of the time; `reserve` (2,) of margin and clearance (m) at knots.
+    """
     z = knots[0]
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
         task.chart.kind,
         space.carriages,
-        len(share),
+        len(step),
         len(space.least),
         task.obstacles,
         space.length,
@@ -474,7 +488,7 @@ def _solve(
     )
     program = path_program(question)
     q = task.chart.joints(z)
-    time = np.concatenate([[0.0], np.cumsum(share)])
+    time = np.concatenate([[0.0], np.cumsum(step)])
     unit = _duration(q, time, rate, acceleration)
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
@@ -486,18 +500,18 @@ def _solve(
         acceleration=acceleration / scale * unit**2,
         weights=weights,
         order=space.rows,
-        step=share,
+        step=step,
         twist=np.maximum(TWIST, 1.3 * np.abs(np.diff(z[:, :n], axis=0)).max(1)),
         radius=task.chart.radius,
     )
-    # A margin of 1 is the largest there is: bounds need an interior below it.
-    floor = min(task.min_margin + float(room[0]), 0.998)
+    # No margin is above 1: bounds need an interior below it.
+    floor = min(task.min_margin + float(reserve[0]), 0.998)
     x = np.concatenate([(q / scale).ravel(), (begin_rates(q, time) / scale).ravel(), z[:, :n].ravel(), [1.0, floor]])
     solver = program.solver(clock.left)
-    least = _to_keep(task, program, np.asarray(program.least(x, p)), knots, float(room[1]))
+    least = _required(task, program, np.asarray(program.least(x, p)), knots, float(reserve[1]))
     result = solver(x0=x, p=p, **_bounds(task, program, (q, z, least), objective, floor))
     stats = solver.stats()
-    # What ran out of time or steps may still be allowed: following it tells.
+    # After the last step or second the motion may still be valid, which `violated` decides.
     if not (stats["success"] or stats["return_status"] in UNFINISHED):
         return None
     sizes = np.cumsum([q.size, q.size, n * len(q)])
@@ -509,45 +523,47 @@ def _solve(
 
 
 def begin_rates(q: Array, time: Array) -> Array:
-    """(K, m) rates of knots by differences, at rest at both ends."""
+    """(K, m) rates at knots by differences, at rest at both ends."""
     v = np.gradient(q, time, axis=0)
     v[0], v[-1] = 0.0, 0.0
     return np.asarray(v)
 
 
 def _duration(q: Array, time: Array, rate: Array, acceleration: Array) -> float:
-    """Seconds in which knots of joint values are passed without haste."""
+    """Duration in which the knots are passed well within the limits, s."""
     v, step = begin_rates(q, time), np.diff(time)[:, None]
     speed = (np.abs(np.diff(q, axis=0)) / step / rate).max()
     hard = (np.abs(np.diff(v, axis=0)) / step / acceleration).max()
-    # More than the differences of knots ask for: between knots cubics are faster.
+    # Between knots cubics are faster than differences.
     return float(max(2.0 * speed, 1.5 * np.sqrt(hard), 1e-2))
 
 
-def _to_keep(task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, Arms], room: float) -> Array:
-    """(K, rows) least distances to keep, m, at knots (K, m) and their arms: of those of an obstacle, all that of the
-    closest. It may fall to `room` above the clearance to keep; not at all where a knot has no more than that to spare;
-    and it must grow where there is none.
+def _required(task: PlanTask, program: PathProgram, least: Array, knots: tuple[Array, Arms], reserve: float) -> Array:
+    """(K, rows) required values of the smooth minimum distances, m, at knots (K, m) and their arms.
 
-    The smooth least distances of the program, `least`, are bounded by what they are now less this: where much of an arm
-    is about as close as its closest point, they are a few millimetres too small, of all knots alike.
+    The exact distance from an obstacle may decrease to `reserve` above the required clearance; a knot with less may not
+    come closer, and must recede where it violates the clearance. The smooth distances of the program, now `least`, may
+    decrease by as much: where much of an arm is about as close as its closest point, they are a few millimetres too
+    small, at all knots alike. All rows of an obstacle have the requirement of its closest row.
     """
     z, arms = knots
     alone = (replace(task, obstacles=(body,)).clearances(arms) for body in task.obstacles)
-    spare = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
-    falls = spare - np.minimum(room, np.maximum(spare, task.needed(z)[:, None]))
-    body, found = np.array(program.body, dtype=int), least.reshape(len(z), -1)
-    closest = np.empty_like(falls)
-    for k in range(falls.shape[1]):
-        closest[:, k] = found[:, body == k].min(axis=1)
-    return np.asarray((closest - falls)[:, body])
+    excess = np.array([each - task.clearance for each in alone]).reshape(len(task.obstacles), len(z)).T
+    decrease = excess - np.minimum(reserve, np.maximum(excess, task.needed(z)[:, None]))
+    body, smooth_least = np.array(program.body, dtype=int), least.reshape(len(z), -1)
+    closest = np.empty_like(decrease)
+    for k in range(decrease.shape[1]):
+        closest[:, k] = smooth_least[:, body == k].min(axis=1)
+    return np.asarray((closest - decrease)[:, body])
 
 
 def _bounds(
     task: PlanTask, program: PathProgram, start: tuple[Array, Array, Array], objective: str, floor: float
 ) -> dict[str, Array]:
-    """Bounds of unknowns and constraints from knots: joint values, points of the chart, least distances (m) to keep.
-    Both ends, which were checked before, are as they are."""
+    """Bounds of unknowns and constraints; both ends, which were checked before, are fixed.
+
+    `start`: joint values and points of the chart at knots, and required smooth distances, m.
+    """
     (q, z, least), space, inf = start, task.chart.space, np.inf
     n, (knots, m) = space.robot.n_tubes, q.shape
     low, high = (np.tile(value / task.scale, (knots, 1)) for value in (space.lower, space.upper))
@@ -571,7 +587,7 @@ def _bounds(
     for name, value in limits.items():
         if rows.get(name):
             lower[name] = np.where(inside, value, np.full((knots, rows[name] // knots), -inf)).ravel()
-    # The ends' equations hold to the accuracy of the integration; there is nothing to solve.
+    # The equations at the ends are satisfied to the accuracy of the integration; nothing is left to solve.
     free = np.where(inside, 0.0, np.full((knots, n), inf)).ravel()
     lower["equilibrium"], upper["equilibrium"] = -free, free
     return {
@@ -581,10 +597,3 @@ def _bounds(
         "lbg": np.concatenate([lower[name] for name in rows]),
         "ubg": np.concatenate([upper[name] for name in rows]),
     }
-
-
-def _split(z: Array, share: Array, bad: Mask) -> tuple[Array, Array]:
-    """Knots and shares of the time with a knot in the middle of each bad interval."""
-    after = np.flatnonzero(bad) + 1
-    points = np.insert(z, after, (z[after - 1] + z[after]) / 2, axis=0)
-    return points, np.repeat(np.where(bad, share / 2, share), 1 + bad)

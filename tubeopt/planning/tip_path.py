@@ -1,9 +1,9 @@
-"""Following a curve with the tip within a tolerance, or with the whole arm: follow the leader.
+"""Follow a curve with the tip within a tolerance, or with the whole arm (follow the leader).
 
-Of the leader the curve to lie on is the arm at the goal. From there it is withdrawn step by step: at every length the
-points of the chart are found (Gauss-Newton, constrained) whose arm is closest, in the mean square along the arm, to the
-part of the curve of that length. Forwards in time, that is the deployment. How far the arm is from the path of its tip
-is measured.
+For follow-the-leader the curve is the arm at the goal. From there the arm is retracted step by step: at every length a
+constrained Gauss-Newton method finds the arm that is closest to the part of the curve of that length, in the mean
+square along the arm. Reversed in time, this is the deployment. The distance of the arm from the path of its tip is
+measured.
 """
 
 from __future__ import annotations
@@ -37,34 +37,32 @@ from .goals import (
     checked_places,
     damped_step,
     ends,
-    kept,
+    inverse_constraints,
     least_miss,
     start_equilibrium,
     step_constraints,
 )
 from .motion import DEFAULT_RATES, RateLimits
 from .plan import passing
-from .question import DEFAULT_PLAN, PlanOptions, PlanTask, asked
+from .question import DEFAULT_PLAN, PlanOptions, PlanTask, plan_task
 from .timing import track
 from .trajectory import Trajectory
 
 # A curve of 200 m is one in mm.
 LONGEST = 1000
-"""Length of a curve for the tip, in that of the longest tube: a longer one is a mistake in units."""
+"""Largest length of a curve, relative to the longest tube; a longer one is a mistake in units."""
 
-
-# 1.6 mm on an arm of 200 mm: between points the tip leaves a smooth curve by the square of that.
+# 1.6 mm on an arm of 200 mm: between points the error of the tip grows with the square of the spacing.
 SPACING, REFINEMENTS = 0.008, 3
-"""Initial spacing of the solved points, as a share of the robot's length, and times that it is halved where the tip
-leaves the curve in between."""
+"""Initial spacing of the solved points, relative to the robot's length; maximum number of times that it is halved."""
 
-# The polyline is then off the spline by a 1600th of what the points are.
+# The error of the polyline is then 1 / 1600 of that of one through the points.
 DENSE = 40
 """Points per piece of a spline at which it is sampled."""
 
 # Different configurations reach different parts of a curve.
 STARTS, STARTS_SHARE = 8, 0.3
-"""Maximum number of starting configurations, and share of the remaining time for finding them."""
+"""Maximum number of starting configurations, and fraction of the remaining time for their search."""
 
 
 @typed
@@ -82,7 +80,7 @@ def follow_tip_path(  # noqa: PLR0913
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> Trajectory:
-    """A motion in which the tip moves along a curve; the null space raises the margin.
+    """Plan a motion of the tip along a curve; the null space raises the margin.
 
     Args:
         path: (k, 3) points, m: a polyline, or points of a smooth curve with `spline`.
@@ -108,7 +106,7 @@ def follow_tip_path(  # noqa: PLR0913
         (True, True)
     """
     usual_length("tolerance", tolerance, TOLERATED)
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
+    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock
     curve = _curve(path, spline)
     check_target(robot.tubes, "path", checked_places(path, "path"))
@@ -123,20 +121,20 @@ def follow_tip_path(  # noqa: PLR0913
         spacing = SPACING * task.chart.space.length
         for _ in range(REFINEMENTS + 1):
             places = _spaced(curve, spacing)
-            equilibria, why = _track(task, first, places)
-            share = len(equilibria) / len(places)
-            if share < 1:
-                if share >= furthest:
-                    furthest, reason = share, why
+            equilibria, why = _solve_along(task, first, places)
+            fraction = len(equilibria) / len(places)
+            if fraction < 1:
+                if fraction >= furthest:
+                    furthest, reason = fraction, why
                 break
             q = np.array([task.chart.space.join(e.rotations, e.translations) for e in equilibria])
-            made = passing(task, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
-            if isinstance(made, Trajectory):
-                off = distance_from(curve, made.tip_position)
-                if off.max() <= tolerance:
-                    return replace(made, deviation=off)
-                made = ("between its points the tip leaves the curve",)
-            reason = "; ".join(made)
+            result = passing(task, first, q, task.chart.of(equilibria[-1]), "tip path", len(q))
+            if isinstance(result, Trajectory):
+                deviation = distance_from(curve, result.tip_position)
+                if deviation.max() <= tolerance:
+                    return replace(result, deviation=deviation)
+                result = ("between its points the tip leaves the curve",)
+            reason = "; ".join(result)
             furthest, spacing = 1.0, spacing / 2
             if clock.over:
                 break
@@ -147,7 +145,7 @@ def follow_tip_path(  # noqa: PLR0913
 
 
 def _curve(path: ArrayLike, spline: bool) -> Array:
-    """(k, 3) dense points of the curve."""
+    """(k, 3) points of the polyline, or dense points of the spline, m."""
     points = checked_places(path, "path")
     if len(points) < 2:
         raise InputError("path is 1 point; it must be at least 2 points")
@@ -163,7 +161,7 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
 
 
 def _spaced(curve: Array, spacing: float) -> Array:
-    """Points of a polyline at most `spacing` (m) apart, its corners among them."""
+    """Points of a polyline at most `spacing` (m) apart, including its corners."""
     out = [curve[:1]]
     for a, b in pairwise(curve):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
@@ -175,10 +173,10 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
     if start is not None:
         first = start_equilibrium(task.chart.space, start)
         check_start(task, first)
-        off = float(np.linalg.norm(first.tip_position - curve[0]))
-        if off > tolerance:
+        distance = float(np.linalg.norm(first.tip_position - curve[0]))
+        if distance > tolerance:
             raise InputError(
-                f"the tip at start is {off * 1e3:.4g} mm from the first point of the path; "
+                f"the tip at start is {distance * 1e3:.4g} mm from the first point of the path; "
                 f"it must be within {tolerance * 1e3:g} mm (use plan_trajectory with a "
                 "TipGoal)"
             )
@@ -190,17 +188,17 @@ def _starts(task: PlanTask, curve: Array, start: Any, tolerance: float) -> Itera
             "the tip can follow 0 % of the curve: the searches did not reach its first "
             f"point; the smallest distance of the tip is {miss * 1e3:.4g} mm"
         )
-    asks = kept(task, task.min_margin, STARTS_SHARE * task.clock.left)
-    for answer in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **asks)[:STARTS]:
-        yield answer.equilibrium
+    constraints = inverse_constraints(task, task.min_margin, STARTS_SHARE * task.clock.left)
+    for solution in inverse_kinematics(task.chart.space.robot, curve[0], all_solutions=True, **constraints)[:STARTS]:
+        yield solution.equilibrium
 
 
-def _track(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
-    """Equilibria with their tips at the places, each followed from the last, and why they end before the last one."""
+def _solve_along(task: PlanTask, first: Equilibrium, places: Array) -> tuple[list[Equilibrium], str]:
+    """Equilibria with tips at places (P, 3), each solved from the one before; and why they end early, or ""."""
     out: list[Equilibrium] = []
     floor = min(task.min_margin + task.margin_room, max(first.margin - 1e-4, task.min_margin))
     try:
-        session = IkSession(first.robot, start=first, **kept(task, floor, math.inf))
+        session = IkSession(first.robot, start=first, **inverse_constraints(task, floor, math.inf))
         out.append(first)
         for place in places[1:]:
             if task.clock.over:
@@ -225,20 +223,20 @@ def distance_from(curve: Array, points: Array) -> Array:
     return out
 
 
-# The arm moves by its 75th part from one to the next, so that the last fit starts the next one well.
+# The length changes by 1 / 75 from one to the next, so that the last fit is a good start of the next.
 LENGTHS = 60
 """Number of arm lengths at which the arm is fitted to the one at the goal."""
 
-# Each fit begins at the one before.
+# Each fit starts at the one before.
 ITERATIONS, LAST_STEP = 6, 1e-3
-"""Maximum number of Gauss-Newton steps per length, and the step, in units of the scales, that ends them."""
+"""Maximum number of Gauss-Newton steps per length, and the step size, in units of the scales, that ends them."""
 
 DIFFERENCE = 1e-5
-"""Step of the differences, in units of the scales of the joints."""
+"""Step of finite differences, in units of the scales of the joints."""
 
-# A straight section can turn as it likes, and what the shape does not decide must not drift.
+# Rotations of a straight section do not change the shape, and must not drift.
 DAMPING = 2e-3
-"""Weight of a change of the joints relative to the distance over the robot's length: what the shape does not decide."""
+"""Weight of a change of the joints relative to the distance over the robot's length."""
 
 LONGEST_STEP = 0.15
 """Largest change of a coordinate per step, in units of the scales."""
@@ -257,7 +255,7 @@ def follow_the_leader(
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> Trajectory:
-    """Deployment to a goal in which the arm stays close to the path of its own tip.
+    """Plan a deployment to a goal in which the arm remains close to the path of its own tip.
 
     Args:
         goal: as for `plan_trajectory`; of several equilibria, the one with the largest margin.
@@ -281,29 +279,29 @@ def follow_the_leader(
     """
     if not 0 < finite("begin", begin) < 1:
         raise InputError(f"begin is {begin:g}; it must be between 0 and 1")
-    task = asked(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
+    task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, places=(goal,))
     with task.in_time():
         last = _goal(task, goal)
         if not float(last.arc_length[-1]) > 0:
             raise InputError("goal has no tube in front of the plate; deployment needs an arm there")
         path = [task.chart.of(last)]
-        for share in np.linspace(1.0, begin, LENGTHS + 1)[1:]:
-            path.append(_fit(task, path[-1], last, share * float(last.arc_length[-1])))
+        for fraction in np.linspace(1.0, begin, LENGTHS + 1)[1:]:
+            path.append(_fit(task, path[-1], last, fraction * float(last.arc_length[-1])))
         q = task.chart.joints(np.array(path))
     q[0] = task.chart.space.join(last.rotations, last.translations)
-    withdrawn = track(task, last, q)
-    if len(withdrawn) < len(q):
+    retraction = track(task, last, q)
+    if len(retraction) < len(q):
         raise SolveError("the arm snaps during retraction")
-    first = withdrawn[-1]
-    made = passing(task, first, q[::-1], path[0], "leader")
-    if not isinstance(made, Trajectory):
-        raise SolveError(f"the deployment cannot be proved: {'; '.join(made)}")
-    way = np.concatenate([first.position, made.tip_position[1:]])
-    return replace(made, deviation=np.array([distance_from(way, e.position).max() for e in made.arms]))
+    first = retraction[-1]
+    result = passing(task, first, q[::-1], path[0], "leader")
+    if not isinstance(result, Trajectory):
+        raise SolveError(f"the deployment cannot be proved: {'; '.join(result)}")
+    tip_path = np.concatenate([first.position, result.tip_position[1:]])
+    return replace(result, deviation=np.array([distance_from(tip_path, e.position).max() for e in result.arms]))
 
 
 def _goal(task: PlanTask, goal: Any) -> Equilibrium:
-    """The equilibrium at the end."""
+    """Equilibrium at a goal; raises InputError if the goal has several."""
     space = task.chart.space
     check_goal(space.robot, goal)
     if isinstance(goal, Equilibrium):
@@ -311,67 +309,66 @@ def _goal(task: PlanTask, goal: Any) -> Equilibrium:
         return goal
     home = start_equilibrium(space, space.split(space.middle()))
     end = ends(task, home, goal)[0]
-    found = forward_kinematics(space.robot, *space.split(end.joints))
-    if np.abs(task.chart.of(found) - end.point).max() > 1e-6:
+    equilibrium = forward_kinematics(space.robot, *space.split(end.joints))
+    if np.abs(task.chart.of(equilibrium) - end.point).max() > 1e-6:
         raise InputError("goal has several equilibria; give an Equilibrium")
-    return found
+    return equilibrium
 
 
 def _fit(task: PlanTask, z: Array, last: Equilibrium, length: float) -> Array:
-    """The point of the chart of an arm of a given length that lies closest to the arm at the goal."""
+    """Point of the chart whose arm, of a given length (m), is closest to the arm `last`; the start is `z` (m,)."""
     space = task.chart.space
     m = len(z)
-    z = _withdrawn(task, z, length)
+    z = _retracted(task, z, length)
     for _ in range(ITERATIONS):
         moves = np.vstack([np.zeros(m), DIFFERENCE * np.diag(task.scale)])
         arms = task.arms(z + moves)
         s, line = arms.fine()
         target = np.column_stack([np.interp(s[0], last.arc_length, last.position[:, k]) for k in range(3)])
-        gap = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
+        residual = (line - target).reshape(m + 1, -1) / space.length / np.sqrt(len(target))
         rotation = ((arms.rotations[1:] - arms.rotations[0]) / DIFFERENCE).T
         constraints = _constraints(task, z, arms.rotations[0], rotation, LONGEST_STEP)
-        chosen = damped_step(gap, DIFFERENCE, DAMPING, constraints)
-        if chosen is None:
+        scaled = damped_step(residual, DIFFERENCE, DAMPING, constraints)
+        if scaled is None:
             break
-        step, share = chosen * task.scale, 1.0
-        while share > 0.05 and not task.holds((z + share * step)[None])[0]:
-            share /= 2
-        if share <= 0.05:
+        step, fraction = scaled * task.scale, 1.0
+        while fraction > 0.05 and not task.holds((z + fraction * step)[None])[0]:
+            fraction /= 2
+        if fraction <= 0.05:
             break
-        z = z + share * step
-        if np.abs(chosen).max() < LAST_STEP:
+        z = z + fraction * step
+        if np.abs(scaled).max() < LAST_STEP:
             break
     return z
 
 
 def _foremost(task: PlanTask, z: Array) -> tuple[int, int]:
-    """The tube with which the arm ends, and its carriage."""
+    """Number of the tube at the tip, and of its carriage."""
     space = task.chart.space
     curved = np.array([tube.curved_length for tube in space.robot.tubes])
     tube = int(last_tube(task.chart.translations(z[None])[0] + curved))
     return tube, next(k for k, tubes in enumerate(space.carriages) if tube in tubes)
 
 
-def _withdrawn(task: PlanTask, z: Array, length: float) -> Array:
-    """The carriages moved back as far as an arm of a given length asks, the others with them where order asks."""
+def _retracted(task: PlanTask, z: Array, length: float) -> Array:
+    """Point with the foremost carriage moved to a length of the arm, m, and others moved with it where necessary."""
     space, n, m = task.chart.space, task.chart.space.robot.n_tubes, len(z)
     out, (tube, k) = z.copy(), _foremost(task, z)
-    held, place = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]
-    out[n + k] = np.clip(place, space.lower[n + k], space.upper[n + k])
+    fixed, position = np.eye(m)[n + k], length - space.robot.tubes[tube].curved_length - space.offset[n + tube]
+    out[n + k] = np.clip(position, space.lower[n + k], space.upper[n + k])
     rows, bounds = space.inequalities(out)
-    rows, bounds = np.vstack([rows, held, -held]), np.append(bounds, [0.0, 0.0])
+    rows, bounds = np.vstack([rows, fixed, -fixed]), np.append(bounds, [0.0, 0.0])
     shifts = np.abs(rows[:, n:]).sum(1) > 0
-    found = constrained_least_squares(np.eye(m - n), np.zeros(m - n), rows[shifts, n:], bounds[shifts])
-    if found is not None:
-        out[n:] += found.x
+    solution = constrained_least_squares(np.eye(m - n), np.zeros(m - n), rows[shifts, n:], bounds[shifts])
+    if solution is not None:
+        out[n:] += solution.x
     return out
 
 
 def _constraints(task: PlanTask, z: Array, rotations: Array, slope: Array, longest: float) -> tuple[Array, Array]:
-    """Rows and bounds of a step in units of the scales: ranges, order, the length of the arm, and no change of a
-    coordinate beyond the longest."""
+    """Constraints, rows d >= bounds, of a step d in units of the scales: ranges, order, arm length, step size."""
     space, n = task.chart.space, task.chart.space.robot.n_tubes
     rows, bounds = step_constraints(task, z, longest)
-    held = np.eye(len(z))[n + _foremost(task, z)[1]]
+    fixed = np.eye(len(z))[n + _foremost(task, z)[1]]
     low, high = np.minimum(space.lower[:n] - rotations, 0.0), np.minimum(rotations - space.upper[:n], 0.0)
-    return np.vstack([slope, -slope, rows, held, -held]), np.concatenate([low, high, bounds, np.zeros(2)])
+    return np.vstack([slope, -slope, rows, fixed, -fixed]), np.concatenate([low, high, bounds, np.zeros(2)])

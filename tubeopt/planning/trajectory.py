@@ -1,4 +1,4 @@
-"""What planning answers with: plain tables over time, with their proof; as CSV files, and as messages of ROS."""
+"""Result of planning: joint values over time with their proof; CSV files and ROS messages of it."""
 
 from __future__ import annotations
 
@@ -36,38 +36,38 @@ from .proof import Proof
 
 @dataclass(frozen=True)
 class PlanStatistics:
-    """How a plan was found."""
+    """Statistics of search, smoothing and proof."""
 
     how: str
-    """"straight", "detour", "search", or by what else."""
+    """Method that found the path: "straight", "detour", "search", ..."""
     smoothed: str
-    """By which objective, "corners" where only those of the way were rounded, "" where it rests at them: what is
-    smoothed was not allowed, no better, or not asked for."""
+    """Objective of the smoothing; "corners" if only corners are rounded; "" if the motion stops at them, since
+    smoothing was not requested, not valid, or no better."""
     motions: int
-    """That the search checked."""
+    """Number of motions that the search checked."""
     raw_length: float
-    """Of the path in joint space as found, in units of the joints' scales (1 rad, half the longest tube)."""
+    """Length of the searched path in joint space, in units of the joints' scales (1 rad, half the longest tube)."""
     length: float
-    """As it is."""
+    """Length of the final path, in the same units."""
     iterations: int
-    """Of smoothing."""
+    """Number of iterations of the smoothing."""
     knots: int
-    """Of smoothing."""
+    """Number of knots of the smoothing."""
     search_seconds: float
     smooth_seconds: float = 0.0
     proof_seconds: float = 0.0
     seconds: float = 0.0
-    """In all."""
+    """Total run time, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry(Displayed):
-    """A place of the plate that was chosen."""
+    """Chosen pose of the base plate."""
 
     frame: Frame
-    """In the frame of the plate as it is given."""
+    """Pose in the frame of the given plate."""
     base: Frame
-    """In the patient, RAS; the same without a patient."""
+    """Pose in the frame of the patient (RAS); equal to `frame` without a patient."""
     considered: Annotated[int, "number of positions considered"]
     clear: Annotated[int, "number of them with a collision-free arm at the start"]
     tried: Annotated[int, "number of these that were tried as start of a plan"]
@@ -80,9 +80,8 @@ class Trajectory(Displayed):
     _brief = ("robot", "status", "time")
 
     robot: Robot
-    """The robot."""
     time: Array
-    """(T,) s; evenly spaced, but for the rests of `ArmsPlan.withdrawn_first`."""
+    """(T,) s; evenly spaced, except for the rests of `ArmsPlan.withdrawn_first`."""
     rotations: Array
     """(T, n) rad, not wrapped."""
     translations: Array
@@ -92,11 +91,11 @@ class Trajectory(Displayed):
     start: Equilibrium
     """Equilibrium at the requested start."""
     turns: Annotated[tuple[int, ...], "full turns added to the rotations of the goal"]
-    """Shape (n,)."""
+    """(n,) full turns."""
     obstacles: tuple[Obstacle, ...]
     """Obstacles that the arm avoids."""
     min_margin: float
-    """Smallest allowed margin."""
+    """Required margin."""
     min_clearance: float
     """Required clearance, m."""
     rate_limits: RateLimits
@@ -106,16 +105,16 @@ class Trajectory(Displayed):
     statistics: PlanStatistics
     """Effort of the search."""
     deviation: Array | None = None
-    """(T,) distance of the tip from the path that it was to follow, or, for follow-the-leader, of the arm from the path
-    of its tip, m; None for other plans."""
+    """(T,) distance of the tip from its required path or, for follow-the-leader, of the arm from the path of its tip,
+    m; None for other plans."""
     entry: Annotated[Entry | None, "chosen position of the plate; null if it was not free"] = None
-    """From `plan_from_region`; None if the plate was not moved."""
+    """Result of `plan_from_region`; None if the plate was not moved."""
     cut: Plane | None = None
-    """Along which pictures cut bodies open, in the frame of the plate; None for none."""
+    """Plane along which pictures cut bodies open, in the frame of the plate."""
 
     @property
     def end(self) -> Equilibrium:
-        """The equilibrium at its end."""
+        """Equilibrium at the end."""
         return self.arms[-1]
 
     @cached_property
@@ -125,18 +124,18 @@ class Trajectory(Displayed):
 
     @cached_property
     def margin(self) -> Array:
-        """(T,) margins."""
+        """(T,) margins at the samples."""
         return np.array([e.margin for e in self.arms])
 
     @cached_property
     def clearance(self) -> Array:
-        """Required clearance, m."""
+        """(T,) distances of the arm from the obstacles at the samples, m."""
         scene = scene_of(self.obstacles)
         return np.array([ArmSurface(e).clearance(scene) for e in self.arms])
 
     @property
     def value(self) -> tuple[Array, Array]:
-        """The joint values over time: rotations (T, n), rad, and translations (T, n), m."""
+        """Joint values over time: rotations (T, n), rad, and translations (T, n), m."""
         return self.rotations, self.translations
 
     @property
@@ -146,9 +145,11 @@ class Trajectory(Displayed):
 
     @property
     def quality(self) -> float:
-        """Bound of how good the path is, at best 1: the straight line between the joint values at its ends, over its
-        length, both in units of the joints' scales. No motion between them is shorter: even the shortest has at least
-        this share of the length."""
+        """Length of the straight joint path between its ends, relative to its own length: 1 at best.
+
+        No motion between these ends is shorter than the straight path, so the shortest one has at least this fraction
+        of the length. Lengths are in units of the joints' scales.
+        """
         space = joint_space(self.robot).holding(*self.translations)
         rows = zip(self.rotations, self.translations, strict=True)
         q = np.array([space.join(*row) for row in rows]) / space.scale
@@ -157,7 +158,7 @@ class Trajectory(Displayed):
 
     @property
     def status(self) -> str:
-        """Whether the trajectory is proved, as a sentence."""
+        """Result of the proof: "proved", or its faults."""
         return "proved" if self.proved else "; ".join(self.proof.faults)
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -171,15 +172,15 @@ ROBOT, BRANCH = "robot: ", "start tip rotations in deg: "
 
 @dataclass(frozen=True, eq=False)
 class TimedJoints:
-    """What a file of joint values over time holds."""
+    """Content of a file of joint values over time."""
 
     robot: Robot
     time: Array
-    """(T,) s."""
+    """(T,) times, s."""
     rotations: Array
-    """(T, n) rad."""
+    """(T, n) rotations, rad."""
     translations: Array
-    """(T, n) m."""
+    """(T, n) translations, m."""
     start_tips: Array | None
     """(n,) tip rotations at the start, rad, where the file tells them."""
 
@@ -207,7 +208,7 @@ class TimedJoints:
 
 
 def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_file: str = "") -> None:
-    """Write what the drives read over time; `robot_file` is where the robot is, relative to the file.
+    """Write readings of the drives over time as CSV; `robot_file`: path of the robot's file, relative to this one.
 
     Raises:
         InputError: the file cannot be written.
@@ -219,8 +220,7 @@ def save_trajectory(trajectory: Trajectory, path: str | PathLike[str], *, robot_
 
 
 def timed_csv(time: Array, rotations: Array, translations: Array, comment: Sequence[str]) -> str:
-    """The text of a file that `load_trajectory` reads: time (T,) s, and what the drives read, rotations (T, n) rad and
-    translations (T, n) m."""
+    """CSV text for `load_trajectory`: time (T,) s, readings of rotations (T, n) rad and translations (T, n) m."""
     turns, shifts = joint_columns(rotations.shape[1])
     rows = (
         [in_unit(float(t), RAD), *joint_cells(*joints)]
@@ -230,14 +230,16 @@ def timed_csv(time: Array, rotations: Array, translations: Array, comment: Seque
 
 
 def branch_line(start: Equilibrium) -> str:
-    """The comment that tells on which branch a file of joint values begins."""
+    """Comment in a file of joint values that identifies the branch at its start."""
     return BRANCH + ", ".join(str(in_unit(float(angle), DEG)) for angle in start.tip_rotations)
 
 
 def joint_trajectory(trajectory: Trajectory) -> dict[str, Any]:
-    """What drives read over time as a message trajectory_msgs/JointTrajectory of ROS, in plain data: SI units, names
-    rotation_1, ... and translation_1, ...; rates and accelerations are those of central differences, at rest at both
-    ends."""
+    """Readings of the drives over time as plain data of the ROS message trajectory_msgs/JointTrajectory.
+
+    SI units; joint names rotation_1, ... and translation_1, ...; rates and accelerations by central differences, at
+    rest at both ends.
+    """
     t = trajectory
     table = np.concatenate(to_readings(t.robot, t.rotations, t.translations), axis=1)
     names = [f"{kind}_{i + 1}" for kind in ("rotation", "translation") for i in range(t.robot.n_tubes)]
@@ -299,13 +301,13 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
 
 
 def _tips(path: str | PathLike[str], comments: list[str], n: int) -> Array | None:
-    told = [line.removeprefix(BRANCH) for line in comments if line.startswith(BRANCH)]
-    if not told:
+    values = [line.removeprefix(BRANCH) for line in comments if line.startswith(BRANCH)]
+    if not values:
         return None
     try:
-        tips = np.radians([float(part) for part in told[0].split(",")])
+        tips = np.radians([float(part) for part in values[0].split(",")])
     except ValueError:
         tips = np.zeros(0)
     if len(tips) != n or not np.isfinite(tips).all():
-        raise InputError(f"{path}: start tip rotations are {told[0]!r}; they must be {n} numbers")
+        raise InputError(f"{path}: start tip rotations are {values[0]!r}; they must be {n} numbers")
     return tips
