@@ -80,6 +80,7 @@ class Trajectory(Displayed):
     _brief = ("robot", "status", "time")
 
     robot: Robot
+    """Robot that moves."""
     time: Array
     """(T,) s; evenly spaced, except for the rests of `ArmsPlan.withdrawn_first`."""
     rotations: Array
