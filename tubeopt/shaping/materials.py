@@ -45,6 +45,13 @@ class MoldMaterial:
     emissivity: Annotated[float, Range(above=0.0, most=1.0), Absent(0.9), "total"]
     price_class: Annotated[str, OneOf(PRICE_CLASSES), Absent("moderate"), "low, moderate or high"]
     source: Annotated[str, "source of the numbers"]
+    expansion: Annotated[float, unit("per_K"), POSITIVE, "mean coefficient of thermal expansion up to 500 degC"] = 8e-6
+    heat_capacity_slope: Annotated[
+        float, unit("per_K"), "relative change of the heat capacity per K, for oven heating"
+    ] = 0.0
+    reference_temperature: Annotated[
+        float, key("reference_degC"), POSITIVE, "reference temperature of the heat capacity"
+    ] = 75.0 + ZERO_CELSIUS
 
     def __post_init__(self) -> None:
         check_fields(self, f"mold material {self.name!r}")
@@ -75,9 +82,12 @@ STEEL = MoldMaterial(
     resistivity=1.59e-7,
     emissivity=0.79,
     price_class="low",
+    expansion=14.2e-6,
+    heat_capacity_slope=8.7e-4,
     source="AISI 1018, MatWeb: 51.9 W/(m K), 7870 kg/m^3, 486 J/(kg K) at 50-100 degC, 1.59e-7 ohm m at 0 degC "
     "(annealed); limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation of Metals, "
-    "2006); emissivity of oxidised steel, Incropera et al., Table A.11",
+    "2006); emissivity of oxidised steel, Incropera et al., Table A.11; expansion from 20 to 525 degC, and the slope "
+    "of the heat capacity to 666 J/(kg K) at 500 degC, of carbon steel: EN 1993-1-2, section 3.4.1",
 )
 """Low-carbon steel, the mold of the thesis' Figure 4.2."""
 
@@ -107,8 +117,9 @@ GLASS_MICA = MoldMaterial(
     resistivity=1e14,
     emissivity=0.8,
     price_class="high",
+    expansion=11.2e-6,
     source="Macor, Corning data sheet: 1.46 W/(m K), 2520 kg/m^3, 790 J/(kg K), 800 degC continuous use, "
-    "1e14 ohm m (more than 1e16 ohm cm) at 25 degC; emissivity assumed",
+    "1e14 ohm m (more than 1e16 ohm cm) at 25 degC, expansion from 25 to 600 degC; emissivity assumed",
 )
 """Machinable glass-mica ceramic, the mold of the thesis' Figure 4.4: up to a thousand dollars a slab."""
 
@@ -122,9 +133,11 @@ CALCIUM_SILICATE = MoldMaterial(
     resistivity=1e7,
     emissivity=0.9,
     price_class="moderate",
+    expansion=6e-6,
     source="Density, conductivity and heat capacity as usually quoted for Marinite I board (BNZ Materials) at 200 "
     "degC. Boards differ (0.08 to 0.29 W/(m K), 450 to 1200 kg/m^3): use the data of your board. Limit 927 degC "
-    "(1700 degF) of ASTM C656. Resistivity of dry board is an order of magnitude, emissivity an assumption",
+    "(1700 degF) of ASTM C656. Resistivity of dry board is an order of magnitude; emissivity and expansion are "
+    "assumptions",
 )
 """Machinable calcium silicate board, the mold of the thesis' Figure 4.5."""
 
