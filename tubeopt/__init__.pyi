@@ -89,9 +89,10 @@ from .robots.tubes import Tube
 from .runs.measurement_file import load_measurements
 from .runs.study_file import load_study
 from .runs.sweeping import Sweep, sweep
-from .runs.workshop_file import load_rig, save_rig
+from .runs.workshop_file import load_oven, load_rig, save_rig
 from .shaping import Mold, MoldSpec, plan_mold, predict_tube
 from .shaping.heating.controller import Feedback
+from .shaping.heating.oven import Oven, OvenPlan, plan_oven
 from .shaping.heating.plan import HeatingPlan
 from .shaping.heating.planning import plan_heating
 from .shaping.heating.rig import Rig
@@ -200,6 +201,8 @@ __all__ = [
     "Newton",
     "Objective",
     "OrderWarning",
+    "Oven",
+    "OvenPlan",
     "PairReach",
     "Path",
     "Piece",
@@ -265,6 +268,7 @@ __all__ = [
     "inverse_kinematics",
     "load_equilibrium",
     "load_measurements",
+    "load_oven",
     "load_problem_solution",
     "load_rig",
     "load_roadmap",
@@ -276,6 +280,7 @@ __all__ = [
     "plan_from_region",
     "plan_heating",
     "plan_mold",
+    "plan_oven",
     "plan_trajectory",
     "plot_shape",
     "plot_shapes",

@@ -36,6 +36,8 @@ class Asked:
 ROBOT = ("ROBOT.yaml", "Robot file, or the name of a built-in robot such as thesis_ctr.")
 """Metavar and help of the robot as an argument."""
 
+OVEN = ("OVEN.yaml", "Oven file, or the name of a built-in oven such as steel_slab.")
+
 RIG = ("RIG.yaml", "Rig file, or the name of a built-in rig such as thesis_steel.")
 
 PATH = (
@@ -171,6 +173,15 @@ COMMANDS: dict[str, Asked | str] = {
         arguments={"rig": RIG},
         defaults={"charges_percent": CHARGES},
         example="tubeopt heat plan thesis_calcium_silicate --sensor thermocouple --out results",
+    ),
+    "heat oven": Asked(
+        "oven",
+        """Plan shape setting in an oven, a furnace or a salt bath: soak time, quench, and radius of the cold tube.
+
+        Exit code 3: no soak time keeps the curved part of the tube in its window for the hold time; the output names
+        the reason.""",
+        arguments={"oven": OVEN},
+        example="tubeopt heat oven steel_slab --hold-s 600 --out results",
     ),
     "heat firmware": Asked(
         "led_heating",

@@ -27,7 +27,7 @@ ENDINGS = ".yaml", ".csv"
 NAME = re.compile(r"[A-Za-z0-9_]+")
 """What is typed of such a file: its name without folder and ending."""
 
-ONE = {"robots": "robot", "rigs": "rig", "studies": "study"}
+ONE = {"robots": "robot", "rigs": "rig", "ovens": "oven", "studies": "study"}
 """Folder -> what a file in it is."""
 
 MOST = 3

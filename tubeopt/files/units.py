@@ -29,7 +29,7 @@ _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
 
 UNITS = {
-    **dict.fromkeys(["rad", "rad_per_m", "per_m", "m", "s", "m_per_s2", "Hz", "N", "V", "A"], Decimal(1)),
+    **dict.fromkeys(["rad", "rad_per_m", "per_m", "m", "s", "m_per_s2", "Hz", "N", "V", "A", "W", "kg"], Decimal(1)),
     **dict.fromkeys(["K", "degC", "per_K", "K_per_s", "W_per_m", "W_per_m_K", "W_per_m2_K"], Decimal(1)),
     **dict.fromkeys(["J", "J_per_m", "kg_per_m3", "J_per_kg_K", "ohm_m", "ohm_m2"], Decimal(1)),
     **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mm_per_N", "mJ", "mohm", "g", "g_per_m"], Decimal("1e-3")),
@@ -69,6 +69,7 @@ ALIKE = (
     {"N_m_per_m": Decimal(1), "mN_m_per_m": Decimal("1e-3")},
     {"rad_per_m": Decimal(1), "deg_per_mm": UNITS["deg_per_mm"]},
     {"fraction": Decimal(1), "percent": PERCENT},
+    {"W": Decimal(1), "kW": Decimal(1000)},
     {"Ah": Decimal(3600), "mAh": Decimal("3.6")},
 )
 """Units that are taken for one another, the likeliest first -> each in SI."""

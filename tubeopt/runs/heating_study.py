@@ -20,6 +20,7 @@ from ..robots.tubes import Tube
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
 from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
 from ..shaping.heating.controller import Feedback, wilson
+from ..shaping.heating.oven import Oven, OvenPlan, plan_oven
 from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
@@ -35,8 +36,8 @@ from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Array, Progress
 from .mold_study import MoldPath
 from .robot_keys import RobotPath, TubeNumber
-from .study_file import Timed
-from .workshop_file import load_camera, load_heating_log, load_rig
+from .study_file import Arguments, Options, Timed, question
+from .workshop_file import load_camera, load_heating_log, load_oven, load_rig
 
 
 @dataclass(frozen=True)
@@ -259,6 +260,35 @@ class HeatingStudy(HeatedTube):
             scaled=self.robust,
             sensor=sensor_of(self.sensor),
         )
+
+
+# --- oven -------------------------------------------------------------------------------------------------------------
+
+OvenPath = Annotated[
+    Oven,
+    in_file(load_oven, "an oven file", kind=Oven),
+    Field(description="path of the oven file, relative to this file"),
+]
+"""Oven, given as the path of its file."""
+
+
+@question("planning the oven")
+def plan_soak(
+    oven: OvenPath,
+    options: Annotated[Options, Arguments(plan_oven, "window_degC", "hold_time")],
+    robot: Annotated[
+        RobotPath | None,
+        Field(description="robot file with the tube; default the tube of the oven file", examples=["ROBOT.yaml"]),
+    ] = None,
+    tube: TubeNumber = 1,
+) -> OvenPlan:
+    """Soak time of a tube in its mold in an oven, furnace or salt bath."""
+    if robot is None and tube > 1:
+        raise InputError(f"tube is {tube}; without a robot it must be 1, the oven file's own")
+    heated = oven.tube if robot is None else robot.tubes[tube - 1]
+    if heated is None:
+        raise InputError("robot is missing; the oven file has no tube")
+    return plan_oven(heated, oven, **options)
 
 
 # --- feedback control and firmware ------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from .inverse_study import JointsFile
 from .study_file import STUDY_KINDS
 from .surroundings_file import ObstacleFile
 from .sweep_file import SweepEntry
-from .workshop_file import MOLD_KINDS, RIG_KINDS
+from .workshop_file import MOLD_KINDS, OVEN_KINDS, RIG_KINDS
 
 
 class _Numbers(GenerateJsonSchema):
@@ -60,6 +60,7 @@ def schemas() -> dict[str, str]:
         "obstacles.schema.json": _schema({"obstacles": ObstacleFile}, "tubeopt obstacles"),
         "mold.schema.json": _schema(MOLD_KINDS, "tubeopt mold"),
         "rig.schema.json": _schema(RIG_KINDS, "tubeopt rig"),
+        "oven.schema.json": _schema(OVEN_KINDS, "tubeopt oven"),
         "robot.schema.json": _schema(ROBOT_KINDS, "tubeopt robot"),
         "study.schema.json": _schema({**STUDY_KINDS, "sweep": SweepEntry}, "tubeopt study"),
         "tubes.schema.json": _schema(STOCK_KINDS, "tubeopt stock of tubes"),
@@ -185,6 +186,7 @@ TITLES = {
     "MeasureStudy": "Study: choose measurements",
     "MoldCalibrationStudy": "Study: calibrate spring-back",
     "MoldStudy": "Study: mold",
+    "OvenStudy": "Study: plan an oven",
     "PairStudy": "Study: design two robots",
     "PlanStudy": "Study: plan a trajectory",
     "SnapStudy": "Study: first snap",

@@ -254,6 +254,7 @@ STUDY_KINDS = Kinds(
         "plan_arms": "plan_study.ArmsStudy",
         "verify": "plan_study.VerifyStudy",
         "workspace": "inverse_study.find_workspace",
+        "oven": "heating_study.plan_soak",
         "heating": "heating_study.HeatingStudy",
         "led_heating": "heating_study.LedHeatingStudy",
         "heating_run": "heating_run.HeatingRunStudy",

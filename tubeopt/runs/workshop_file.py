@@ -21,6 +21,7 @@ from ..files.units import MM, TO_MM, decimal, in_unit, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.heating.calibration import HeatingLog
+from ..shaping.heating.oven import Oven
 from ..shaping.heating.rig import Battery, Rig
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import RADII, Calibration, Springback
@@ -92,6 +93,32 @@ def save_rig(rig: Rig, path: str | PathLike[str], header: str = "A shape-setting
 def rig_to_dict(rig: Rig) -> dict[str, Any]:
     """`rig` with the keys and units of a rig file."""
     return {"kind": "rig", "name": rig.name} | to_data(rig)
+
+
+# --- ovens ------------------------------------------------------------------------------------------------------------
+
+OvenEntry = entry_of(Oven, extra={"kind": (Literal["oven"], ...)})
+"""An oven, furnace or salt bath, and the mold in it."""
+
+OVEN_KINDS: dict[str, type[Part]] = {"oven": OvenEntry}
+"""Models of an oven file by its key `kind`."""
+
+
+@typed
+def load_oven(path: str | PathLike[str]) -> Oven:
+    """Oven in a YAML file, or the built-in oven of this name; a file of exactly this path goes first.
+
+    Raises:
+        InputError: no such file or name, not YAML, or wrong keys or values: one line for every problem.
+
+    Examples:
+        >>> import tubeopt
+        >>> tubeopt.load_oven("steel_slab").mold.material.name
+        'steel'
+    """
+    path = found(path, "ovens")
+    oven: Oven = check_kind(OVEN_KINDS, load_yaml(path), path).build()
+    return oven
 
 
 # --- logs -------------------------------------------------------------------------------------------------------------

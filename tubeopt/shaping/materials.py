@@ -86,7 +86,7 @@ STEEL = MoldMaterial(
     heat_capacity_slope=8.7e-4,
     source="AISI 1018, MatWeb: 51.9 W/(m K), 7870 kg/m^3, 486 J/(kg K) at 50-100 degC, 1.59e-7 ohm m at 0 degC "
     "(annealed); limit: wustite forms above 570 degC (Birks, Meier, Pettit, High-Temperature Oxidation of Metals, "
-    "2006); emissivity of oxidised steel, Incropera et al., Table A.11; expansion from 20 to 525 degC, and the slope "
+    "2006); emissivity of oxidised steel, Incropera et al., Table A.11. Expansion from 20 to 525 degC, and the slope "
     "of the heat capacity to 666 J/(kg K) at 500 degC, of carbon steel: EN 1993-1-2, section 3.4.1",
 )
 """Low-carbon steel, the mold of the thesis' Figure 4.2."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
+from ..constants import ZERO_CELSIUS
 from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
@@ -20,6 +22,7 @@ from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.controller import Contribution, Feedback
+from ..shaping.heating.oven import OvenPlan, oven_csv
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.replanning import Leader
 from ..shaping.heating.robust import Band
@@ -415,6 +418,71 @@ class LedHeatingReport(Report[LedHeating]):
         # A heating that fails more often than not is no success, though the nominal rig keeps the window.
         if feedback.probability < 0.5:
             raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} random rigs stay in the window")
+
+
+OVEN = described(
+    OvenPlan,
+    Quantity("oven", "name of the oven", lambda p: p.oven.name),
+    Quantity("method", "oven, furnace or salt_bath", lambda p: p.oven.method),
+    Quantity("mold_material", "material of the mold", lambda p: p.oven.mold.material.name),
+    Quantity("setting_degC", "temperature setting", lambda p: p.oven.set_temperature - ZERO_CELSIUS,
+             label="setting", words=lambda p: f"{p.oven.set_temperature - ZERO_CELSIUS:g} degC "
+             f"within {p.oven.uniformity:g} K, {p.oven.method.replace('_', ' ')}"),
+    "window hold_time",
+    Quantity("feasible", "true if every requirement is met", label="result",
+             words=lambda p: "held" if p.feasible else "MISSED"),
+    line("soak time", lambda p: f"{p.soak_time / 60:.1f} min: {p.warm_time / 60:.1f} min to warm through, then hold"
+         if p.feasible else None),
+    of_field(OvenPlan, "soak_time", form=""),
+    of_field(OvenPlan, "warm_time", form=""),
+    of_field(OvenPlan, "first_time", form="", label="first point in the window",
+             words=lambda p: f"after {p.first_time / 60:.1f} min" if math.isfinite(p.first_time) else "never"),
+    line("curved part", "{coldest_degC:.1f} to {hottest_degC:.1f} degC at the end of the soak"),
+    of_field(OvenPlan, "coldest", form=""),
+    of_field(OvenPlan, "hottest", form=""),
+    of_field(OvenPlan, "quench_start", form=""),
+    of_field(OvenPlan, "quench_time", form="", label="quench",
+             words=lambda p: f"{p.oven.quench.replace('_', ' ')}: from {p.quench_start:.0f} degC "
+             f"below 100 degC in {p.quench_time:.1f} s"),
+    of_field(OvenPlan, "ageing_time", form=""),
+    line("mold", "{mold_mass_kg:.2f} kg, takes {energy_kJ:.0f} kJ"),
+    of_field(OvenPlan, "energy", form=""),
+    of_field(OvenPlan, "mold_mass", form=""),
+    line("radius", "{groove_radius_mm:.2f} mm in the cold mold for the drawn radius; "
+         "a groove of the drawn radius gives {cold_radius_mm:.2f} mm, without spring-back"),
+    of_field(OvenPlan, "hot_radius", form=""),
+    of_field(OvenPlan, "cold_radius", form=""),
+    of_field(OvenPlan, "groove_radius", form=""),
+    "problems remarks",
+)  # fmt: skip
+
+
+class OvenReport(Report[OvenPlan]):
+    command = "heat oven"
+    quantities = OVEN
+    file = "oven.json"
+    drawn = (("oven", "oven.plot_oven"),)
+
+    def title(self) -> str:
+        return self.answer.oven.name or "oven"
+
+    def below(self) -> list[RenderableType]:
+        """Problems and remarks."""
+        return [
+            *remarks(self.answer.problems, what="problem"),
+            *remarks(self.answer.remarks, what="remark"),
+        ]
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write oven.json and oven.csv, the temperatures over time."""
+        path = directory / "oven.csv"
+        write_text(path, oven_csv(self.answer))
+        return [self.save_record(directory), path]
+
+    def conclude(self) -> None:
+        """Raise SolveError where a requirement is violated."""
+        if not self.answer.feasible:
+            raise SolveError("; ".join(self.answer.problems))
 
 
 BLOCKS = " ▁▂▃▄▅▆▇█"

@@ -49,6 +49,7 @@ MODULES = {
         "RigFit",
         "LedHeating",
         "HeatingRun",
+        "OvenPlan",
     ),
     "inverse_report": (
         "Postures",

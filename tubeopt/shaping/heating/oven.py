@@ -27,6 +27,7 @@ from ...arguments import typed
 from ...constants import STEFAN_BOLTZMANN, ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, finite, positive
+from ...files.csv_file import to_csv
 from ...files.field_metadata import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -189,7 +190,7 @@ class OvenPlan(Displayed):
     quench_time: Annotated[float, unit("s"), form(".1f"), "time of the quench until the tube is below 100 degC"]
     ageing_time: Annotated[float, unit("s"), form(".0f"), "longest time of a point between 400 and 500 degC on cooling"]
     energy: Annotated[float, unit("kJ"), form(".0f"), "heat taken by the mold"]
-    mold_mass: Annotated[float, unit("g"), form(".0f"), "mass of the mold"]
+    mold_mass: Annotated[float, unit("kg"), form(".2f"), "mass of the mold"]
     hot_radius: Annotated[float, unit("mm"), form(".3f"), "radius of the groove in the hot mold"]
     cold_radius: Annotated[float, unit("mm"), form(".3f"), "radius of the cold tube, without spring-back"]
     groove_radius: Annotated[float, unit("mm"), form(".3f"), "radius to mill for the drawn radius, without spring-back"]
@@ -404,7 +405,7 @@ def plan_oven(
     tube: Tube,
     oven: Oven,
     *,
-    window_degC: Annotated[tuple[float, float], unit("degC")] = (500.0, 550.0),
+    window_degC: Annotated[tuple[float, float], POSITIVE] = (500.0, 550.0),
     hold_time: Annotated[float, key("hold_s"), POSITIVE, Typical(1.0, 7200.0)] = 600.0,
 ) -> OvenPlan:
     """Soak time until every point of the curved part has been in its temperature window for the hold time.
@@ -608,3 +609,18 @@ def cool(block: MoldBlock, oven: Oven, tube: Tube, state: Array) -> Cooling:
         quench_time=last,
         ageing_time=float((ageing * spans[:, None]).sum(0).max()),
     )
+
+
+def oven_csv(plan: OvenPlan) -> str:
+    """Temperatures over time as CSV, a row for each step of the simulation."""
+    course = plan.course
+    columns = {
+        "time_s": course.time,
+        "coldest_degC": course.coldest,
+        "hottest_degC": course.hottest,
+        "surface_degC": course.surface,
+        "medium_degC": course.medium,
+    }
+    rows = zip(*([f"{value:.2f}" for value in values] for values in columns.values()), strict=True)
+    comment = f"{plan.oven.name or 'oven'}: soak {plan.soak_time:.0f} s; surface: mean of the mold's faces"
+    return to_csv(tuple(columns), rows, comment)
