@@ -60,6 +60,7 @@ def test_every_file_passes_its_schema(path: Path) -> None:
     name = {
         "studies": "study",
         "molds": "mold",
+        "ovens": "oven",
         "rigs": "rig",
         "tubes": "tubes",
         "joints": "joints",
