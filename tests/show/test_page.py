@@ -193,14 +193,14 @@ def test_faults_are_found() -> None:
 @pytest.mark.parametrize("order", [1, -1])
 def test_text_in_the_area_of_another_panel_is_found(order: int) -> None:
     """Drawn below the other panel, whose face hides it, or above it."""
-    figure = new_figure(4.0, 3.0)
-    left, right = figure.subplots(1, 2)
+    figure = new_figure(4.0, 4.0, layout=None)
+    left, right = (figure.add_axes((x, 0.1, 0.3, 0.8)) for x in (0.1, 0.6))
     right.set_zorder(order)
-    left.text(0.9, 0.5, "a text as long as it is wide")
+    left.text(0.9, 0.5, "a text wider than its panel")
     inset = right.inset_axes((0.5, 0.5, 0.4, 0.4))
     inset.text(0.5, 0.5, "in its own panel")
     right.set_title("neighbour", loc="left")
-    assert [str(fault) for fault in faults(figure)] == ["covered: 'a text as long as it is wide' and 'neighbour'"]
+    assert [str(fault) for fault in faults(figure)] == ["covered: 'a text wider than its panel' and 'neighbour'"]
 
 
 @picture

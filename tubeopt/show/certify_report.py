@@ -1,4 +1,4 @@
-"""What is said and saved about whether a robot can snap: what is proved apart from what is found."""
+"""Report of certification: proofs apart from results of a search."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .report import Report, grid, two_columns
 from .snap_report import SNAP
 
 BOX_METHOD = "the DIRECT algorithm, L-BFGS-B from its best point and every corner, Nelder-Mead from the best of all"
-"""How the least certificate in a box is found; see `stability.worst_certificate`."""
+"""Method that finds the smallest certificate in a box; see `stability.worst_certificate`."""
 
 GRADIENT = {
     "bending_stiffness_N_mm2": "bending stiffness EI",
@@ -35,37 +35,38 @@ GRADIENT = {
 
 # As of every command: 3 where there is no solution, 4 where nothing is proved.
 EXIT_CODES = {Finding.SNAP_FREE: 0, Finding.CAN_SNAP: 3, Finding.OPEN: 4}
-"""What `tubeopt certify` ends with."""
+"""Finding -> exit code of `tubeopt certify`."""
 
 
 def sentence(a: Certification) -> str:
-    """The verdict, with what is proved and what is found, where the snap is, and what is assumed."""
+    """Verdict with its proof, the results of the search, the snap, and the assumptions."""
     return f"{_finding(a.verdict)}, {ASSUMING}"
 
 
 def _finding(verdict: SnapAssessment) -> str:
     proved = f"{verdict.certificate.margin:.3g}" if np.isfinite(verdict.certificate.margin) else "none"
-    found = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
+    found_margin = "0" if verdict.worst is None else f"{verdict.worst.margin:.3g}"
     # The certificate of eccentric robots bounds the torsional stiffness, not the margin.
     if verdict.finding is Finding.SNAP_FREE and isinstance(verdict, EccentricSnapAssessment):
         return f"{verdict.finding} (proved, also at {1 - verdict.certificate.margin:.3g} of its torsional stiffness)"
     if verdict.finding is Finding.SNAP_FREE:
-        return f"{verdict.finding} (margin {proved} proved; {found} found)"
+        return f"{verdict.finding} (margin {proved} proved; {found_margin} found)"
     # An unstable equilibrium that the robot must pass proves a snap, though no path was followed to one.
     if verdict.snap is None and verdict.finding is Finding.CAN_SNAP:
-        return f"{verdict.finding}: equilibria that it must pass are unstable (margin {found}; certificate {proved})"
+        reason = f"equilibria that it must pass are unstable (margin {found_margin}; certificate {proved})"
+        return f"{verdict.finding}: {reason}"
     if verdict.snap is None:
-        least = f"least margin found {found}"
+        search = f"least margin found {found_margin}"
         if verdict.worst is not None and verdict.worst.margin < 0:
-            least += ", an unstable equilibrium, so some path leads to a snap"
-        return f"not proved (certificate {proved}), and search found no snap ({least})"
+            search += ", an unstable equilibrium, so some path leads to a snap"
+        return f"not proved (certificate {proved}), and search found no snap ({search})"
     # What a search did not find within the limits may still be there: it is no proof.
     beyond = "" if verdict.decided else "search found that "
     where = "" if verdict.within_limits else f", but {beyond}only beyond its joint limits"
     start, end = (degrees(angles, ".6g") for angles in _way(verdict))
     return (
         f"{verdict.finding}{where}: from rotations {start} towards {end}, at {degrees(verdict.snap.rotations)} "
-        f"(least margin found {found}; certificate {proved})"
+        f"(least margin found {found_margin}; certificate {proved})"
     )
 
 
@@ -75,7 +76,7 @@ def _way(verdict: SnapAssessment) -> list[Array]:
 
 
 def command(a: Certification) -> str | None:
-    """The command that repeats the snap, or, without one, shows the least margin found; None without either."""
+    """Command that repeats the snap, or shows the smallest margin found; None without either."""
     verdict = a.verdict
     file = shlex.quote(a.robot_file)
     if not verdict.followed:
@@ -91,13 +92,13 @@ def command(a: Certification) -> str | None:
 
 
 def _read(a: Certification, rotations: Array) -> tuple[Array, Array]:
-    """What the drives read there, deg and mm."""
+    """Readings of the drives at given rotations, deg and mm."""
     turned, shifted = to_readings(a.robot, rotations, a.verdict.certificate.translations)
     return np.degrees(turned), shifted * TO_MM
 
 
-def _shares(a: Certification) -> list[tuple[tuple[int, int], float]]:
-    """Pairs of tubes, from 1, and the part that each takes from a margin of 1; the largest first."""
+def _fractions(a: Certification) -> list[tuple[tuple[int, int], float]]:
+    """Pairs of tubes, from 1, and the fraction that each takes from a margin of 1; the largest first."""
     share = a.verdict.certificate.share
     # The matrix of shares is symmetric: each pair once.
     pairs = [((i + 1, j + 1), float(share[i, j])) for i, j in itertools.combinations(range(len(share)), 2)]
@@ -105,12 +106,12 @@ def _shares(a: Certification) -> list[tuple[tuple[int, int], float]]:
 
 
 def _takes(a: Certification) -> str:
-    shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in _shares(a)]
+    shares = [f"tubes {i} and {j} {100 * share:.1f} %" for (i, j), share in _fractions(a)]
     return ", ".join(shares) or "nothing: no two tubes are coupled"
 
 
 def _certificate(a: Certification) -> str:
-    """The certificate, and what it is a bound of."""
+    """Certificate, and the quantity that it bounds."""
     margin = a.verdict.certificate.margin
     if not np.isfinite(margin):
         return "none"
@@ -120,7 +121,7 @@ def _certificate(a: Certification) -> str:
 
 
 def _forced(a: Certification) -> str | None:
-    """The certificate under a force in words."""
+    """Certificate under a force, as text."""
     if a.force is None or a.forced is None:
         return None
     pushed = f"of up to {a.force * TO_MILLI:.6g} mN that keeps its direction"
@@ -165,7 +166,7 @@ def _snap_words(a: Certification) -> str | None:
 
 
 def _limits(a: Certification) -> str | None:
-    """The limits of the rotations, and whether the snap is inside."""
+    """Limits of the rotations, and the position of the snap relative to them."""
     if a.verdict.snap is None:
         return None
     inside = "the snap is inside" if a.verdict.within_limits else "the snap is beyond"
@@ -176,12 +177,12 @@ def _limits(a: Certification) -> str | None:
 
 def _gradient(a: Certification) -> dict[str, list[float | None]]:
     """Derivatives of the certificate, each per unit of its key."""
-    found = {}
+    derivatives = {}
     for key in GRADIENT:
         unit = unit_of(key)
         values = a.verdict.certificate.gradient[key.removesuffix(f"_{unit}")] / per_si(unit)
-        found[key] = [value if np.isfinite(value) else None for value in values.tolist()]
-    return found
+        derivatives[key] = [value if np.isfinite(value) else None for value in values.tolist()]
+    return derivatives
 
 
 SHARE: tuple[Quantity[tuple[tuple[int, int], float]], ...] = (
@@ -220,7 +221,7 @@ CERTIFICATION = described(
              lambda a: None if a.verdict.certificate.pair is None else [i + 1 for i in a.verdict.certificate.pair]),
     Quantity("limiting_section_mm", "ends of the section that limits the certificate",
              lambda a: a.verdict.certificate.section, label="limited by", words=_limited),
-    Quantity("shares", "part of the margin of 1 that each pair of tubes takes", _shares, of=SHARE,
+    Quantity("shares", "part of the margin of 1 that each pair of tubes takes", _fractions, of=SHARE,
              label="takes from the margin", words=_takes),
     Quantity("gradient", "derivatives of the certificate by the parameters of each tube, per unit of the key",
              _gradient),
@@ -251,14 +252,14 @@ class CertificationReport(Report[Certification]):
         parts: list[RenderableType] = [Text(f"{a.robot.name or 'the robot'} {sentence(a)}", style="bold")]
         parts += [Text(note) for note in self._notes()]
         parts += [two_columns("", self.rows()), self._gradient()]
-        again = command(a)
-        if again is not None:
-            what = "to repeat the least margin found:" if a.verdict.snap is None else "to repeat the snap:"
-            parts += [Text(what), Text(f"  {again}", no_wrap=True, overflow="ignore")]
+        repetition = command(a)
+        if repetition is not None:
+            purpose = "to repeat the least margin found:" if a.verdict.snap is None else "to repeat the snap:"
+            parts += [Text(purpose), Text(f"  {repetition}", no_wrap=True, overflow="ignore")]
         return Group(*parts)
 
     def _notes(self) -> list[str]:
-        """What a number of the verdict does not say."""
+        """Notes that restrict the meaning of the numbers."""
         verdict = self.answer.verdict
         notes = []
         if self.answer.box is not None:
@@ -295,7 +296,7 @@ class CertificationReport(Report[Certification]):
 
 
 def _eccentric_notes(verdict: EccentricSnapAssessment) -> list[str]:
-    """What is known in closed form, or why nothing is proved."""
+    """Notes on closed-form results, or on why nothing is proved."""
     if verdict.untwisted is None:
         return [
             "For tubes off the centreline a proof exists only for segments of three equal ones at 0, 120 and -120 deg. "

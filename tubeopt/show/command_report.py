@@ -43,17 +43,17 @@ EXTRAS = {
     "notebook": ("ipykernel", "plotly"),
     "rig": ("serial",),
 }
-"""What each extra of the package brings."""
+"""Extra of the package -> modules that it installs."""
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 TOLERANCE = 1e-9
-"""The tip (m) may differ by so much from an adaptive re-integration of the equations."""
+"""Largest difference of the tip from an adaptive re-integration of the equations, m."""
 
 
 @dataclass(frozen=True)
 class Doctor:
-    """An installation, and its self-test: a robot solved, and integrated again by another method."""
+    """Installation and its self-test: a robot solved, and integrated again by another method."""
 
     versions: Annotated[dict[str, str], "versions of Python and of the packages"]
     system: Annotated[str, "system"]
@@ -69,11 +69,11 @@ class Doctor:
 
 
 def _extras(a: Doctor) -> str:
-    there = ", ".join(name for name, lacks in a.missing.items() if not lacks)
+    installed = ", ".join(name for name, lacks in a.missing.items() if not lacks)
     absent = (
         f"{name} lacks {', '.join(lacks)} (pip install 'tubeopt[{name}]')" for name, lacks in a.missing.items() if lacks
     )
-    return "; ".join([f"installed: {there or 'none'}", *absent])
+    return "; ".join([f"installed: {installed or 'none'}", *absent])
 
 
 def _verdict(a: Doctor) -> str:
@@ -115,7 +115,7 @@ class DoctorReport(Report[Doctor]):
 
 
 def examine() -> Doctor:
-    """The installation that runs."""
+    """Report on the running installation, with a self-test."""
     cache = cache_directory()
     difference, solve = _self_test()
     files = [path for path in cache.rglob("*") if path.is_file()] if cache.exists() else []
@@ -136,10 +136,10 @@ def examine() -> Doctor:
 def _kernel() -> str:
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return "switched off by TUBEOPT_COMPILE=0"
-    found = library(2, False)
-    if found is None:
+    compiled = library(2, False)
+    if compiled is None:
         return "none: the package brings none, and no C compiler made one"
-    return f"of the package, {found.path.name}" if found.path.parent == FOLDER else "compiled on this machine"
+    return f"of the package, {compiled.path.name}" if compiled.path.parent == FOLDER else "compiled on this machine"
 
 
 def _self_test() -> tuple[float, float]:
@@ -153,9 +153,9 @@ def _self_test() -> tuple[float, float]:
     seconds = []
     # The least of many: other processes can only make a solve longer.
     for _ in range(50):
-        began = time.perf_counter()
+        start = time.perf_counter()
         forward_kinematics(robot, rotations)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.perf_counter() - start)
     return difference, min(seconds)
 
 
@@ -175,8 +175,9 @@ class ShippedReport(Report[ShippedFiles]):
         else:
             rows = [("name", "folder", "kind"), *((f.name, f.folder, f.kind or "") for f in files)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        said = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
-        lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in zip(rows, said, strict=True))
+        descriptions = ["", *(f.about[:1].upper() + f.about[1:] for f in files)]
+        described_rows = zip(rows, descriptions, strict=True)
+        lines = ("  ".join([*map(str.ljust, row, widths), words]) for row, words in described_rows)
         return "\n".join(line.rstrip() for line in lines)
 
 
@@ -214,13 +215,13 @@ class Viewed(Displayed):
     """A robot in the browser."""
 
     robot: Robot
-    """As it is first."""
+    """Robot that the page shows first."""
 
     url: str
     """Address of its page."""
 
     name: str
-    """What texts call it."""
+    """Name of the robot in texts."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,7 @@ class Served(Viewed):
     """A robot over WebSocket."""
 
     token: str
-    """What clients must know."""
+    """Token that clients must send."""
 
 
 VIEWED: tuple[Quantity[Viewed], ...] = (

@@ -209,12 +209,12 @@ def _choices(a: DesignAnswer) -> list[tuple[AnyObjective, Candidate]] | None:
 
 
 def dimensions(s: DesignSolution, of: str = "") -> RenderableType:
-    """What was free: before, after, and the bound on which it lies."""
+    """Free dimensions: before, after, and the active bound."""
     return grid(*columns(s.dimensions, DIMENSION), title=f"dimensions{of}", key=True)
 
 
 def checked_again(s: DesignSolution) -> RenderableType:
-    """What was promised, and what other code found."""
+    """Required values, and values computed by independent code."""
     return grid(*columns(s.verification.checks, CHECK), title="checked again by other code", key=True)
 
 
@@ -276,7 +276,7 @@ class DesignReport(Report[DesignAnswer]):
         return [robot, self.save_record(directory), page]
 
     def pictures(self) -> dict[str, Drawing]:
-        """Those that the design has; `CAPTIONS` says what each shows."""
+        """Pictures of the design; `CAPTIONS` describes them."""
         a, s = self.answer, self.answer.solution
         name = self.title()
         found: dict[str, Drawing] = {"shapes": before_after(s, name)}
@@ -437,7 +437,7 @@ class PairReport(Report[PairAnswer]):
         return " and ".join(self.answer.names)
 
     def below(self) -> list[RenderableType]:
-        """Of each arm its dimensions and what was checked again; the remarks."""
+        """Dimensions and verification of each arm, and the remarks."""
         parts: list[RenderableType] = []
         for arm in _arms(self.answer):
             parts += [dimensions(arm.solution, f" of {arm.name}"), checked_again(arm.solution)]
@@ -456,7 +456,7 @@ class PairReport(Report[PairAnswer]):
         return [*paths, self.save_record(directory)]
 
     def pictures(self) -> dict[str, Drawing]:
-        """What both hold before and after, where in the region, and the shapes of each."""
+        """Pictures of the satisfied pairs before and after, their places, and the shapes of each arm."""
         a = self.answer
         shares, places = (a.before, a.after), a.plates[0].placed(a.after.reached[0].targets)
         found: dict[str, Drawing] = {

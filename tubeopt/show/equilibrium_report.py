@@ -25,7 +25,7 @@ from .report import Report, grid, remarks
 
 
 def _poisson_ratio(tube: Tube) -> float | None:
-    """That of the material; None where a stiffness was given, of which it says nothing."""
+    """Poisson's ratio of the material; None if a stiffness was entered, which is independent of it."""
     derived = all(isinstance(k, OfCrossSection) for k in (tube.bending_stiffness, tube.torsional_stiffness))
     return tube.material.poisson_ratio if derived else None
 
@@ -56,7 +56,7 @@ NESTED: tuple[Quantity[tuple[Tube, float | None]], ...] = (
     *within(TUBE, lambda nested: nested[0]),
     Quantity("radial_clearance_mm", "radial clearance in the next tube", lambda nested: nested[1], digits=9),
 )
-"""Of a tube, and of its radial clearance (m) in the next one around it, None without one."""
+"""Quantities of a tube and its radial clearance, m, in the next outer one; None without one."""
 
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
@@ -90,13 +90,13 @@ class RobotReport(Report[AnyRobot]):
         cells.append(["translation at home (mm)", *(_cell(float(shift)) for shift in carriages)])
         numbers = [f"{i} >" for i in range(1, len(tubes) + 1)]
         lines = remarks(fit_warnings(self.answer), what="warning")
-        found = grid(("tube", *numbers), cells, title=self.title(), key=True)
+        properties = grid(("tube", *numbers), cells, title=self.title(), key=True)
         home = [Text(words)] if (words := _home_in_words(self.answer)) else []
-        return Group(found, *home, *(lines or [Text("no warnings", style="green")]))
+        return Group(properties, *home, *(lines or [Text("no warnings", style="green")]))
 
 
 def _home_in_words(robot: Robot) -> str:
-    """Why the translations at home are not 0; empty where it is."""
+    """Reason why the translations at home are not 0; "" where they are."""
     if not robot.home_translations.any():
         return ""
     inside = ends_inside(robot, np.array([tube.curved_length for tube in robot.tubes]))
@@ -112,7 +112,7 @@ def _cell(value: float | str | None) -> str:
 
 
 NOTICED = 1e-3
-"""Seconds of getting a kernel ready from which on they are told: in a process that has it, finding it takes less."""
+"""Loading time of a kernel, s, from which it is reported: a process that has it needs less."""
 
 VERIFICATION = described(Verification, "tip_position tip_rotation rotation end_torsion end_curvature base_rotation")
 
@@ -173,7 +173,7 @@ def _held_within(e: Equilibrium) -> str | None:
 
 
 def _tilted(e: Equilibrium, name: str) -> Any:
-    """Of the correction for clearance; None where the robot's file tells of none."""
+    """Value of the correction for clearance; None for a robot without clearance."""
     if not isinstance(e.robot, ConcentricRobot) or not any(e.robot.clearance or ()):
         return None
     return getattr(clearance_correction(e), name)

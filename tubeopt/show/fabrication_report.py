@@ -162,7 +162,7 @@ TRIAL: tuple[Quantity[tuple[float, float, float]], ...] = (
     Quantity("obtained_radius_mm", "radius of the obtained tube", lambda trial: 1 / trial[1]),
     Quantity("residual_percent", "deviation of the lost fraction from the model", lambda trial: trial[2]),
 )
-"""Of a trial: curvatures of mold and tube, 1/m, and by how much the lost part is off the model."""
+"""Quantities of a trial: curvatures of mold and tube, 1/m, and residual of the lost fraction."""
 
 
 def _trials(c: Calibration) -> list[tuple[float, float, float]]:
@@ -293,7 +293,7 @@ class RankingReport(Report[Ranking]):
 
 
 def _turned(get: Callable[[Cylinder], Any]) -> Callable[[Mandrel], Any]:
-    """What is said of a turned mandrel only."""
+    """Value of a turned mandrel; None for a printed one."""
     return lambda m: get(m.body) if isinstance(m.body, Cylinder) else None
 
 
@@ -379,7 +379,7 @@ FABRICATION = described(
 
 
 def _faults(a: Fabrication) -> list[str]:
-    """What is not kept, in words."""
+    """Violated conditions, as text."""
     found = []
     for part in a.parts:
         plan = part.heating.plan
@@ -443,7 +443,7 @@ class FabricationReport(Report[Fabrication]):
         return paths
 
     def pictures(self) -> dict[str, Drawing]:
-        """Those of every mold and schedule, in the folders of the tubes."""
+        """Pictures of every mold and schedule, in the folders of the tubes."""
         return {
             f"tube_{part.number}/{folder}/{name}": draw
             for part in self.answer.parts

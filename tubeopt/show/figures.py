@@ -21,13 +21,13 @@ from .report import Report, file_name
 
 @dataclass(frozen=True)
 class Journal:
-    """What a publisher asks of a picture."""
+    """Requirements of a publisher for pictures."""
 
     width_mm: int
-    """Of one column."""
+    """Width of one column."""
     format: str
     fonts: tuple[str, ...]
-    """Families, the best first."""
+    """Font families in order of preference."""
 
 
 JOURNALS = {
@@ -36,22 +36,21 @@ JOURNALS = {
     "springer": Journal(84, "tiff", ("Helvetica", "Arial", "Liberation Sans", "Nimbus Sans")),
     "sage": Journal(88, "tiff", ("Arial", "Helvetica", "Liberation Sans", "Nimbus Sans")),
 }
-"""Name on the command line -> what its publisher asks. Springer and SAGE take PDF too, but prefer TIFF where a picture
-has both lines and shades."""
+"""Name on the command line -> requirements of its publisher."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """An answer whose pictures are for a paper."""
+    """Result whose pictures are for a paper."""
 
     shown: Report[Any]
-    """The report on the answer."""
+    """Report on the result."""
     command: str
-    """What was typed."""
+    """Command line that made the pictures."""
 
 
 class FigureReport(Report[Figures]):
-    """The answer as its own command shows and saves it; each picture with its caption and its data."""
+    """Report as of the own command, with a caption and data for each picture."""
 
     def record(self) -> dict[str, Any]:
         return self.answer.shown.record()
@@ -69,8 +68,9 @@ class FigureReport(Report[Figures]):
             rows = TO_MM * np.column_stack([arm.arc_length, arm.position])
             write_text(paths[-1], to_csv(["s_mm", "x_mm", "y_mm", "z_mm"], rows.tolist()))
         paths.append(directory / "command.txt")
-        made = f"tubeopt {version('tubeopt')}, Python {platform.python_version()}, Matplotlib {version('matplotlib')}"
-        write_text(paths[-1], f"{self.answer.command}\n{made}, letters {families()[0]}\n")
+        versions = f"tubeopt {version('tubeopt')}, Python {platform.python_version()}"
+        versions += f", Matplotlib {version('matplotlib')}"
+        write_text(paths[-1], f"{self.answer.command}\n{versions}, letters {families()[0]}\n")
         return paths
 
     def draw(self, directory: Path) -> list[Path]:

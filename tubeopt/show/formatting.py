@@ -1,4 +1,4 @@
-"""Numbers of an answer as a person reads them."""
+"""Numbers of a result as text."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ CLOSE_TO_A_SNAP = 0.05
 
 
 AT_A_SNAP = 5e-4
-"""Margin that is 0 to all digits that are printed."""
+"""Margin below which all printed digits are 0."""
 
 
 def in_a_word(margin: float) -> str:
-    """What a stability margin means."""
+    """Meaning of a stability margin in a word."""
     if np.isnan(margin):
         return "unknown"
     if abs(margin) < AT_A_SNAP:
@@ -33,30 +33,30 @@ def in_a_word(margin: float) -> str:
 
 
 def margin_in_words(margin: float) -> str:
-    """A stability margin with what it means."""
+    """Stability margin with its meaning."""
     return in_a_word(margin) if np.isnan(margin) else f"{round(margin, 3) + 0.0:.3f}, {in_a_word(margin)}"
 
 
 def released(energy: float, words: str) -> str:
-    """Released energy (J) in words that have a place for it in mJ; "" where the load has none."""
+    """Text with the released energy, J, in its placeholder in mJ; "" if the load has no energy."""
     return "" if np.isnan(energy) else words.format(energy * TO_MILLI)
 
 
 def ends_in_words(inside: Sequence[EndInside]) -> str:
-    """The tubes that end inside outer ones; empty where none does."""
+    """Tubes that end inside outer ones, as text; "" if none does."""
     return "; ".join(
         f"tube {one.tube + 1} ends {one.depth * TO_MM:.4g} mm inside tube {one.around + 1}" for one in inside
     )
 
 
 def tip_number(equilibrium: Equilibrium) -> int | None:
-    """Which tube is the tip, from 1; None where all are withdrawn behind the plate."""
+    """Number of the tube at the tip, from 1; None if all are withdrawn behind the plate."""
     tip = tip_tube(equilibrium.tube_end)
     return None if tip is None else tip + 1
 
 
 def tip_in_words(robot: Robot, end: Array) -> str:
-    """Which tube is the tip where tubes end at arc lengths (n,), m; empty where all ends are in order."""
+    """Tube at the tip, as text, if tubes end at arc lengths (n,), m; "" if all ends are in order."""
     tip, inside = tip_tube(end), ends_inside(robot, end)
     if tip is None:
         return "at the plate, since all tubes are withdrawn"
@@ -64,7 +64,7 @@ def tip_in_words(robot: Robot, end: Array) -> str:
 
 
 def order_remarks(robot: Robot, translations: Array) -> list[str]:
-    """What translations (n,), m, break of the order of carriages, in words."""
+    """Violations of the order of carriages by translations (n,), m, as text."""
     return [
         f"{demand.broken}, by {missing * TO_MM:.4g} mm: inverse kinematics and plans refuse such translations"
         for demand, missing in out_of_order(robot, translations)
@@ -89,7 +89,7 @@ def millimetres(lengths: Array, form: str = ".9g") -> str:
 
 
 def at_least(lengths: ArrayLike, digits: int = 3) -> Array:
-    """Lengths (m) that are proved, in mm: rounded down to what is printed, so that a bound stays one."""
+    """Proved lengths, m, in mm, rounded down to the printed digits, so that a bound stays one."""
     lowered: Array = np.floor(np.asarray(lengths) * TO_MM * 10**digits) / 10**digits
     return lowered
 
@@ -100,7 +100,7 @@ def flag(values: Array) -> str:
 
 
 def counted(count: int, one: str, many: str = "", *, none: str = "") -> str:
-    """A number of things in words: "1 snap", "2 snaps"; `none` in place of 0."""
+    """Count with its noun: "1 snap", "2 snaps"; `none` in place of 0."""
     if count == 0 and none:
         return none
     return f"1 {one}" if count == 1 else f"{count} {many or one + 's'}"

@@ -31,7 +31,7 @@ from .quantities import Quantity, columns, described, line, of_field, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
 
 QUANTILES = (0.05, 0.5, 0.95)
-"""Of the temperatures of uncertain rigs that are told."""
+"""Printed quantiles of the temperatures of uncertain rigs."""
 
 
 def _verdict(plan: HeatingPlan) -> str:
@@ -138,7 +138,7 @@ PLAN = described(
 
 OF_A_TABLE = {"state_of_charge_percent", "battery_V", "feasible", "broken", "lowest_degC", "highest_degC",
               "hottest_degC", "duty"}  # fmt: skip
-"""What is told of the table for a state of charge."""
+"""Keys of the duty-cycle table for a state of charge."""
 
 OF_THE_BAND = described(
     Band,
@@ -167,7 +167,7 @@ SUCCESS: tuple[Quantity[Any], ...] = (
 
 
 def success_words(success: Success | None) -> str:
-    """How likely a heating keeps window and limit."""
+    """Probability that a heating keeps window and limit, as text."""
     if success is None:
         return "success: not known, since no uncertain rigs were sampled (--samples 0)"
     low, high = success.interval
@@ -225,7 +225,7 @@ class HeatingReport(Report[Heating]):
         return self.answer.plan.rig.name or "rig"
 
     def table(self) -> Group:
-        """How likely it is, and the plan."""
+        """Table with the probability of success and the plan."""
         return Group(Text(success_words(self.answer.success), style="bold"), super().table())
 
     def rows(self) -> list[tuple[str, str]]:
@@ -290,7 +290,7 @@ def _cure_words(cure: Cure) -> str:
 
 
 def missed(plan: HeatingPlan) -> str:
-    """What a plan does not keep, in words."""
+    """Violated conditions of a plan, as text."""
     low, high = plan.spec.window_degC
     window = f"no schedule was found that holds {low:g} to {high:g} degC for {plan.spec.hold_time:g} s"
     cold = [f"it is missed by {plan.shortfall:.1f} K", *plan.reasons] if plan.shortfall > 0 else []
@@ -396,7 +396,7 @@ class LedHeatingReport(Report[LedHeating]):
         return self.answer.plan.rig.name or "rig"
 
     def below(self) -> list[RenderableType]:
-        """What moves the temperature, and what to buy."""
+        """Contributions to the temperature error, and the list of parts."""
         answer = self.answer
         moved = columns(answer.feedback.contributions[:6], CONTRIBUTION)
         return [
@@ -505,7 +505,7 @@ RUN = described(
 
 
 def _held(run: HeatingRun) -> str:
-    """What was read in the hold, in words."""
+    """Temperatures measured in the hold, as text."""
     if run.held is None:
         return "nothing was measured"
     read = f"{run.held[0]:.1f} to {run.held[1]:.1f} degC"
@@ -552,7 +552,7 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
 
 
 def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:
-    """What a computer that plans the rest anew thinks of the rig."""
+    """State of the rig as estimated by the replanning computer, as text."""
     if leader is None:
         return []
     who = "this computer" if row.get("led") else "the board's own law"

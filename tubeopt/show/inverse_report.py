@@ -1,4 +1,4 @@
-"""What is said and saved about the answers of inverse kinematics: for one target, and for a table of them."""
+"""Reports of inverse kinematics: for one target, and for a table of targets."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ OF_THE_TARGET = described(
     "position direction",
     Quantity("status", "result of the search", lambda r: "FAILED" if r.solution is None else r.solution.status.name),
 )
-"""What is known of a target without any solution too."""
+"""Quantities of a target that exist without a solution."""
 
 ROW = described(
     Row,
@@ -213,7 +213,7 @@ def _jumps(a: TargetTable) -> str | None:
 
 
 def _miss(s: InverseSolution) -> str:
-    """By how much a target is missed, and what holds the robot back."""
+    """Distance from the target, and the active constraints."""
     held = ", ".join(s.active)
     return f"{s.position_error * TO_MM:.4g} mm short{f': {held}' if held else ''}"
 

@@ -1,4 +1,4 @@
-"""What notebooks show of an object: a table and a picture, and an arm in 3-D."""
+"""Notebook display of results: a table and a picture, and arms in 3-D."""
 
 from __future__ import annotations
 
@@ -60,16 +60,16 @@ PICTURE_WIDTH = 640
 
 
 def shown(answer: Any) -> dict[str, Any]:
-    """All that a notebook may show of an object, by its kind, of one drawing."""
-    table, draw = _told(answer)
+    """MIME type -> content of the display of an object, from one drawing."""
+    table, draw = _display(answer)
     picture = _drawn(draw)
     page = {"text/html": _html(table(), picture, type(answer).__name__)}
     return page if picture is None else {**page, "image/png": picture}
 
 
 def png(answer: Any) -> bytes | None:
-    """The picture of an object as PNG, None where there is none."""
-    return _drawn(_told(answer)[1])
+    """Picture of an object as PNG; None without one."""
+    return _drawn(_display(answer)[1])
 
 
 def _drawn(draw: Drawing | None) -> bytes | None:
@@ -77,42 +77,42 @@ def _drawn(draw: Drawing | None) -> bytes | None:
 
 
 def _html(table: RenderableType, picture: bytes | None, name: str) -> str:
-    """A piece of a page: a table, and a picture below where there is one."""
+    """HTML of a table, with a picture below if there is one."""
     console = Console(record=True, file=io.StringIO(), width=WIDTH, force_jupyter=False)
     # Cropped at the width of a terminal, long rows would lose their end; the page scrolls.
     console.print(table, crop=False)
     frame = '<pre style="line-height:1.25;overflow-x:auto">{code}</pre>'
-    told = console.export_html(inline_styles=True, code_format=frame).strip()
+    html = console.export_html(inline_styles=True, code_format=frame).strip()
     if picture is None:
-        return told
+        return html
     style = f'alt="{name}" style="max-width:{PICTURE_WIDTH}px;width:100%"'
-    return f'{told}\n<img {style} src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
+    return f'{html}\n<img {style} src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
 
 
-def _told(answer: Any) -> tuple[Callable[[], RenderableType], Drawing | None]:
-    """What makes the table of an object, and what draws its picture, None where there is none."""
+def _display(answer: Any) -> tuple[Callable[[], RenderableType], Drawing | None]:
+    """Functions that make the table of an object and draw its picture, None without one."""
     name = type(answer).__name__
     try:
-        told = report(answer)
+        reported = report(answer)
     except TypeError:
         summary = next((SUMMARIES[kind] for kind in type(answer).__mro__ if kind in SUMMARIES), None)
         if summary is None:
             return lambda: two_columns(f"{name} (SI)", _fields(answer)), None
         return lambda: two_columns(name, rows(answer, summary.quantities)), summary.picture(answer)
     if isinstance(answer, AnyRobot):
-        return told.table, _at_home(answer)
+        return reported.table, _at_home(answer)
     # Names with a suffix are files of other kinds, such as a page, that a notebook cannot show.
-    return told.table, next((draw for picture, draw in told.pictures().items() if "." not in picture), None)
+    return reported.table, next((draw for picture, draw in reported.pictures().items() if "." not in picture), None)
 
 
 def _fields(answer: Any) -> list[tuple[str, str]]:
-    """What nothing more is known of, as its fields."""
+    """Rows of an object without a list of quantities: its fields."""
     shown = ((field.name, getattr(answer, field.name)) for field in dataclasses.fields(answer) if field.repr)
     return [(name, brief(value)) for name, value in shown if value is not None]
 
 
 def _at_home(robot: Any) -> Drawing | None:
-    """A robot as it stands when nothing is turned."""
+    """Drawing of a robot at home; None if its equilibrium is not found."""
     from ..equilibrium.kinematics import forward_kinematics
 
     try:
@@ -129,7 +129,7 @@ DIGITS = 3
 def show_in_3d(
     equilibrium: Equilibrium, *, ghosts: Sequence[Equilibrium] = (), height: int = 480
 ) -> plotly.graph_objects.Figure:
-    """The robot on its plate as a scene that is turned with the mouse; a notebook shows it.
+    """Plotly scene of the robot on its plate, which is turned with the mouse.
 
     Args:
         ghosts: further shapes, drawn translucent.
@@ -168,15 +168,16 @@ def _mesh(library: Any, part: Part, opacity: float) -> Any:
 
 
 class Summary(NamedTuple):
-    """How an object is shown that has no report: its quantities; what draws it, as `drawing` takes it, "" for nothing;
-    and what of it is drawn, None for nothing."""
+    """Display of an object without a report."""
 
     quantities: Sequence[Quantity[Any]]
     plot: str = ""
+    """Function that draws it, as `drawing` takes it; "" for no picture."""
     drawn: Callable[[Any], Any] = lambda answer: answer
+    """Object -> the drawn part of it; None for no picture."""
 
     def picture(self, answer: Any) -> Drawing | None:
-        """What draws it, where there is a picture of it."""
+        """Drawing of an object; None without a picture."""
         what = self.drawn(answer) if self.plot else None
         return None if what is None else drawing(self.plot, what)
 

@@ -14,13 +14,13 @@ NARROW = 0.12
 
 
 def narrow() -> bool:
-    """Whether pictures are laid out for a column."""
+    """True for pictures that are laid out for a column."""
     width = WIDTH.get()
     return width is not None and width < NARROW
 
 
 TITLED: ContextVar[bool] = ContextVar("TITLED", default=True)
-"""Whether pictures have headings; a paper has captions instead."""
+"""True: pictures have headings. A paper has captions instead."""
 
 HEADINGS: ContextVar[list[str] | None] = ContextVar("HEADINGS", default=None)
 """List that collects the headings of pictures drawn without them, for captions; None: not collected."""

@@ -200,15 +200,15 @@ FOUND: tuple[Quantity[Trajectory], ...] = (
     line("found", lambda t: _found(t)),
     line("smoothed", _smoothed),
 )
-"""What is told below the motion itself."""
+"""Quantities below those of the motion."""
 
 
 def largest_by_history(t: Trajectory) -> Array | None:
-    """(3,) m, the largest of FELT samples evenly spaced in time; None where the robot tells of no friction."""
+    """(3,) largest half widths of FELT samples evenly spaced in time, m; None for a robot without friction."""
     chosen = np.unique(np.linspace(0, len(t.arms) - 1, FELT).round().astype(int)).tolist()
-    found = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
+    half_widths = [half for k in chosen if (half := by_history(t.arms[k])) is not None]
     # Per axis: the largest along x and along y may be at different instants.
-    return np.max(found, axis=0) if found else None
+    return np.max(half_widths, axis=0) if half_widths else None
 
 
 def _found(t: Trajectory) -> str:
@@ -257,13 +257,13 @@ class TrajectoryReport(Report[Trajectory]):
 
     def pictures(self) -> dict[str, Drawing]:
         """The motion, and its section by the plane of the study."""
-        found: dict[str, Drawing] = {"trajectory": drawing("trajectory.plot_trajectory", self.answer)}
-        return (
-            found if self.answer.cut is None else found | {"section": drawing("trajectory.plot_section", self.answer)}
-        )
+        pictures: dict[str, Drawing] = {"trajectory": drawing("trajectory.plot_trajectory", self.answer)}
+        if self.answer.cut is not None:
+            pictures["section"] = drawing("trajectory.plot_section", self.answer)
+        return pictures
 
     def films(self) -> dict[str, Drawing]:
-        """The moving arm."""
+        """Film of the moving arm."""
         return {"trajectory": drawing("trajectory.animate_trajectory", self.answer)}
 
     def conclude(self) -> None:
@@ -294,7 +294,7 @@ class CheckedReport(Report[VerifiedTrajectory]):
     drawn = (("verified", "trajectory.plot_checked"),)
 
     def table(self) -> Group:
-        """Whether it holds, and the numbers; the error that `conclude` raises has the faults."""
+        """Verdict and numbers; the error that `conclude` raises has the faults."""
         a = self.answer
         verdict = "holds" if a.proof.holds else "does not hold"
         return Group(Text(f"{a.file} {verdict}, {_assuming(a.proof)}"), two_columns("", self.rows()))
@@ -332,7 +332,7 @@ def _bound(pair: PairProof) -> str:
 
 
 def _clearance_from(plan: ArmsPlan) -> str | None:
-    """What the clearance of the arms is from, of obstacles that are no solids; None where all are."""
+    """Origin of the clearance of arms from obstacles that are no solids; None if all are."""
     # Each sentence once, in the order of the arms.
     return "; ".join(dict.fromkeys(chain(*(proof.clearance_from for proof in plan.proof.proofs)))) or None
 
@@ -439,7 +439,7 @@ class ArmsReport(Report[ArmsPlan]):
         return shown
 
     def films(self) -> dict[str, Drawing]:
-        """The moving arms."""
+        """Film of the moving arms."""
         return {"arms": drawing("trajectory.animate_arms", self.answer)}
 
     def conclude(self) -> None:

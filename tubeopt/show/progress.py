@@ -1,4 +1,4 @@
-"""How far a long computation is, on stderr where somebody looks at it."""
+"""Progress of long computations, on stderr of a terminal."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from rich.progress import (
 from rich.text import Text
 
 STAGES = {"feasibility": "towards feasibility, largest violation", "optimum": "towards the optimum, minimised"}
-"""Stages of a solve, and what their measure is."""
+"""Stage of a solve -> its description and measure."""
 
 MANY = 100
-"""Steps from which on their rate is told."""
+"""Number of steps from which their rate is shown."""
 
 
 class Bar:
-    """The callback of a computation: a bar from its first call on, where somebody looks.
+    """Progress bar of a computation, shown from its first call on in a terminal.
 
     Not shown before: the bar has a thread of its own, and processes are best started without.
     """
@@ -52,7 +52,7 @@ class Bar:
         self._stage, self._iteration = "", 0
 
     def __call__(self, done: int, total: int, failed: int = 0) -> None:
-        """Show how much is done, of how much, 0 where nobody knows, and how much of it has failed."""
+        """Show completed and failed steps; a total of 0 is unknown."""
         # rich shows a pulse for an unknown total, and a full bar for 0.
         self._show(completed=done, total=total or None, failed=failed)
 
@@ -71,7 +71,7 @@ class Bar:
         self._bar.update(self._task, **known)
 
     def stop(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._task is not None:
             self._bar.stop()
 
@@ -87,7 +87,7 @@ def working(what: str, *, shown: bool = True) -> Iterator[Bar]:
 
 
 class _Count(ProgressColumn):
-    """How many of how many, how many a second, and how many of them have failed."""
+    """Column with done and total steps, rate, and failures."""
 
     def render(self, task: Task) -> Text:
         if task.total is None:

@@ -38,7 +38,7 @@ class Quantity(Generic[A]):
     key: str
     """Name in JSON, with its unit as suffix (see `files.units.UNITS`); "" for a row of the table alone."""
     about: str
-    """What it is; the name of its row too."""
+    """Description, which is also the name of its row."""
     get: Callable[[A], Any] | None = None
     """Answer -> value in SI (temperatures in degC where the key says so); by default the attribute that the key names
     without its unit. Numbers, arrays, text, None, lists and mappings of them."""
@@ -48,11 +48,11 @@ class Quantity(Generic[A]):
     """Row of the table in place of the number: a template that names keys of the record, as in "{tip_error_mm:.1e} mm",
     or a function of the answer that may give None for no row."""
     of: Sequence[Quantity[Any]] | None = None
-    """What describes a part of the answer, or each of several; `get` then gives that part, several, or None."""
+    """Quantities of a part of the answer, or of each of several; `get` returns the part, a list of parts, or None."""
     label: str | None = None
     """Name of the row where that is not `about`."""
     digits: int | None = None
-    """To which the number is rounded in its unit, where the last ones only tell how SI became that unit."""
+    """Decimals to which the number is rounded in its unit, against round-off of the conversion from SI."""
     optional: bool = False
     """The key is left out, not null, where there is no value."""
 
@@ -67,32 +67,32 @@ class Quantity(Generic[A]):
 
     @property
     def name(self) -> str:
-        """Of its row."""
+        """Name of its row."""
         return self.about if self.label is None else self.label
 
     @property
     def sign(self) -> str:
-        """Its unit as a table writes it."""
+        """Unit in the spelling of tables."""
         return SIGNS.get(self.unit, self.unit)
 
-    def found(self, answer: A) -> Any:
-        """Its value in SI."""
+    def si_value(self, answer: A) -> Any:
+        """Value in SI."""
         if self.get is not None:
             return self.get(answer)
         return getattr(answer, self._attribute)
 
     def value(self, answer: A) -> Any:
-        """What the record holds under its key: in the unit of the key, plain numbers and lists."""
-        found = self.found(answer)
+        """Value for the record: in the unit of the key, plain numbers and lists."""
+        si_value = self.si_value(answer)
         if self.of is not None:
-            return _parts(found, self.of)
-        shown = in_units(found, self.unit)
+            return _parts(si_value, self.of)
+        shown = in_units(si_value, self.unit)
         if self.digits is None or shown is None:
             return shown
         return np.round(shown, self.digits).tolist()
 
     def text(self, answer: A, known: Mapping[str, Any]) -> str | None:
-        """What its row of the table says, None for no row."""
+        """Text of its row in the table; None for no row."""
         if callable(self.words):
             return self.words(answer)
         if not (self.words or self.form) or (self.key and known.get(self.key) is None):
@@ -102,7 +102,7 @@ class Quantity(Generic[A]):
         return f"{self.number(known)} {self.sign}".strip()
 
     def number(self, known: Mapping[str, Any]) -> str:
-        """Its number or numbers in the record, as its format wants them, without the unit."""
+        """Formatted number or numbers of the record, without the unit."""
         return str(_TEMPLATE.format_field(known[self.key], self.form))
 
 
@@ -116,11 +116,11 @@ def described(kind: type[A], *entries: str | Quantity[A] | EllipsisType) -> tupl
     listed: list[Quantity[A] | EllipsisType] = []
     for entry in entries or (...,):
         listed += [of_field(kind, name) for name in entry.split()] if isinstance(entry, str) else [entry]
-    keys = {one.key for one in listed if isinstance(one, Quantity)}
-    every = [of_field(kind, name) for name in _marked(kind)] if ... in listed else []
-    # A field that is named has its own place, and is not repeated where `...` stands.
-    others = [one for one in every if one.key not in keys]
-    return tuple(each for one in listed for each in (others if isinstance(one, EllipsisType) else [one]))
+    keys = {entry.key for entry in listed if isinstance(entry, Quantity)}
+    marked = [of_field(kind, name) for name in _marked(kind)] if ... in listed else []
+    # A named field has its own position, and is not repeated where `...` stands.
+    unnamed = [quantity for quantity in marked if quantity.key not in keys]
+    return tuple(each for entry in listed for each in (unnamed if isinstance(entry, EllipsisType) else [entry]))
 
 
 def of_field(kind: type[A], name: str, **changes: Any) -> Quantity[A]:
@@ -167,47 +167,47 @@ def _of_parts(hint: Any) -> tuple[Quantity[Any], ...] | None:
 
 
 def line(label: str, words: str | Callable[[A], str | None]) -> Quantity[A]:
-    """A row of the table that says in words what other quantities hold."""
+    """Row of the table without a key in the record."""
     return Quantity("", label, words=words)
 
 
 def within(quantities: Sequence[Quantity[B]], part: Callable[[A], B | None]) -> tuple[Quantity[A], ...]:
-    """The quantities of a part of an answer as quantities of the whole, each None where the part is."""
+    """Quantities of a part as quantities of the whole; their values are None where the part is."""
     return tuple(_lifted(quantity, part) for quantity in quantities)
 
 
 def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
     def of_the_whole(of_the_part: Callable[[B], Any]) -> Callable[[A], Any]:
-        def find(answer: A) -> Any:
-            found = part(answer)
-            return None if found is None else of_the_part(found)
+        def get(answer: A) -> Any:
+            selected = part(answer)
+            return None if selected is None else of_the_part(selected)
 
-        return find
+        return get
 
     # A row of words alone has no value to find.
-    get = of_the_whole(q.found) if q.key else None
+    get = of_the_whole(q.si_value) if q.key else None
     words = of_the_whole(q.words) if callable(q.words) else q.words
     return Quantity(q.key, q.about, get, q.form, words, q.of, q.label, q.digits, q.optional)
 
 
 def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:
-    """An answer as JSON: plain numbers, text, lists and mappings."""
+    """Record of an answer for JSON: plain numbers, text, lists and mappings."""
     values = ((quantity, quantity.value(answer)) for quantity in quantities if quantity.key)
     return {quantity.key: value for quantity, value in values if value is not None or not quantity.optional}
 
 
 def rows(answer: A, quantities: Sequence[Quantity[A]]) -> list[tuple[str, str]]:
-    """An answer as names and values for a person."""
+    """Rows of an answer for the table: names and texts."""
     known = record(answer, quantities)
-    told = ((q.name, q.text(answer, known)) for q in quantities)
-    return [(name, text) for name, text in told if text is not None]
+    texts = ((q.name, q.text(answer, known)) for q in quantities)
+    return [(name, text) for name, text in texts if text is not None]
 
 
 def columns(parts: Iterable[B], quantities: Sequence[Quantity[B]]) -> tuple[list[str], list[list[str]]]:
     """Parts of an answer for a person: names of the quantities that have words or a format, and a row for each part."""
     shown = [quantity for quantity in quantities if quantity.words or quantity.form]
     known = ((part, record(part, quantities)) for part in parts)
-    return [q.name for q in shown], [[q.text(part, told) or "" for q in shown] for part, told in known]
+    return [q.name for q in shown], [[q.text(part, values) or "" for q in shown] for part, values in known]
 
 
 _AS_IT_IS = frozenset([bool, str, dict, type(None)])
@@ -239,12 +239,13 @@ def with_unit(unit: str, values: Mapping[str, Any]) -> dict[str, Any]:
     return {f"{name}_{unit}" if unit else name: in_units(value, unit) for name, value in values.items()}
 
 
-def _parts(found: Any, quantities: Sequence[Quantity[Any]]) -> Any:
-    if found is None:
+def _parts(value: Any, quantities: Sequence[Quantity[Any]]) -> Any:
+    """Record of a part, a record for each of several, or None."""
+    if value is None:
         return None
-    if isinstance(found, list | tuple):
-        return [record(each, quantities) for each in found]
-    return record(found, quantities)
+    if isinstance(value, list | tuple):
+        return [record(each, quantities) for each in value]
+    return record(value, quantities)
 
 
 class _Template(string.Formatter):
@@ -260,7 +261,7 @@ _TEMPLATE = _Template()
 
 
 def load_in_words(load: Load) -> str:
-    """What pushes, in a line."""
+    """Load in one line."""
     at_tip = []
     if any(load.force):
         at_tip.append(f"{row(np.array(load.force) * TO_MILLI, '.6g')} mN at the tip")
@@ -302,7 +303,7 @@ LOADED: tuple[Quantity[Equilibrium], ...] = within(
     ),
     lambda e: None if e.load is None else e,
 )  # fmt: skip
-"""What a load does to an equilibrium; nothing without one."""
+"""Quantities of an equilibrium under a load; none without one."""
 
 
 READINGS: tuple[Quantity[tuple[Array, Array]], ...] = (

@@ -1,4 +1,4 @@
-"""What is said about an answer: a list of quantities, a table, a JSON object, files in a directory, pictures."""
+"""Reports on answers: quantities, a table, a JSON object, files in a directory, pictures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 A = TypeVar("A")
 
 Drawing = Callable[..., Any]
-"""Draws a picture, and saves it where it is given a path; returns the figure."""
+"""Function that draws a picture, saves it if a path is given, and returns the figure."""
 
 
 PICTURE_FORMATS = ("png", "pdf", "svg", "eps", "tiff")
@@ -36,7 +36,7 @@ TABLE_FORMATS = ("parquet", "mat")
 SOLID_FORMATS = ("stl", "glb", "urdf", "mjcf")
 
 FORMATS: ContextVar[tuple[str, ...]] = ContextVar("FORMATS", default=("png",))
-"""In which reports write: one of `PICTURE_FORMATS`, and any of the others for tables and arms."""
+"""File formats of reports: one of `PICTURE_FORMATS`, and any of the others for tables and arms."""
 
 
 def file_name(picture: str) -> str:
@@ -46,7 +46,7 @@ def file_name(picture: str) -> str:
 
 
 def drawing(plot: str, what: Any, **options: Any) -> Drawing:
-    """A picture of `what`, with nothing left to be said but where to save it.
+    """Function that draws `what`, and takes only the path to save the picture in.
 
     Args:
         plot: the function of `show.plots` that draws it, as "mold.plot_mold", loaded with Matplotlib when it is wanted:
@@ -60,15 +60,15 @@ def drawing(plot: str, what: Any, **options: Any) -> Drawing:
 
 @dataclass(frozen=True)
 class Report(Generic[A]):
-    """An answer, ready to be shown and saved: a list of its quantities, and what else there is to say."""
+    """Report on an answer: its quantities, files, pictures and exit code."""
 
     answer: A
 
     command: ClassVar[str] = ""
-    """What is typed after `tubeopt` for such an answer."""
+    """Command that gives such an answer, without `tubeopt`."""
 
     quantities: ClassVar[tuple[Quantity[Any], ...]] = ()
-    """What `--json` holds, and the rows of the table."""
+    """Quantities for `--json` and for the rows of the table."""
 
     file: ClassVar[str] = ""
     """Name under which the record is saved; "" where it is not."""
@@ -78,32 +78,32 @@ class Report(Generic[A]):
     picture where that is None; without one of the answer itself."""
 
     def __init_subclass__(cls) -> None:
-        """A class of reports is that on the answers which it names in its brackets."""
+        """Register the class for the type of answers in its brackets."""
         for base in cls.__dict__.get("__orig_bases__", ()):
             # The class in the brackets, as of Report[Trajectory]: no second table of kinds is needed.
             report.register(get_args(base)[0], cls)
 
     def record(self) -> dict[str, Any]:
-        """What `--json` prints: plain numbers, text, lists and mappings; keys carry their unit."""
+        """Record for `--json`: plain numbers, text, lists and mappings; keys carry their unit."""
         return quantities.record(self.answer, self.quantities)
 
     def rows(self) -> list[tuple[str, str]]:
-        """The quantities that a person wants to see, as names and values."""
+        """Rows of the table, as names and texts."""
         return quantities.rows(self.answer, self.quantities)
 
     def title(self) -> str:
-        """What the table is headed by."""
+        """Title of the table."""
         answer: Any = self.answer
         return answer.robot.name or "robot"
 
     def table(self) -> RenderableType:
-        """What a person reads."""
+        """Table for the terminal."""
         return Group(two_columns(self.title(), self.rows()), *self.below())
 
     def below(self) -> Sequence[RenderableType]:
-        """What stands below the rows; by default the remarks that are among the quantities."""
-        said = (quantity.found(self.answer) for quantity in self.quantities if quantity.key == "remarks")
-        return remarks(itertools.chain.from_iterable(each or () for each in said), what="remark")
+        """Texts below the rows; by default the remarks that are among the quantities."""
+        lines = (quantity.si_value(self.answer) for quantity in self.quantities if quantity.key == "remarks")
+        return remarks(itertools.chain.from_iterable(each or () for each in lines), what="remark")
 
     def save(self, directory: Path) -> list[Path]:
         """Write everything but the pictures into `directory`; return the paths."""
@@ -115,7 +115,7 @@ class Report(Generic[A]):
         return directory / self.file
 
     def pictures(self) -> dict[str, Drawing]:
-        """Name of every picture -> what draws it; a name without a suffix gets that of the format asked for."""
+        """Name of every picture -> function that draws it; a name without a suffix gets that of the format."""
         parts = [
             (name, plot, attrgetter(*part)(self.answer) if part else self.answer) for name, plot, *part in self.drawn
         ]
@@ -129,11 +129,11 @@ class Report(Generic[A]):
         return list(drawings)
 
     def tables(self) -> dict[str, Any]:
-        """Name -> what has many rows, and can be saved as a table of another format."""
+        """Name -> data of many rows that can be saved as a table of another format."""
         return {}
 
     def films(self) -> dict[str, Drawing]:
-        """Name of every film -> what makes it; films are made only in a format that is asked for."""
+        """Name of every film -> function that makes it; films are made only in requested formats."""
         return {}
 
     def solids(self) -> dict[str, Equilibrium]:
@@ -143,17 +143,17 @@ class Report(Generic[A]):
     def convert(self, directory: Path) -> list[Path]:
         """Write films, tables and arms into `directory` in those of `FORMATS` that are theirs; return the paths."""
         # What they are converted with is loaded only where it is asked for.
-        wanted, paths = FORMATS.get(), list[Path]()
-        for form in (form for form in FILM_FORMATS if form in wanted):
+        formats, paths = FORMATS.get(), list[Path]()
+        for form in (form for form in FILM_FORMATS if form in formats):
             for name, film in self.films().items():
                 paths.append(directory / f"{name}.{form}")
                 film(paths[-1])
-        if forms := [form for form in TABLE_FORMATS if form in wanted]:
+        if forms := [form for form in TABLE_FORMATS if form in formats]:
             from .tables import save_table
 
             made = [(form, *each) for form in forms for each in self.tables().items()]
             paths += [save_table(table, directory / f"{name}.{form}") for form, name, table in made]
-        if forms := [form for form in SOLID_FORMATS if form in wanted]:
+        if forms := [form for form in SOLID_FORMATS if form in formats]:
             from .surfaces import save_solid
 
             built = [("xml" if form == "mjcf" else form, *each) for form in forms for each in self.solids().items()]
@@ -161,7 +161,7 @@ class Report(Generic[A]):
         return paths
 
     def conclude(self) -> None:
-        """Raise what the command ends with once all is shown and saved: SolveError, NotProvedError or an exit code."""
+        """Raise the error or exit code of the command, once all is shown and saved."""
 
 
 @functools.singledispatch
@@ -203,5 +203,5 @@ def _titled(title: str) -> list[Text]:
 
 
 def remarks(lines: Iterable[str], *, what: str = "") -> list[Text]:
-    """Lines below a table, each after the word that says what it is."""
+    """Texts below a table, each with an optional kind in front."""
     return [Text(f"{what}: {words}" if what else words, style="yellow") for words in lines]

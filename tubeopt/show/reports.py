@@ -121,7 +121,7 @@ def report(answer: object) -> Report[Any]:
 
 
 def to_dict(answer: object) -> Mapping[str, Any]:
-    """What `--json` says about an answer of any kind: plain numbers, text, lists and mappings with units in the keys.
+    """Record of an answer of any kind, as `--json` prints it: plain numbers, text, lists and mappings.
 
     Raises:
         TypeError: nothing is said about such an object.

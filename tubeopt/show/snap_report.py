@@ -104,18 +104,18 @@ PATH = described(
 
 
 def _remarks(m: stability.Path) -> list[str]:
-    """Where carriages are out of order, or an outer tube is the tip, in words."""
-    found: dict[str, list[int]] = {}
+    """Remarks on the order of carriages, and on an outer tube at the tip."""
+    waypoints: dict[str, list[int]] = {}
     for k, e in enumerate(m.equilibria, start=1):
-        said = [demand.broken for demand, _ in out_of_order(e.robot, e.translations)]
+        violations = [demand.broken for demand, _ in out_of_order(e.robot, e.translations)]
         inside, tip = ends_inside(e.robot, e.tube_end), tip_number(e)
         if inside and tip is not None:
             within = ", ".join(str(one.tube + 1) for one in inside)
-            said.append(f"the tip is the end of tube {tip}, and tube {within} ends inside an outer tube")
-        for words in said:
+            violations.append(f"the tip is the end of tube {tip}, and tube {within} ends inside an outer tube")
+        for words in violations:
             # One remark for all waypoints with the same words: a path may have thousands.
-            found.setdefault(words, []).append(k)
-    return [f"{words}, {_waypoints(where)}" for words, where in found.items()]
+            waypoints.setdefault(words, []).append(k)
+    return [f"{words}, {_waypoints(where)}" for words, where in waypoints.items()]
 
 
 def _waypoints(where: Sequence[int]) -> str:
@@ -123,7 +123,7 @@ def _waypoints(where: Sequence[int]) -> str:
 
 
 def _rubbed(m: stability.Path) -> str | None:
-    """What friction did on the way; None without friction."""
+    """Effect of friction along the path; None without friction."""
     last = m.equilibria[-1].friction
     if last is None:
         return None
@@ -131,7 +131,7 @@ def _rubbed(m: stability.Path) -> str | None:
 
 
 def way_sentence(w: StraightMotion) -> str:
-    """What happens on the way."""
+    """Snaps along the path, as text."""
     if w.snap is not None:
         return (
             f"snaps {100 * w.snap.fraction:.6f} % of the path, at rotations {degrees(w.snap.rotations)}, "
@@ -290,9 +290,9 @@ class RobotMapReport(Report[RobotMap]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write map.npz: the fields of `StabilityMap` and the translations, in SI."""
-        found = self.answer.map
+        chart = self.answer.map
         fields = {
-            name: getattr(found, name)
+            name: getattr(chart, name)
             for name in ("tubes", "angles", "margin", "snaps", "directions", "boundary", "approach")
         }
         return [save_arrays(directory / "map.npz", translations=self.answer.translations, **fields)]
@@ -347,7 +347,7 @@ BEARING = described(
 
 
 def _size(load: Load, factor: float) -> str:
-    """How large a multiple of a load is: its force and moment at the tip if it has nothing else, and the factor."""
+    """Multiple of a load as text: force and moment at the tip if it has nothing else, and the factor."""
     # Of a combined load no single size is meaningful; the factor alone is reported.
     alone = not load.points and load.distributed is None and load.gravity is None
     sizes = [(factor * float(np.linalg.norm(part)), unit) for part, unit in ((load.force, "N"), (load.moment, "N m"))]
@@ -397,8 +397,8 @@ FORCE = described(
 )  # fmt: skip
 
 ESTIMATE: tuple[Quantity[tuple[int, ForceEstimate]], ...] = (
-    Quantity("row", "row of the recording, from 1", lambda told: told[0]),
-    *within(FORCE, lambda told: told[1]),
+    Quantity("row", "row of the recording, from 1", lambda estimate: estimate[0]),
+    *within(FORCE, lambda estimate: estimate[1]),
 )
 
 
@@ -406,7 +406,7 @@ CONFIDENCE = (
     "standard errors are to second order in the noise; ForceEstimate.coverage computes how often the ellipsoid of a "
     "row holds the force, and contains asks the region of the likelihood"
 )
-"""What is said of standard errors."""
+"""Remark on standard errors."""
 
 RECORD = described(
     ForceRecord,
@@ -464,7 +464,7 @@ class ForceReport(Report[ForceRecord]):
         return [*super().rows(), *((f"row {k + 1}", why) for k, why in self.answer.failures[:5])]
 
     def below(self) -> list[RenderableType]:
-        """Its first rows."""
+        """First rows of the table."""
         told = _told(self.answer)
         columns = ("row >", "force x, y, z (mN) >", "size (mN) >", "standard errors (mN) >")
         cells = (

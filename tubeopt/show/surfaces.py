@@ -39,10 +39,10 @@ SIDES = 32
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A surface as triangles with shared vertices."""
+    """Triangles with shared vertices."""
 
     vertices: Array
-    """(v, 3) m."""
+    """(v, 3) vertices, m."""
     faces: Faces
     """(f, 3): corners of every triangle, counter-clockwise from outside."""
 
@@ -65,7 +65,7 @@ def two_of_four(corners: NDArray[np.integer]) -> Faces:
 
 
 def join(surfaces: list[Surface]) -> Surface:
-    """All of them as one."""
+    """Surface of several surfaces."""
     start = np.cumsum([0] + [len(each.vertices) for each in surfaces])
     faces = [each.faces + np.uint32(first) for each, first in zip(surfaces, start, strict=False)]
     return Surface(np.concatenate([each.vertices for each in surfaces]), np.concatenate(faces))
@@ -100,7 +100,7 @@ def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) ->
 
 
 def swept(line: Array, radii: Array, *, sides: int = SIDES, capped: bool = True) -> Surface:
-    """What lies around a polyline (k, 3) at distances (k,), m, with half balls at its ends if `capped`."""
+    """Surface around a polyline (k, 3) at distances (k,), m, with half balls at its ends if `capped`."""
     step = np.diff(line, axis=0)
     length = np.linalg.norm(step, axis=1)[:, None]
     # A sphere is a line of length zero: any direction serves, and z avoids a division by 0.
@@ -113,18 +113,17 @@ def swept(line: Array, radii: Array, *, sides: int = SIDES, capped: bool = True)
     if capped:
         # A quarter of the facets around covers a quarter of a circle: facets of balls are about square.
         lifts = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
-        first, last, begin, end = line[0], line[-1], along[0], along[-1]
-        front = [(first - radii[0] * np.sin(x) * begin, begin, radii[0] * np.cos(x)) for x in lifts[:0:-1]]
-        back = [(last + radii[-1] * np.sin(x) * end, end, radii[-1] * np.cos(x)) for x in lifts[1:]]
+        front = [(line[0] - radii[0] * np.sin(x) * along[0], along[0], radii[0] * np.cos(x)) for x in lifts[:0:-1]]
+        back = [(line[-1] + radii[-1] * np.sin(x) * along[-1], along[-1], radii[-1] * np.cos(x)) for x in lifts[1:]]
         rings = [*front, *rings, *back]
     angle = np.arange(sides) * 2 * np.pi / sides
-    aside, vertices = axes_about(along[0])[0], []
+    across, vertices = axes_about(along[0])[0], []
     for centre, normal, radius in rings:
         # The direction to the first vertex is projected from ring to ring, a discrete parallel transport.
         # A frame made anew at each ring could jump, and the facets between would be twisted.
-        aside = aside - (aside @ normal) * normal
-        aside = aside / max(float(np.linalg.norm(aside)), 1e-12)
-        around = np.cos(angle)[:, None] * aside + np.sin(angle)[:, None] * np.cross(normal, aside)
+        across = across - (across @ normal) * normal
+        across = across / max(float(np.linalg.norm(across)), 1e-12)
+        around = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(normal, across)
         vertices.append(centre + radius * around)
     return Surface(np.concatenate(vertices), grid_faces(len(rings), sides))
 
@@ -164,10 +163,10 @@ def axes_about(z: Array) -> Array:
 
 
 RIM = 0.55
-"""How much lighter the wall is where a tube is cut."""
+"""Lightening of the wall where a tube is cut."""
 
 DARKEST = 0.45
-"""Part of a colour's light that is left where nothing is left of the stiffness."""
+"""Brightness factor of a tube without any remaining stiffness."""
 
 PLATE_COLOUR: Colour = (204, 209, 217)
 BORE_COLOUR: Colour = (33, 33, 33)
@@ -226,17 +225,22 @@ def _unit(vectors: Array) -> Array:
 
 
 class Stretch(NamedTuple):
-    """What shows of a tube: its index, arc lengths, m, its radius, m, and where its axis stands (2,), m."""
+    """Visible stretch of a tube."""
 
     tube: int
+    """Index of the tube."""
     start: float
+    """First arc length, m."""
     end: float
+    """Last arc length, m."""
     radius: float
+    """Outer radius, m."""
     offset: Array
+    """(2,) position of its axis in the cross-section of the arm, m."""
 
 
 def visible(equilibrium: Equilibrium) -> list[Stretch]:
-    """The tubes as far as they show, outermost first: from where the last tube around it ends, each to its own end."""
+    """Visible stretches of tubes, outermost first: from the end of the last tube around it to its own end."""
     place = equilibrium.robot.assembly(equilibrium.translations).across
     shown = []
     # Tubes are numbered from the innermost, so those with larger index can be around this one.
@@ -250,48 +254,61 @@ def visible(equilibrium: Equilibrium) -> list[Stretch]:
     return shown
 
 
-def slotted(tube: Tube, held: float, first: float, last: float) -> list[tuple[float, float, float]]:
-    """Stretches of arc length between `first` and `last`, m, of a tube held `held` m behind the plate, with the part of
-    the tube's own bending stiffness that is left there, at most 1."""
+class SlottedStretch(NamedTuple):
+    """Stretch of a tube with a constant remaining stiffness."""
+
+    start: float
+    """First arc length, m."""
+    end: float
+    """Last arc length, m."""
+    stiffness: float
+    """Bending stiffness over that of the whole tube, at most 1."""
+
+
+def slotted(tube: Tube, held: float, first: float, last: float) -> list[SlottedStretch]:
+    """Stretches of a tube between arc lengths `first` and `last`, m, with their remaining bending stiffness.
+
+    held: distance of its clamped end behind the plate, m.
+    """
     # Arc length is counted from the plate, and the proximal end is `held` behind it.
-    own, begin = float(tube.bending_stiffness), -held
-    out: list[tuple[float, float, float]] = []
+    whole, start = float(tube.bending_stiffness), -held
+    out: list[SlottedStretch] = []
     for length, _, bending, _ in stretches(tube):
-        low, high = max(begin, first), min(begin + length, last)
-        # Of a stiffness that varies, the least: the colour warns of the weakest place.
-        least = extremes([bending], length)[0] if isinstance(bending, Series) else float(bending)
-        part = min(least / own, 1.0)
+        low, high = max(start, first), min(start + length, last)
+        # Of a stiffness that varies, the least: the colour warns of the weakest point.
+        smallest = extremes([bending], length)[0] if isinstance(bending, Series) else float(bending)
+        stiffness = min(smallest / whole, 1.0)
         if high > low:
             # Adjacent stretches of one shade are one surface: fewer parts, and no ring between them.
-            if out and out[-1][2] == part:
-                out[-1] = (out[-1][0], high, part)
+            if out and out[-1].stiffness == stiffness:
+                out[-1] = out[-1]._replace(end=high)
             else:
-                out.append((low, high, part))
-        begin += length
+                out.append(SlottedStretch(low, high, stiffness))
+        start += length
     return out
 
 
 def shade(part: float) -> float:
-    """By how much a colour is darkened where this part of the bending stiffness is left: 1 not at all."""
+    """Brightness factor for a remaining fraction of the bending stiffness; 1 for the whole stiffness."""
     return DARKEST + (1 - DARKEST) * part
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Tubes side by side that show between the same arc lengths."""
+    """Tubes side by side, visible between the same arc lengths."""
 
     tubes: tuple[int, ...]
-    """From 0."""
+    """Indices of the tubes, from 0."""
     start: float
-    """m, of arc length."""
+    """First arc length, m."""
     end: float
-    """m."""
+    """Last arc length, m."""
     radius: float
-    """m, around them all."""
+    """Radius around all tubes, m."""
 
 
 def bundles(equilibrium: Equilibrium) -> list[Bundle]:
-    """What is visible, with the tubes of a segment together; of a concentric robot every tube for itself."""
+    """Visible tubes, those of a segment together; of a concentric robot each by itself."""
     groups: dict[tuple[float, float], list[int]] = {}
     for each in visible(equilibrium):
         groups.setdefault((each.start, each.end), []).append(each.tube)
@@ -303,19 +320,18 @@ def bundles(equilibrium: Equilibrium) -> list[Bundle]:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A surface as it is seen."""
+    """Surface with its look."""
 
     name: str
-    """By which it is told from others in a scene."""
+    """Name in a scene."""
     surface: Surface
-    """Its facets, m."""
+    """Facets, m."""
     colour: Colour
     """Red, green, blue, 0 to 255."""
     opacity: float = 1.0
     """1 hides what is behind."""
     lift: float = 0.0
-    """m, by which it counts as nearer to whom it faces where facets are sorted by depth, so that a surface stays
-    outside of what touches it from within."""
+    """Shift along the normal for sorting by depth, m: an outer surface stays in front of one that it touches."""
 
 
 def _mixed(colour: Colour, other: float, part: float) -> Colour:
@@ -325,10 +341,12 @@ def _mixed(colour: Colour, other: float, part: float) -> Colour:
 
 
 class Detail(NamedTuple):
-    """How finely an arm is cut: into `sides` around a tube, and `pieces` along each, or, `even`, along all together."""
+    """Number of facets of an arm."""
 
     sides: int = 20
+    """Facets around a tube."""
     pieces: int = 72
+    """Facets along a tube; along the whole arm if `even`."""
     even: bool = False
 
     def along(self, start: float, end: float, whole: float) -> Array:
@@ -337,15 +355,20 @@ class Detail(NamedTuple):
         return np.linspace(start, end, pieces + 1)
 
 
-IN_HAND = Detail()
-"""For a robot that moves."""
+MOVING = Detail()
+"""Detail of a moving robot."""
 
 
 def robot_parts(
-    equilibrium: Equilibrium, detail: Detail = IN_HAND, window: tuple[float, float] | None = None
+    equilibrium: Equilibrium, detail: Detail = MOVING, window: tuple[float, float] | None = None
 ) -> list[Part]:
-    """All tubes of true diameter, each where it shows, darker where slots have made it softer, with the rim of its wall
-    and its bore; sheaths around groups. Only what lies between the arc lengths of a window, m, where there is one."""
+    """Parts of an arm to scale: visible tubes with the rims of their walls and their bores, and sheaths.
+
+    Tubes are darker where slots have made them softer.
+
+    Args:
+        window: arc lengths, m, between which parts are made; None: the whole arm.
+    """
     shown = visible(equilibrium)
     if not shown:
         return []
@@ -356,12 +379,12 @@ def robot_parts(
     for each in shown:
         tube, colour = equilibrium.robot.tubes[each.tube], rgb(tube_colour(each.tube))
         held, first, last = float(assembly.transmission[each.tube]), max(each.start, low), min(each.end, high)
-        for k, (begin, stop, left) in enumerate(slotted(tube, held, first, last)):
+        for k, (start, end, stiffness) in enumerate(slotted(tube, held, first, last)):
             name = f"tube_{each.tube + 1}" + f"_{k + 1}" * bool(k)
-            # Rings are shared out by the length that is shown: a close-up has as many as a whole arm.
-            s = detail.along(begin, stop, high - low)
+            # Rings are distributed over the shown length: a close-up has as many as a whole arm.
+            s = detail.along(start, end, high - low)
             surface = tube_surface(line, s, each.radius, each.offset, sides=detail.sides)
-            parts.append(Part(name, surface, _mixed(colour, 0.0, 1 - shade(left))))
+            parts.append(Part(name, surface, _mixed(colour, 0.0, 1 - shade(stiffness))))
     # Ends outside of a window are not seen: a rim there would float in front of nothing.
     cut = [each for each in shown if low <= each.end <= high]
     bores: list[Surface] = []
@@ -375,7 +398,7 @@ def robot_parts(
 
 
 def _sheaths(equilibrium: Equilibrium, line: Centreline, detail: Detail, window: tuple[float, float]) -> Iterator[Part]:
-    """What holds the tubes of every segment side by side, as wide as they need."""
+    """Sheaths of the segments, as wide as the tubes in them need."""
     for k, bundle in enumerate(bundles(equilibrium), start=1):
         first, last = max(bundle.start, window[0]), min(bundle.end, window[1])
         if last > first:
@@ -458,18 +481,18 @@ def save_solid(equilibrium: Equilibrium, path: str | PathLike[str]) -> Path:
 
 
 def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
-    """A tube as a solid: its outside, closed by a disc at either end."""
+    """Surface of a tube as a solid: its outside, closed by a disc at either end."""
     # Two rings at least: a stretch below STEP is one row of facets.
     count = 2 + int((stretch.end - stretch.start) / STEP)
     side = tube_surface(
         line, np.linspace(stretch.start, stretch.end, count), stretch.radius, stretch.offset, sides=TUBE_FACETS
     )
     rings = side.vertices.reshape(count, TUBE_FACETS, 3)
-    here, ahead = np.arange(TUBE_FACETS), (np.arange(TUBE_FACETS) + 1) % TUBE_FACETS
+    corner, ahead = np.arange(TUBE_FACETS), (np.arange(TUBE_FACETS) + 1) % TUBE_FACETS
     first, last = len(side.vertices), len(side.vertices) + 1
     far = (count - 1) * TUBE_FACETS
     # Opposite orders at both ends: each disc faces away from the tube, as a watertight body needs.
-    discs = [(np.full(TUBE_FACETS, first), ahead, here), (np.full(TUBE_FACETS, last), far + here, far + ahead)]
+    discs = [(np.full(TUBE_FACETS, first), ahead, corner), (np.full(TUBE_FACETS, last), far + corner, far + ahead)]
     faces = np.concatenate([side.faces, *(np.column_stack(disc) for disc in discs)]).astype(np.uint32)
     return Surface(np.concatenate([side.vertices, rings[[0, -1]].mean(1)]), faces)
 

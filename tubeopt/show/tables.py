@@ -58,12 +58,12 @@ class Variable(NamedTuple):
     get: Callable[[Any], Any] | None = None
 
     def values(self, answer: Any) -> np.ndarray:
-        """In SI, a row per row of the table."""
+        """Values in SI, one row per row of the table."""
         return np.asarray(getattr(answer, self.name) if self.get is None else self.get(answer))
 
     @property
     def unit(self) -> str:
-        """In which the columns are."""
+        """Unit of the columns."""
         return unit_of(self.column.replace("_{}", ""))
 
 
@@ -126,17 +126,17 @@ def columns(answer: Any) -> dict[str, Array]:
     if isinstance(answer, Sweep):
         with np.load(answer.arrays) as stored:
             return {name: stored[name] for name in stored.files}
-    found: dict[str, Array] = {}
+    named: dict[str, Array] = {}
     for variable in _description(answer)[1]:
         values = variable.values(answer)
         # Times a factor, true would become 1.
         shown = values if values.dtype == bool else values * per_si(variable.unit)
         if not variable.inner:
-            found[variable.column] = shown
+            named[variable.column] = shown
             continue
         for k, name in enumerate(INNER[variable.inner](values.shape[1])):
-            found[variable.column.format(name)] = shown[:, k]
-    return found
+            named[variable.column.format(name)] = shown[:, k]
+    return named
 
 
 def to_dataframe(answer: Any) -> pandas.DataFrame:
@@ -184,8 +184,8 @@ def to_xarray(answer: Any) -> xarray.Dataset:
             labels[variable.inner] = INNER[variable.inner](values.shape[1])
         unit = SI.get(variable.unit, SIGNS.get(variable.unit, variable.unit)).replace("_", " ")
         data[variable.name] = ((row, variable.inner) if variable.inner else (row,), values, {"units": unit or "1"})
-    found: xarray.Dataset = library.Dataset(data, coords=labels, attrs={"robot": _robot(answer)})
-    return found
+    dataset: xarray.Dataset = library.Dataset(data, coords=labels, attrs={"robot": _robot(answer)})
+    return dataset
 
 
 @typed
@@ -228,17 +228,17 @@ def save_table(answer: Any, path: str | PathLike[str]) -> Path:
 
 def matlab_names(columns: Iterable[str]) -> list[str]:
     """Names of columns as MATLAB allows them: "robot.tubes[0].length_mm" is robot_tubes_0_length_mm."""
-    found: list[str] = []
+    names: list[str] = []
     for column in columns:
         plain = re.sub(r"\W+", "_", column, flags=re.ASCII).strip("_")
         plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:LONGEST_NAME]
         name, count = plain, 1
         # Shortened or cleaned names may coincide.
-        while name in found:
+        while name in names:
             count += 1
             name = f"{plain[: LONGEST_NAME - len(str(count)) - 1]}_{count}"
-        found.append(name)
-    return found
+        names.append(name)
+    return names
 
 
 def _matlab(values: Array) -> Array:

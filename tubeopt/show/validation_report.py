@@ -29,7 +29,7 @@ from .quantities import Quantity, described, in_units, line, of_field, with_unit
 from .report import Drawing, Report, drawing, grid
 
 ERRORS = ("mean", "rms", "p95", "max")
-"""What an error summary tells, in mm and in percent of the arm's length."""
+"""Values of an error summary, in mm and in percent of the arm's length."""
 
 
 def _summary(summary: ErrorSummary, length: float) -> dict[str, float]:
@@ -51,8 +51,8 @@ def _errors_in_words(summary: ErrorSummary, length: float) -> str:
 
 def _measured(v: Validation) -> str:
     sensors = v.measurements.sensors.shape[1]
-    seen = "1 sensor" if sensors == 1 else f"{sensors} sensors, averaged"
-    return f"{len(v.measurements)} configurations, {seen}"
+    sensor_count = "1 sensor" if sensors == 1 else f"{sensors} sensors, averaged"
+    return f"{len(v.measurements)} configurations, {sensor_count}"
 
 
 def _worst(groups: tuple[ErrorGroup, ...]) -> str | None:
@@ -94,11 +94,12 @@ def _both_ways(v: Validation) -> str | None:
     )
 
 
-def _registered(found: Registration) -> str:
+def _registered(registration: Registration) -> str:
     # Exactly the identity: nothing was fitted.
-    if np.array_equal(found.rotation, np.eye(3)) and not found.translation.any():
-        return f"{found.method}: the device's frame is the plate's"
-    return f"{found.method}: yaw {np.degrees(found.yaw):.2f} deg, tilt {np.degrees(found.tilt):.2f} deg"
+    if np.array_equal(registration.rotation, np.eye(3)) and not registration.translation.any():
+        return f"{registration.method}: the device's frame is the plate's"
+    yaw, tilt = np.degrees([registration.yaw, registration.tilt])
+    return f"{registration.method}: yaw {yaw:.2f} deg, tilt {tilt:.2f} deg"
 
 
 COMPARISON = described(
@@ -308,7 +309,7 @@ class EffectsReport(Report[Comparison]):
         return [self.save_record(directory), *rest]
 
     def pictures(self) -> dict[str, Drawing]:
-        """What the effects explain; residuals and errors where one pays."""
+        """Pictures of the effects; residuals and errors if an effect is useful."""
         rest = {} if self.answer.fit is None else FitReport(self.answer.fit).pictures()
         return {"effects": drawing("validation.plot_effects", self.answer)} | rest
 
@@ -351,7 +352,7 @@ class PlacementReport(Report[Placement]):
     file = "report.json"
 
     def below(self) -> list[RenderableType]:
-        """The expected errors."""
+        """Expected errors."""
         p = self.answer
         cells = []
         for name, unit, own, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):

@@ -66,14 +66,14 @@ MERIDIAN: tuple[Quantity[Volume], ...] = (
     Quantity("meridian_first_half_cm3", "volume as a body of revolution, from the first half of the samples",
              lambda volume: volume.half),
 )  # fmt: skip
-"""As a body of revolution, by which there is not always an answer."""
+"""Volume as a body of revolution, which does not always exist."""
 
 ALPHA: tuple[Quantity[Volume], ...] = (
     Quantity("alpha_volume_cm3", "volume of the alpha shape", lambda volume: volume.value, label="",
              words="{alpha_volume_cm3:.4g} cm3 as alpha shape of radius {alpha_radius_mm:.3g} mm"),
     Quantity("alpha_radius_mm", "radius of the alpha shape", lambda volume: volume.scale),
 )  # fmt: skip
-"""As an alpha shape, likewise."""
+"""Volume as an alpha shape, which does not always exist."""
 
 WORKSPACE = described(
     Findings,
@@ -180,7 +180,7 @@ class SweepReport(Report[Sweep]):
     quantities = SWEEP
 
     def table(self) -> RenderableType:
-        """What there is to know about it; the table itself, as CSV, where it is not kept."""
+        """Summary of the table; the table itself as CSV if it is not saved."""
         a = self.answer
         if a.rows is None:
             return super().table()
@@ -194,7 +194,7 @@ class SweepReport(Report[Sweep]):
         return "sweep"
 
     def rows(self) -> list[tuple[str, str]]:
-        """How many points there are, the first failures, and where the table is."""
+        """Number of points, first failures, and the file of the table."""
         a = self.answer
         told = [(f"  point {index + 1}", reason) for index, reason in a.failures[:SHOWN]]
         if len(a.failures) > SHOWN:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,17 @@ import numpy as np
 
 from ...bodies.corridors import Corridor
 from ...bodies.obstacles import Capsule, Sphere
-from ...design import Avoid, DesignSolution, DesignTask, Objective, ParetoFront, Reach, StockChoice, ToleranceAnalysis
+from ...design import (
+    Avoid,
+    CustomObjective,
+    DesignSolution,
+    DesignTask,
+    Objective,
+    ParetoFront,
+    Reach,
+    StockChoice,
+    ToleranceAnalysis,
+)
 from ...design.requirements import of_kind
 from ...errors import InputError
 from ...files.units import TO_MM
@@ -51,7 +62,7 @@ def plot_poses(solution: DesignSolution) -> Figure:
             elif isinstance(body, Corridor):
                 _draw_swept(axes, np.array(body.centreline)[:, plane] * TO_MM, body.radii * TO_MM, CORRIDOR)
         for equilibrium in solution.equilibria:
-            draw_lines(axes, equilibrium, lambda points, plane=plane: points[:, plane] * TO_MM, widths=(1.2, 0.7))
+            draw_lines(axes, equilibrium, partial(_projected, plane), widths=(1.2, 0.7))
         for reach in of_kind(solution.task.requirements, Reach):
             x, y = np.array([target.position for target in reach.targets]).T[plane] * TO_MM
             axes.plot(x, y, "o", ms=6, mfc="none", mec=INK, mew=0.9, ls="", zorder=5)
@@ -70,6 +81,12 @@ def plot_poses(solution: DesignSolution) -> Figure:
         handles += views[0].plot([], [], color=CORRIDOR, lw=8, label="corridor")
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
+
+
+def _projected(plane: list[int], points: Array) -> Array:
+    """(k, 2) coordinates of points (k, 3), m, in a plane, mm."""
+    seen: Array = points[:, plane] * TO_MM
+    return seen
 
 
 def _draw_swept(axes: Axes, line: Array, radii: Array, colour: str) -> None:
@@ -187,7 +204,7 @@ def plot_stock(choice: StockChoice, *, task: DesignTask, most: int = 12) -> Figu
     return figure
 
 
-def _axis_name(objective: Objective) -> str:
+def _axis_name(objective: Objective | CustomObjective) -> str:
     """Name of an objective with its unit."""
     return f"{objective.words} ({objective.unit})" if objective.unit else objective.words
 

@@ -59,7 +59,8 @@ def draw_over(
         look: properties of the line.
     """
     drawn = scale.factor * np.asarray(values, dtype=float)
-    (line,) = axes.plot(x, drawn, label=name or "_", **({"color": INK, "lw": 1.4} | look))
+    default: dict[str, Any] = {"color": INK, "lw": 1.4}
+    (line,) = axes.plot(x, drawn, label=name or "_", **default | look)
     if limit is not None:
         axes.axhline(scale.factor * limit, color=FAINT, lw=0.8, ls="--", label="required")
     fit_scale(axes, scale)

@@ -40,14 +40,14 @@ LOCAL_NAMES = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class Added:
-    """What a server has that viser has not."""
+    """Additions to the server of viser."""
 
     head: str
     """HTML, at the end of the head of its page."""
     path: str
-    """Of a socket."""
+    """Path of a socket."""
     attend: Callable[[Any], Awaitable[None]]
-    """Does what the messages of the socket say."""
+    """Task that handles the messages of the socket."""
 
 
 @contextmanager
@@ -80,7 +80,7 @@ def quiet_server(host: str, port: int, title: str = "tubeopt", added: Added | No
 
 
 def address_of(host: str, port: int) -> str:
-    """Where a browser on this machine finds the page."""
+    """Address of the page for a browser on this machine."""
     if host in ("0.0.0.0", "::"):
         # "Any address" is for listening; a browser cannot open it.
         host = LOCAL if host == "0.0.0.0" else "::1"
@@ -159,7 +159,7 @@ def titled_page(page: str, title: str) -> str:
 
 
 def is_own(host_header: str, origin: str | None, host: str) -> bool:
-    """Whether a request is from the server's own page: right host, and origin the same where the browser tells one."""
+    """True for a request from the server's own page: right host, and same origin if the browser sends one."""
     # Browsers send the origin with every websocket, other programs none: these are not the danger.
     if origin is not None and origin.split("://", 1)[-1] != host_header:
         return False
@@ -171,8 +171,8 @@ def is_own(host_header: str, origin: str | None, host: str) -> bool:
 def joints_yaml(session: Session) -> str:
     """Joint values (readings, of a robot with a calibration) with the keys rotations_deg and translations_mm, as
     `tubeopt ik --from` reads them."""
-    here = session.equilibrium
-    rotations, translations = to_readings(session.robot, here.rotations, here.translations)
+    equilibrium = session.equilibrium
+    rotations, translations = to_readings(session.robot, equilibrium.rotations, equilibrium.translations)
     data = {
         "rotations_deg": [in_unit(x, DEG) for x in rotations.tolist()],
         "translations_mm": [in_unit(x, MM) for x in translations.tolist()],
@@ -188,10 +188,10 @@ def recording_csv(session: Session) -> str:
     Raises:
         InputError: as `recorded`.
     """
-    way = recorded(session)
-    assert way.start is not None
-    comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(way.start)]
-    return timed_csv(way.time, *to_readings(session.robot, way.rotations, way.translations), comment)
+    waypoints = recorded(session)
+    assert waypoints.start is not None
+    comment = [f"A recording of {session.robot.name or 'a robot'}.", branch_line(waypoints.start)]
+    return timed_csv(waypoints.time, *to_readings(session.robot, waypoints.rotations, waypoints.translations), comment)
 
 
 def png(picture: np.ndarray) -> bytes:
@@ -216,7 +216,7 @@ REST = 1.0
 
 
 def page_title(session: Session) -> str:
-    """What the page of a session is called."""
+    """Title of the page of a session."""
     return f"{session.robot.name or 'robot'}, tubeopt"
 
 

@@ -1,4 +1,4 @@
-"""What takes longer to know than a shape: certificate, S-curve and stability map, each computed when the hand rests."""
+"""Slow results, computed when the joints rest: certificate, S-curve and stability map."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Insights:
 
     @property
     def chores(self) -> list[tuple[float, Job]]:
-        """What to do when it has been quiet for so many seconds."""
+        """Delays without input, s, and the tasks that run after them."""
         # The faster an answer, the sooner it is computed: a map that begins early would delay the others.
         return [(0.03, self._certify), (0.1, self._bear), (0.35, self._trace), (0.6, self._chart)]
 
@@ -80,24 +80,24 @@ class Insights:
 
     def plot(self) -> None:
         """Mark the present place in the plots that hold at it."""
-        here = self._session().equilibrium
-        if here.load is not None:
+        current = self._session().equilibrium
+        if current.load is not None:
             return
         if self._curve and self._curve[1] is not None and self._curve[0] == self._way():
-            self._panel.plot("curve", s_curve_plot(self._curve[1], here, self.tube))
+            self._panel.plot("curve", s_curve_plot(self._curve[1], current, self.tube))
         if self._map and self._map[1] is not None and self._map[0] == self._at():
-            self._panel.plot("map", map_plot(self._map[1], here))
+            self._panel.plot("map", map_plot(self._map[1], current))
 
     def _at(self) -> Place:
-        """What certificate and map depend on."""
+        """Key of certificate and map: the values that they depend on."""
         session = self._session()
         return session.robot, tuple(session.equilibrium.translations.tolist())
 
     def _way(self) -> Way:
-        """What the S-curve depends on."""
-        here = self._session().equilibrium
+        """Key of the S-curve: the values that it depends on."""
+        current = self._session().equilibrium
         # The rotation of the tube itself is the abscissa: turning it moves the mark and leaves the curve.
-        return self._at(), self.tube, tuple(np.delete(here.rotations, self.tube).tolist())
+        return self._at(), self.tube, tuple(np.delete(current.rotations, self.tube).tolist())
 
     def _certify(self) -> None:
         if self.certificate is None:
@@ -107,11 +107,11 @@ class Insights:
             self._panel.show(session, value, None)
 
     def _bear(self) -> None:
-        """What the load does, and how much of it the robot bears."""
-        here = self._session().equilibrium
-        if self._panel.push is not None and self._borne is not here:
-            self._borne = here
-            self._panel.push.tell(bearing_words(here))
+        """Show the effect of the load, and the largest load."""
+        current = self._session().equilibrium
+        if self._panel.push is not None and self._borne is not current:
+            self._borne = current
+            self._panel.push.tell(bearing_words(current))
 
     def _trace(self) -> None:
         key = self._way()
@@ -194,7 +194,7 @@ class Worker:
 
     @property
     def waiting(self) -> bool:
-        """Whether jobs wait, or the worker is to end: what can be put off should be."""
+        """True if jobs wait or the worker is to end, so that optional work is postponed."""
         return bool(self._jobs) or not self._open
 
     def close(self) -> None:
@@ -260,7 +260,7 @@ class Axes:
         return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="{width}"{dash}/>'
 
     def dot(self, x: float, y: float, colour: str, *, hollow: bool = False, radius: float = 4.0) -> str:
-        """A point."""
+        """Draw a point."""
         ((a, b),) = self.at(np.array([x]), np.array([y]))
         fill = "white" if hollow else colour
         return f'<circle cx="{a:.1f}" cy="{b:.1f}" r="{radius}" fill="{fill}" stroke="{colour}" stroke-width="1.5"/>'
@@ -340,9 +340,9 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
     """Tip angle of a tube over its input, the folds, and where the robot is now."""
     fine = smooth(branch)
     x, y = np.degrees(fine.rotations[:, tube]), np.degrees(fine.tip_rotations[:, tube])
-    here = float(np.degrees(equilibrium.rotations[tube])), float(np.degrees(equilibrium.tip_rotations[tube]))
+    current = float(np.degrees(equilibrium.rotations[tube])), float(np.degrees(equilibrium.tip_rotations[tube]))
     labels = f"input of tube {tube + 1} (deg)", "its tip (deg)"
-    axes = Axes(_range(np.append(x, here[0]), 10.0), _range(np.append(y, here[1]), 10.0), labels)
+    axes = Axes(_range(np.append(x, current[0]), 10.0), _range(np.append(y, current[1]), 10.0), labels)
     colour = tube_colour(tube)
     body = []
     for first, last, stable in stable_parts(fine.margin):
@@ -350,7 +350,7 @@ def s_curve_plot(branch: Branch, equilibrium: Equilibrium, tube: int) -> str:
         part = slice(first, last + 1, 4)
         body.append(axes.line(x[part], y[part], colour, dashed=not stable))
     body += [axes.dot(x[k], y[k], colour, hollow=True, radius=3.0) for k in fold_points(fine)]
-    body.append(axes.dot(*here, "currentColor"))
+    body.append(axes.dot(*current, "currentColor"))
     return frame(axes, body, "S-curve: tip angle over input angle", angles=(True, True))
 
 

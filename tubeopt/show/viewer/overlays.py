@@ -44,14 +44,14 @@ def cut_parts(obstacles: Sequence[Obstacle], reach: float, plane: Plane | None) 
 
 
 def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
-    """How much a plane cuts of what is shown."""
+    """Position of the plane and the cut area of bodies, as text."""
     if plane is None:
         return ""
     corners = [part.surface.vertices[part.surface.faces] for part in parts if part.name == SECTION]
     # The cross product of two sides of a triangle has twice its area as length.
     twice = sum(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() for c in corners)
-    told = ", ".join(f"{x:.3g}" for x in plane.normal + 0.0)
-    across = next((name for name, axis in ACROSS.items() if (plane.normal == axis).all()), told)
+    direction = ", ".join(f"{x:.3g}" for x in plane.normal + 0.0)
+    across = next((name for name, axis in ACROSS.items() if (plane.normal == axis).all()), direction)
     return f"cut across {across} at {plane.point @ plane.normal * TO_MM:.4g} mm: {twice / 2 * 1e4:.2f} cm2 of bodies"
 
 
@@ -69,7 +69,7 @@ def cut_surface(surface: Surface, plane: Plane) -> Surface:
 
 
 def section(obstacles: Sequence[Obstacle], plane: Plane, low: Array, high: Array) -> Surface:
-    """What a plane cuts of bodies within a box: squares whose middles lie in one of them, facing beyond the plane."""
+    """Section of bodies by a plane within a box: squares whose middles lie in a body."""
     corners = np.array([[(low, high)[k][i] for i, k in enumerate(each)] for each in np.ndindex(2, 2, 2)])
     side, frame = plane.height(corners), plane.frame
     # All corners on one side: by convexity the plane misses the whole box.
@@ -176,7 +176,7 @@ def _rings(equilibrium: Equilibrium) -> Array:
 
 
 ASIDE = 0.45
-"""How far it stands to the side, as a share of the longer arm."""
+"""Distance to the side, over the length of the longer arm."""
 
 PLACE = "/beside"
 
@@ -226,7 +226,7 @@ class Beside:
 
     @property
     def visible(self) -> bool:
-        """Whether it is shown."""
+        """True if it is shown."""
         return bool(self._frame.visible)
 
     @visible.setter

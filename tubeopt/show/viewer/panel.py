@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,7 @@ FIELDS = (
     ("curved length", "curved_length", "mm", TO_MM, 1.0),
     ("straight length", "straight_length", "mm", TO_MM, 1.0),
 )
-"""What is told of a tube, its field, unit, the factor from SI to it, and the step of a knob."""
+"""Shown properties of a tube: name, field, unit, factor to SI, and step of the slider."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Knob:
 
     label: str
     place: int
-    """Which entry of `parts`."""
+    """Index in `parts`."""
     field: str
-    """Of `Tube`."""
+    """Field of `Tube`."""
     factor: float
-    """From SI to the unit of the label, which the others are in."""
+    """Factor from SI to the unit of the label and of the limits."""
     low: float
     high: float
     step: float
@@ -177,12 +177,12 @@ class PushPanel:
                 box.value = typed(value * TO_MILLI, 4)
 
     def tell(self, words: str) -> None:
-        """What the load does, in a sentence."""
+        """Show the effect of the load in a sentence."""
         self._words.content = WORDS.format(escape(words))
 
 
 class ForceArrow:
-    """The force on the tip of a robot as an arrow, whose head may be dragged; without `controls` it is but shown."""
+    """Force on the tip of a robot as an arrow, which can be dragged if there are `controls`."""
 
     def __init__(self, api: Any, scene: Scene, controls: PushPanel | None, view: View) -> None:
         self._scene, self._controls, self._view = scene, controls, view
@@ -211,7 +211,7 @@ class ForceArrow:
 
     @cached_property
     def _newtons_per_metre(self) -> float:
-        """By how soft the robot is where the view begins."""
+        """Force per length of its arrow, N/m, by the compliance of the robot at the start."""
         return newtons_per_metre(self._view.session().equilibrium)
 
 
@@ -228,7 +228,7 @@ LONGEST_TURN = 720.0
 """Sliders reach no farther (deg) where limits do."""
 
 OBLIQUE = "a direction"
-"""Of planes that are not across an axis."""
+"""Name of planes that are not across an axis."""
 
 PAD = '<div style="font:12px sans-serif;padding:0 10px 6px;opacity:.75">{}</div>'
 
@@ -283,7 +283,7 @@ class Panel:
 
     @property
     def least_margin(self) -> float:
-        """What the tip keeps when it is led."""
+        """Smallest margin during motions of the tip."""
         return float(self._margin.value)
 
     def say(self, text: str, *, bad: bool = False) -> None:
@@ -291,7 +291,7 @@ class Panel:
         self._message.content = message_words(text, bad=bad)
 
     def lend(self, word: str | None) -> None:
-        """Let the page's script lead the tip, or no longer."""
+        """Let the script of the page move the tip, or no longer (None)."""
         self._keys.content = "" if word is None else hand_words(word, KEYS)
 
     def show(self, session: Session, certificate: float | None, torsion: str | None) -> None:
@@ -312,7 +312,7 @@ class Panel:
 
         What was refused stays in the boxes, to be corrected there.
         """
-        factor, low, high = _ends(session.robot)
+        factor, low, high = _slider_range(session.robot)
         for k, (slider, value) in enumerate(zip(self._sliders, session.q * factor, strict=True)):
             shown = min(low[k], round(value, 1)), max(high[k], round(value, 1))
             if (slider.min, slider.max) != shown:
@@ -365,11 +365,11 @@ class Panel:
             widget.value = value
 
     def _held(self, widget: Any) -> bool:
-        """Whether a widget shows what the hand last put there: a trajectory may have moved it since."""
+        """True if a widget still shows the user's value: a trajectory may have changed it."""
         return id(widget) in self._in_hand
 
     def _wished(self, event: Any) -> bool:
-        """Whether an event is a user's, and not an echo of what was put there."""
+        """True if an event is a user's, and no echo of a value set by the program."""
         # viser reports values set by the program too; taken for wishes, they would move the robot in a loop.
         wish = event.client is not None and abs(event.target.value - self._shown.get(id(event.target), np.inf)) > 1e-6
         if wish:
@@ -380,7 +380,7 @@ class Panel:
     # --- built -------------------------------------------------------------------------------------------------------
 
     def _slider(self, joint: int, name: str) -> Any:
-        factor, low, high = (float(each[joint]) for each in _ends(self._view.robot))
+        factor, low, high = (float(each[joint]) for each in _slider_range(self._view.robot))
         unit = "deg" if joint < self._view.robot.n_tubes else "mm"
         slider = self._gui.add_slider(
             f"{name} ({unit})", low, max(high, low + STEP), STEP, min(max(0.0, low), high), marks=()
@@ -432,7 +432,7 @@ class Panel:
         return boxes
 
     def _numbers(self, boxes: Sequence[Any]) -> np.ndarray | None:
-        """What boxes hold; None, and a sentence, where one holds no number."""
+        """Numbers in text boxes; None and a message if one is no number."""
         read = [parse_number(box.value) for box in boxes]
         for box, number in zip(boxes, read, strict=True):
             if isinstance(number, str) or not number.is_finite():
@@ -553,12 +553,20 @@ class Panel:
             self._button(label, partial(self._tab.save, what))
 
 
-def _ends(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every joint the factor from SI to deg or mm, and the ends of its slider: rotations no farther than
-    `LONGEST_TURN`, all in whole steps."""
+class SliderRange(NamedTuple):
+    """Ranges of the sliders of all joints (m,), deg or mm."""
+
+    factor: np.ndarray
+    """Factor from SI."""
+    low: np.ndarray
+    high: np.ndarray
+
+
+def _slider_range(robot: Robot) -> SliderRange:
+    """Ranges of the sliders, in whole steps; rotations up to `LONGEST_TURN`."""
     space = space_of(robot)
     turns = np.arange(len(space.lower)) < robot.n_tubes
     # Rotations may be unlimited, and a slider needs ends.
     factor, most = np.where(turns, np.degrees(1.0), TO_MM), np.where(turns, LONGEST_TURN, np.inf)
     low, high = (np.round(np.clip(ends * factor, -most, most), 1) for ends in (space.lower, space.upper))
-    return factor, low, high
+    return SliderRange(factor, low, high)

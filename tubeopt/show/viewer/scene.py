@@ -39,7 +39,7 @@ SCALE = 10.0
 """Units of the scene per metre."""
 
 GHOST_COLOURS = {True: (70, 110, 190), False: (205, 60, 60)}
-"""Of other equilibria: stable, unstable."""
+"""Colours of other equilibria: stable, unstable."""
 
 GHOST_OPACITY = 0.3
 DOT = 0.0035
@@ -49,7 +49,7 @@ OBSTACLE_COLOUR = (150, 120, 95)
 FORCE_COLOUR = (220, 120, 30)
 FORCE = "/force"
 SHORTEST_ARROW = 1e-6
-"""Of a force that is drawn, m."""
+"""Shortest arrow of a force, m."""
 MARK = 0.2
 """Size of a mark that is dragged, over the longest curved part of a tube."""
 
@@ -137,7 +137,7 @@ class Scene:
         return {name: parts for name, (parts, _) in self._layers.items()}
 
     def has(self, name: str) -> bool:
-        """Whether a layer shows something."""
+        """True if a layer shows something."""
         return name in self._layers and bool(self._layers[name][1])
 
     def show_cloud(self, found: Workspace) -> None:
@@ -199,7 +199,7 @@ class Mark:
 
     @property
     def there(self) -> bool:
-        """Whether they are in the scene."""
+        """True if they are in the scene."""
         return self._arrows is not None
 
     def put(self, place: Array, robot: Robot, on: bool) -> None:
@@ -255,8 +255,7 @@ SIDES = {
     "above": (0.0, -1e-3, 1.9),
     "corner": (0.85, -0.85, 0.75),
 }
-"""Where the camera stands, over the length of the arm: it sees the plane of y and z, of x and z, of x and y; and where
-it begins."""
+"""Positions of the camera, over the length of the arm: views of the planes y-z, x-z and x-y, and the first view."""
 
 
 def look_from(seen: Any, equilibrium: Equilibrium, side: str = "corner", *, far: float = 1.0) -> None:

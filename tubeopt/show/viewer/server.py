@@ -77,7 +77,7 @@ class Player:
         return words
 
     def pause(self) -> None:
-        """Play no more."""
+        """Stop the playback."""
         self._playing = None
 
     def toggle(self) -> None:
@@ -133,7 +133,7 @@ ADVISED = "this tab has a robot of its own"
 
 
 class Tab(Wishes):
-    """What belongs to one client of the server. Public methods return at once; the worker does what they ask for."""
+    """State of one client of the server."""
 
     def __init__(self, client: Any, view: View, hands: Hands) -> None:
         self._client, self._view, self._hands = client, view, hands
@@ -474,7 +474,7 @@ def serve(
 
 
 def head() -> str:
-    """What the page looks like and runs beside viser."""
+    """Style and scripts of the page besides those of viser."""
     files = resources.files(__package__)
     style, script = (files.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "hand.js"))
     return f"<style>{style}</style><script>{script}</script>"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,9 +54,9 @@ class Session:
     """A robot and its history."""
 
     equilibrium: Equilibrium
-    """Where the robot is."""
+    """Current equilibrium."""
     log: tuple[Event, ...] = ()
-    """What happened so far, first to last."""
+    """Events, first to last."""
     last: tuple[Snap, ...] = ()
     """The snaps of the last motion, in their order."""
     trail: Array | None = None
@@ -63,11 +64,11 @@ class Session:
     recording: tuple[Array, ...] | None = None
     """Joint values (2n,), rad and m, that were passed since recording began; None where nothing is recorded."""
     recorded_from: Equilibrium | None = None
-    """Where the recording began."""
+    """Equilibrium at the start of the recording; None: not recording."""
 
     @property
     def robot(self) -> Robot:
-        """As it is now: a redesign changes it."""
+        """Current robot; a redesign changes it."""
         return self.equilibrium.robot
 
     @property
@@ -105,40 +106,47 @@ def open_session(robot: Robot, rotations: ArrayLike | None = None, translations:
 
 
 def check(
-    robot: Robot, rotations: Array, translations: Array, *, here: Array | None = None, order: bool = True
+    robot: Robot, rotations: Array, translations: Array, *, start: Array | None = None, order: bool = True
 ) -> None:
-    """Raise InputError where joint values leave the robot's limits or the order of its tubes, saying which.
+    """Raise InputError if joint values violate the robot's limits or the order of its tubes; it names the violation.
 
-    From joint values `here` (m,) that are out of order themselves, it may stay as it is, but not get worse.
+    start: joint values (m,) of the motion; if they violate the order themselves, the violation may stay, but not grow.
     """
     space, n = space_of(robot), robot.n_tubes
     q = space.join(rotations, translations)
     # Values from a slider or a file are rounded; `scale` makes rad and m comparable.
-    slack = 1e-9 * space.scale
-    for k in np.flatnonzero((q < space.lower - slack) | (q > space.upper + slack)):
+    tolerance = 1e-9 * space.scale
+    for k in np.flatnonzero((q < space.lower - tolerance) | (q > space.upper + tolerance)):
         unit, factor = ("deg", np.degrees(1.0)) if k < n else ("mm", TO_MM)
         low, high = space.lower[k] * factor, space.upper[k] * factor
         raise InputError(f"{space.names[k]} is {q[k] * factor:g} {unit}; it must be from {low:g} to {high:g} {unit}")
-    gap = space.rows @ q - space.least
-    # Order of tubes: rows q >= least, a row for each pair of neighbours. Negative is how far it is broken.
-    worst = np.minimum(space.rows @ here - space.least, 0.0) if here is not None else np.zeros_like(gap)
-    short = [space.row_names[k] for k in np.flatnonzero(gap < worst - 1e-9 * space.length)]
-    if order and short:
-        raise InputError(f"the tubes would be out of order: {', '.join(short)}")
+    # Order of tubes: rows q >= least, a row for each pair of neighbours. Negative residuals are violations.
+    residual = space.rows @ q - space.least
+    allowed_residual = np.zeros_like(residual) if start is None else np.minimum(space.rows @ start - space.least, 0.0)
+    violated = [space.row_names[k] for k in np.flatnonzero(residual < allowed_residual - 1e-9 * space.length)]
+    if order and violated:
+        raise InputError(f"the tubes would be out of order: {', '.join(violated)}")
 
 
-def allowed(robot: Robot, q: Array, joint: int) -> tuple[tuple[float, str], tuple[float, str]]:
-    """How far one joint may go where the others are at q: least and greatest value, and in words what is there.
+class Limit(NamedTuple):
+    """End of the range of a joint, rad or m, and the name of what limits it."""
 
-    Where q is out of order itself, the joint may stay, but not make it worse.
+    value: float
+    name: str
+
+
+def allowed(robot: Robot, q: Array, joint: int) -> tuple[Limit, Limit]:
+    """Smallest and largest value of one joint if the others stay at q, each with the name of its limit.
+
+    If q violates the order itself, the joint may stay, but not increase the violation.
     """
     space = space_of(robot)
-    low, high = (float(space.lower[joint]), "end of its range"), (float(space.upper[joint]), "end of its range")
-    for gap, least, name in zip(space.rows, space.least, space.row_names, strict=True):
-        if gap[joint] != 0:
-            # Solves gap . q = min(least, present value) for this joint, with the others fixed.
-            bound = float((min(least, gap @ q) - gap @ q) / gap[joint] + q[joint]), name
-            low, high = (max(low, bound), high) if gap[joint] > 0 else (low, min(high, bound))
+    low, high = (Limit(float(ends[joint]), "end of its range") for ends in (space.lower, space.upper))
+    for order, least, name in zip(space.rows, space.least, space.row_names, strict=True):
+        if order[joint] != 0:
+            # Solves order . q = min(least, present value) for this joint, with the others fixed.
+            bound = Limit(float((min(least, order @ q) - order @ q) / order[joint] + q[joint]), name)
+            low, high = (max(low, bound), high) if order[joint] > 0 else (low, min(high, bound))
     return low, high
 
 
@@ -155,34 +163,33 @@ def move(session: Session, rotations: ArrayLike, translations: ArrayLike) -> Ses
     robot = session.robot
     alpha = vector("rotations", rotations, robot.n_tubes)
     shift = vector("translations", translations, robot.n_tubes)
-    check(robot, alpha, shift, here=session.q)
+    check(robot, alpha, shift, start=session.q)
     return _moved(session, alpha, shift)
 
 
 def _moved(session: Session, rotations: Array, translations: Array) -> Session:
-    here = session.equilibrium
-    if np.array_equal(rotations, here.rotations) and np.array_equal(translations, here.translations):
+    start = session.equilibrium
+    if np.array_equal(rotations, start.rotations) and np.array_equal(translations, start.translations):
         return session
-    ends = (here.rotations, rotations), (here.translations, translations)
+    ends = (start.rotations, rotations), (start.translations, translations)
     (steps,) = strides(*map(np.array, ends), turn=TRAIL_TURN, slide=TRAIL_SLIDE)
     # Waypoints on the straight line add no turn: they are where the trail has points.
     part = np.linspace(0.0, 1.0, 1 + max(1, int(np.ceil(steps))))[:, None]
-    path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=here, load=here.load)
+    path = follow(session.robot, *((1 - part) * a + part * b for a, b in ends), start=start, load=start.load)
     return moved_along(session, path)
 
 
 def strides(rotations: Array, translations: Array, *, turn: float, slide: float) -> Array:
-    """(T-1,) how often the fastest tube turns by `turn` (rad) or slides by `slide` (m) from each of waypoints (T, n) to
-    the next."""
-    ways = (rotations, turn), (translations, slide)
-    return np.asarray(np.max([np.abs(np.diff(q, axis=0)).max(1, initial=0.0) / most for q, most in ways], axis=0))
+    """(T-1,) distances between waypoints (T, n) by the fastest tube, in units of `turn`, rad, or `slide`, m."""
+    kinds = (rotations, turn), (translations, slide)
+    return np.asarray(np.max([np.abs(np.diff(q, axis=0)).max(1, initial=0.0) / unit for q, unit in kinds], axis=0))
 
 
 def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str]:
-    """Move one of the independent joints, as far towards `value` (rad or m) as the others let it.
+    """Move one of the independent joints as far towards `value`, rad or m, as the other joints allow.
 
     Returns:
-        The session, and in words what stopped the joint, "" where it arrived.
+        The session, and a message if the joint was stopped before, else "".
     """
     robot, q = session.robot, session.q
     (low, lower), (high, upper) = allowed(robot, q, joint)
@@ -196,18 +203,18 @@ def move_joint(session: Session, joint: int, value: float) -> tuple[Session, str
 
 
 def go_home(session: Session) -> Session:
-    """Straight back to where `open_session` begins, with whatever happens on the way."""
+    """Move straight to home, with snaps along the path."""
     robot = session.robot
     return _moved(session, robot.home_rotations, robot.home_translations)
 
 
 def moved_along(session: Session, path: Path) -> Session:
-    """The session after its robot has gone along a path from where it was."""
+    """Session after a motion of its robot along a path from its equilibrium."""
     passed: list[Equilibrium] = []
-    for k, there in enumerate(path.equilibria[1:]):
+    for k, equilibrium in enumerate(path.equilibria[1:]):
         # Both sides of a snap, so that the trail shows the jump as a straight line.
         passed += [each for snap in path.snaps if snap.index == k for each in (snap.before, snap.after)]
-        passed.append(there)
+        passed.append(equilibrium)
     return moved_to(session, passed[-1], path.snaps, passed=passed)
 
 
@@ -218,34 +225,34 @@ def moved_to(
     *,
     passed: Sequence[Equilibrium] | None = None,
 ) -> Session:
-    """The session after its robot has come to a stable equilibrium (by default where it is), by way of snaps.
+    """Session at a stable equilibrium, by default its own, after some snaps.
 
-    passed: what the trail shall show of the way, the end included; by default the snaps and the end.
+    passed: equilibria for the trail, the end included; by default the snaps and the end.
     """
-    there = session.equilibrium if equilibrium is None else equilibrium
-    steps = passed or [each for snap in snaps for each in (snap.before, snap.after)] + [there]
+    end = session.equilibrium if equilibrium is None else equilibrium
+    steps = passed or [each for snap in snaps for each in (snap.before, snap.after)] + [end]
     tips = np.array([[*each.tip_position, each.margin] for each in steps])
     # Bounded, as the whole trail is sent to the browser with every change.
     trail = tips if session.trail is None else np.concatenate([session.trail, tips])[-TRAIL:]
     recording = session.recording
     if recording is not None:
-        recording = (*recording, np.concatenate([there.rotations, there.translations]))
+        recording = (*recording, np.concatenate([end.rotations, end.translations]))
     log = (*session.log, *(Event(snap_text(snap), snap) for snap in snaps))
-    return replace(session, equilibrium=there, log=log, last=tuple(snaps), trail=trail, recording=recording)
+    return replace(session, equilibrium=end, log=log, last=tuple(snaps), trail=trail, recording=recording)
 
 
 def note(session: Session, text: str) -> Session:
-    """The session with a sentence in its log."""
+    """Session with a sentence in its log."""
     return replace(session, log=(*session.log, Event(text)))
 
 
 def clear_trail(session: Session) -> Session:
-    """The session with a trail that begins here."""
+    """Session with a trail that starts at its equilibrium."""
     return moved_to(replace(session, trail=None, last=()))
 
 
 def snap_text(snap: Snap) -> str:
-    """A snap in a sentence: joint values, tip jump, energy."""
+    """Sentence on a snap: joint values, tip jump, energy."""
     where = f"rotations {degrees(snap.rotations, '.4f')}"
     if np.any(snap.translations != snap.before.robot.home_translations):
         where += f", translations {millimetres(snap.translations, '.3f')}"
@@ -258,21 +265,21 @@ def snap_text(snap: Snap) -> str:
 
 
 def other_equilibria(session: Session) -> list[Equilibrium]:
-    """All other equilibria at the same joint values, stable and unstable, the lowest energy first.
+    """Other equilibria at the same joint values, stable and unstable, the lowest energy first.
 
     Raises:
         SolveError: the set that was found is not complete.
     """
-    here = session.equilibrium
-    found = find_equilibria(session.robot, here.rotations, here.translations, load=here.load)
-    distance = [float(np.abs(each.tip_rotations - here.tip_rotations).max()) for each in found]
-    # The present equilibrium is among them; the nearest is left out unless it is clearly another one.
-    nearest = int(np.argmin(distance)) if found else -1
-    return [each for k, each in enumerate(found) if k != nearest or distance[k] > SAME_TIP]
+    own = session.equilibrium
+    equilibria = find_equilibria(session.robot, own.rotations, own.translations, load=own.load)
+    distance = [float(np.abs(each.tip_rotations - own.tip_rotations).max()) for each in equilibria]
+    # The session's own equilibrium is among them; the nearest is left out unless it clearly differs.
+    nearest = int(np.argmin(distance)) if equilibria else -1
+    return [each for k, each in enumerate(equilibria) if k != nearest or distance[k] > SAME_TIP]
 
 
 def redesign(session: Session, robot: Robot) -> Session:
-    """The session with other tubes at the same joint values, within the new limits and on the same branch if possible.
+    """Session with other tubes at the same joint values, within the new limits and on the same branch if possible.
 
     Without a neighbouring shape among the new ones the robot is assembled afresh; the log states this.
 
@@ -289,14 +296,14 @@ def redesign(session: Session, robot: Robot) -> Session:
     keeps = inside and (space.admissible(q) or not before.admissible(session.q))
     rotations, translations = space.split(q if keeps else space.nearest(q))
     try:
-        there = forward_kinematics(robot, rotations, translations, start=replace(old, robot=robot))
+        new = forward_kinematics(robot, rotations, translations, start=replace(old, robot=robot))
         # 0.5 rad: a neighbour on the branch changes with the tubes, a snap usually turns a tip by much more.
-        same = there.stable and float(np.abs(there.tip_rotations - old.tip_rotations).max()) < 0.5
+        same = new.stable and float(np.abs(new.tip_rotations - old.tip_rotations).max()) < 0.5
     except (SolveError, InputError):
         same = False
     if not same:
-        there = forward_kinematics(robot, rotations, translations)
-    fresh = record(replace(session, equilibrium=there, last=(), trail=None), session.recording is not None)
+        new = forward_kinematics(robot, rotations, translations)
+    fresh = record(replace(session, equilibrium=new, last=(), trail=None), session.recording is not None)
     if not same:
         fresh = note(fresh, "the old shape does not exist with these tubes: assembled afresh")
     if fresh.recording is not None:
@@ -305,17 +312,17 @@ def redesign(session: Session, robot: Robot) -> Session:
 
 
 def record(session: Session, on: bool) -> Session:
-    """Begin to record the joint values that the robot passes, from where it is; or stop, and forget them."""
-    here = session.equilibrium
-    joints = np.concatenate([here.rotations, here.translations])
-    return replace(session, recording=(joints,) if on else None, recorded_from=here if on else None)
+    """Start recording the joint values of the robot, or stop and discard the recording."""
+    start = session.equilibrium
+    joints = np.concatenate([start.rotations, start.translations])
+    return replace(session, recording=(joints,) if on else None, recorded_from=start if on else None)
 
 
 ARROW = 5.0
-"""Length of the arrow of a force, over how far it moves the tip where that is softest, to first order."""
+"""Length of the arrow of a force, over the displacement of the tip in the softest direction, to first order."""
 
 UP_TO = 10.0
-"""Largest factor on a load that is looked at for its limit."""
+"""Largest factor on a load in the search of its limit."""
 
 DIRECTIONS: dict[str, tuple[float, float, float] | None] = {
     "none": None,
@@ -330,19 +337,19 @@ DIRECTIONS: dict[str, tuple[float, float, float] | None] = {
 
 
 def push_on(session: Session, load: Load) -> Session:
-    """The session after its load has slowly become another one, with the snaps on the way.
+    """Session after a slow change of its load, with the snaps along the path.
 
     Raises:
         InputError: a load that the robot cannot bear: tubes of unknown weight, or beside one another.
         SolveError: the branch was lost; the robot stays as it was.
     """
-    here = session.equilibrium
-    if (here.load or Load()) == load:
+    start = session.equilibrium
+    if (start.load or Load()) == load:
         return session
-    path = push(here, load)
-    there = path.equilibria[-1]
+    path = push(start, load)
+    end = path.equilibria[-1]
     # Motion of the tip and redesign refuse an equilibrium with a load, even one without force.
-    return moved_to(session, bare(there) if load == Load() else there, path.snaps)
+    return moved_to(session, bare(end) if load == Load() else end, path.snaps)
 
 
 def bare(equilibrium: Equilibrium) -> Equilibrium:
@@ -352,7 +359,7 @@ def bare(equilibrium: Equilibrium) -> Equilibrium:
 
 
 def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
-    """Where the robot goes when the load is taken off; None where it snaps on the way."""
+    """Equilibrium after removing the load; None if the robot snaps on the way."""
     if equilibrium.load is None:
         return equilibrium
     path = push(equilibrium, Load())
@@ -360,21 +367,22 @@ def without_load(equilibrium: Equilibrium) -> Equilibrium | None:
 
 
 def newtons_per_metre(equilibrium: Equilibrium) -> float:
-    """Force on the tip that an arrow of one metre stands for."""
+    """Force on the tip per length of its arrow, N/m."""
     # The 2-norm is the largest singular value: displacement per force in the softest direction.
     softest = float(np.linalg.norm(equilibrium.compliance[:3, :3], 2))
     return 1 / (ARROW * softest)
 
 
 def head_of(equilibrium: Equilibrium, scale: float) -> np.ndarray:
-    """(3,) where the head of the arrow is, m."""
+    """(3,) head of the arrow, m."""
     force = np.zeros(3) if equilibrium.load is None else np.array(equilibrium.load.force)
     return np.asarray(equilibrium.tip_position + force / scale)
 
 
 def bearing_of(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | None:
-    """How far the load of an equilibrium moves the tip, m, and where a multiple of it ends the branch, None where the
-    robot bears UP_TO times as much; None where the equilibrium is not that into which an unloaded one grows.
+    """Displacement of the tip by the load, m, and the load limit; None if the load is not reached on one branch.
+
+    The limit is None if the robot bears UP_TO times the load.
 
     Raises:
         SolveError: the branch is lost without a fold or bifurcation close by.
@@ -389,7 +397,7 @@ def bearing_of(equilibrium: Equilibrium) -> tuple[float, LoadLimit | None] | Non
 
 
 def bearing_words(equilibrium: Equilibrium) -> str:
-    """The same in a sentence; empty without load."""
+    """Effect of the load in a sentence; "" without load."""
     load = equilibrium.load
     if load is None:
         return ""

@@ -30,7 +30,7 @@ from ...typing import Array
 from .session import Session, moved_to
 
 PATH = "/hand"
-"""Of the socket."""
+"""Path of the socket."""
 
 SPEED = 0.03
 """Greatest speed of the tip, m/s."""
@@ -47,13 +47,13 @@ Drive = Callable[[Array], None]
 
 
 class Hands:
-    """Who may be led: words that pages were told, and what leads their robots."""
+    """Robots that pages may move: secret tokens, and the functions that move the robots."""
 
     def __init__(self) -> None:
         self._led: dict[str, Drive] = {}
 
     def admit(self, drive: Drive) -> str:
-        """A word for a robot, which `drive` is told velocities (3,) of, as shares of the greatest speed."""
+        """Token for a robot; `drive` receives velocities (3,) over the largest speed."""
         # 128 random bits: no other page can guess which robot to move.
         word = secrets.token_urlsafe(16)
         self._led[word] = drive
@@ -117,10 +117,10 @@ class Hand:
             raise InputError("the tip can be moved without load only; remove the load first")
         options = ServoOptions(speed=SPEED, min_margin=max(min_margin, LEAST_MARGIN))
         known = self._servo
-        here = session.equilibrium
+        current = session.equilibrium
         # The robot may have been moved by sliders meanwhile: a servo knows only what it did itself.
-        if known is None or known.equilibrium is not here or (known.options, self._bodies) != (options, obstacles):
-            known = Servo(session.robot, here, obstacles=obstacles, options=options)
+        if known is None or known.equilibrium is not current or (known.options, self._bodies) != (options, obstacles):
+            known = Servo(session.robot, current, obstacles=obstacles, options=options)
             self._servo, self._bodies = known, obstacles
         # Two messages may come at once; a step of no duration has no velocity.
         step = known.step(Command(velocity=SPEED * velocity), max(passed, 1e-3))
@@ -158,31 +158,31 @@ def pull(
     goal = pose_question(
         session.robot, (target, None), places, min_margin=min_margin, obstacles=obstacles, options=QUICK
     )
-    here = start_posture(goal.space, session.equilibrium)
-    for part in _parts(goal, here.tip):
-        found = reach(replace(goal, position=part), here)
-        here = found.posture
-        session = moved_to(session, here.equilibrium)
-        if not found.reached and float(np.linalg.norm(part - here.tip)) > CLOSE_ENOUGH:
-            # From here straight at the target, which may lie around the corner.
-            here = reach(goal, here).posture
-            session = moved_to(session, here.equilibrium)
+    current = start_posture(goal.space, session.equilibrium)
+    for part in _parts(goal, current.tip):
+        result = reach(replace(goal, position=part), current)
+        current = result.posture
+        session = moved_to(session, current.equilibrium)
+        if not result.reached and float(np.linalg.norm(part - current.tip)) > CLOSE_ENOUGH:
+            # From the current tip straight at the target, which may lie around the corner.
+            current = reach(goal, current).posture
+            session = moved_to(session, current.equilibrium)
             break
-    error = float(np.linalg.norm(goal.position - here.tip))
+    error = float(np.linalg.norm(goal.position - current.tip))
     if error <= CLOSE_ENOUGH:
         return session, ""
-    return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {', '.join(_held(goal, here))}"
+    return session, f"the tip stops {error * TO_MM:.2f} mm short of the target: {', '.join(_held(goal, current))}"
 
 
 def _parts(goal: Goal, tip: Array) -> list[Array]:
-    way = goal.position - tip
-    # Short parts keep the tip near the straight line: Gauss-Newton steps over a long way may go around.
-    count = max(1, int(np.ceil(float(np.linalg.norm(way)) / (LONGEST_PULL * goal.space.length))))
-    return [tip + way * k / count for k in range(1, count + 1)]
+    path = goal.position - tip
+    # Short parts keep the tip near the straight line: Gauss-Newton steps over a long path may go around.
+    count = max(1, int(np.ceil(float(np.linalg.norm(path)) / (LONGEST_PULL * goal.space.length))))
+    return [tip + path * k / count for k in range(1, count + 1)]
 
 
-def _held(goal: Goal, here: Posture) -> list[str]:
-    """What holds the tip; joints beside their ends do not, so the margin and obstacles come first."""
-    words = held_by(goal, here)
+def _held(goal: Goal, current: Posture) -> list[str]:
+    """Constraints that stop the tip, without joints near their limits: margin and obstacles come first."""
+    words = held_by(goal, current)
     # False sorts before True: margin and arm come first.
     return sorted(words, key=lambda word: not word.startswith(("margin", "arm"))) or ["no joint leads nearer to it"]

@@ -1,4 +1,4 @@
-"""What a tab begins with, a trajectory that it plays, and files that are loaded in the page."""
+"""Initial state of a tab, its trajectory, and files that are loaded in the page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TURN_SPEED = np.radians(45.0)
 """Speed (rad/s) of the fastest tube where a file gives no times."""
 
 SLIDE_SPEED = 0.02
-"""Speed (m/s) likewise."""
+"""Speed of translations, m/s, of a file without times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class Waypoints:
     time: Array
     """(T,) s, from 0, increasing."""
     rotations: Array
-    """(T, n) rad."""
+    """(T, n) rotations, rad."""
     translations: Array
-    """(T, n) m."""
+    """(T, n) translations, m."""
     start: Equilibrium | None = None
-    """At the first of them; None: where the robot settles there by itself."""
+    """Equilibrium at the first waypoint; None: the one reached from home."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Playback:
 
     waypoints: Waypoints
     path: JointPath
-    """From the start of the waypoints: one equilibrium for each, and the snaps."""
+    """Path through the waypoints: one equilibrium for each, and the snaps."""
 
     @property
     def duration(self) -> float:
@@ -77,29 +77,28 @@ def load_waypoints(path: str | PathLike[str], robot: Robot) -> Waypoints:
     """
     # The column of times decides between both kinds of files.
     if TIME not in read_csv(path).columns:
-        found = without_times(robot, load_path(path, robot))
+        waypoints = without_times(robot, load_path(path, robot))
     else:
         timed = load_trajectory(path, robot)
-        found = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
-    for k in np.flatnonzero(np.diff(found.time) <= 0):
+        waypoints = Waypoints(timed.time - timed.time[0], timed.rotations, timed.translations, timed.start())
+    for k in np.flatnonzero(np.diff(waypoints.time) <= 0):
         raise InputError(f"{path}: row {k + 2}, column {TIME} does not increase; every time must be after the last")
-    for row, (alpha, shift) in enumerate(zip(found.rotations, found.translations, strict=True)):
+    for row, (alpha, shift) in enumerate(zip(waypoints.rotations, waypoints.translations, strict=True)):
         try:
             check(robot, alpha, shift, order=False)
         except InputError as error:
             raise InputError(f"{path}: row {row + 1}: {error}") from None
-    return found
+    return waypoints
 
 
-def without_times(robot: Robot, way: Way) -> Waypoints:
-    """The waypoints of a path, in the model's joint values, passed at the speeds of a file without times."""
-    rotations, translations = to_model(robot, way.rotations, way.translations)
+def without_times(robot: Robot, path: Way) -> Waypoints:
+    """Waypoints of a path in the model's joint values, at the speeds of a file without times."""
+    rotations, translations = to_model(robot, path.rotations, path.translations)
     return Waypoints(paced(rotations, translations), rotations, translations)
 
 
 def recorded(session: Session) -> Waypoints:
-    """What a session has recorded, where the robot stood still but once, as waypoints that are passed at the speeds of
-    a file without times.
+    """Recording of a session as waypoints, without rests, at the speeds of a file without times.
 
     Raises:
         InputError: nothing was recorded, or the robot did not move.
@@ -114,7 +113,7 @@ def recorded(session: Session) -> Waypoints:
 
 
 def paced(rotations: Array, translations: Array) -> Array:
-    """(T,) times at which waypoints are passed at `TURN_SPEED` and `SLIDE_SPEED`, s."""
+    """(T,) times of waypoints at `TURN_SPEED` and `SLIDE_SPEED`, s."""
     seconds = strides(rotations, translations, turn=TURN_SPEED, slide=SLIDE_SPEED)
     # Times must increase: 1 ms is far below a picture of the player.
     return np.concatenate([[0.0], np.cumsum(np.maximum(seconds, 1e-3))])
@@ -127,45 +126,47 @@ def make_playback(robot: Robot, waypoints: Waypoints) -> Playback:
     Raises:
         SolveError: the branch was lost on the path.
     """
-    way = waypoints.rotations, waypoints.translations
-    return Playback(waypoints, follow(robot, *way, start=waypoints.start))
+    joints = waypoints.rotations, waypoints.translations
+    return Playback(waypoints, follow(robot, *joints, start=waypoints.start))
 
 
 def play_to(session: Session, playback: Playback, time: float, *, since: float | None = None) -> Session:
-    """The session with its robot at a time of the trajectory, in the state that the trajectory's own history leads to.
+    """Session with its robot at a time of the trajectory, in the state of the trajectory's own history.
 
     Args:
-        since: where the robot was before, s: the snaps in between then go into the log. None is a leap: it logs none,
-            and a recording begins anew.
+        since: time of the robot before, s: the snaps since then go into the log. None: the robot jumps, logs no snap,
+            and starts a new recording.
     """
     t = min(max(float(time), 0.0), playback.duration)
     snaps = () if since is None else snaps_between(playback, since, t)
-    there = state_at(playback, t)
-    moved = moved_to(session, there, snaps)
-    # A leap is no motion that could be recorded: what was before it did not lead here.
-    leapt = since is None and session.recording is not None and not _same(session.equilibrium, there)
-    return record(moved, True) if leapt else moved
+    state = state_at(playback, t)
+    moved = moved_to(session, state, snaps)
+    # A jump is no motion that could be recorded.
+    jumped = since is None and session.recording is not None and not _same(session.equilibrium, state)
+    return record(moved, True) if jumped else moved
 
 
-def _same(one: Equilibrium, other: Equilibrium) -> bool:
-    """Whether two equilibria of a robot are at the same joint values, and on the same branch."""
-    pairs = ((getattr(each, name) for each in (one, other)) for name in ("rotations", "translations", "tip_rotations"))
+def _same(first: Equilibrium, second: Equilibrium) -> bool:
+    """True for two equilibria of a robot at the same joint values and on the same branch."""
+    pairs = (
+        (getattr(each, name) for each in (first, second)) for name in ("rotations", "translations", "tip_rotations")
+    )
     return all(np.allclose(a, b, rtol=0, atol=1e-7) for a, b in pairs)
 
 
 def state_at(playback: Playback, time: float) -> Equilibrium:
-    """Where the robot is at a time within the trajectory, s."""
+    """Equilibrium at a time within the trajectory, s."""
     points = playback.waypoints
     # The last waypoint not after `time`.
     k = min(max(int(np.searchsorted(points.time, time, side="right")) - 1, 0), len(points.time) - 1)
-    here = playback.path.equilibria[k]
+    waypoint = playback.path.equilibria[k]
     if k == len(points.time) - 1 or time <= points.time[k]:
-        return here
+        return waypoint
     part = (time - points.time[k]) / (points.time[k + 1] - points.time[k])
     parts = np.array([[0.0], [part]])
-    way = [table[k] + parts * (table[k + 1] - table[k]) for table in (points.rotations, points.translations)]
+    joints = [table[k] + parts * (table[k + 1] - table[k]) for table in (points.rotations, points.translations)]
     # From the waypoint's equilibrium, which has the branch; a solve from home could end on another.
-    return follow(here.robot, *way, start=here).equilibria[-1]
+    return follow(waypoint.robot, *joints, start=waypoint).equilibria[-1]
 
 
 def snaps_between(playback: Playback, start: float, end: float) -> tuple[Snap, ...]:
@@ -181,17 +182,17 @@ YAML = ".yaml,.yml,application/yaml"
 """Files that a browser offers to be loaded as YAML."""
 
 BODIES = ",".join((*TABLES, *IMAGES, ".gz", *MESHES))
-"""What a browser offers; of a name with two dots it looks at the last part only."""
+"""File endings in the dialog of a browser, which reads only the last part of a name with two dots."""
 
 
 class Given:
-    """A folder of files with the names that they were loaded under, so that a file finds those that it names."""
+    """Folder of loaded files under their own names, so that a file finds those that it names."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
 
     def keep(self, name: str, content: bytes) -> Path:
-        """Where a file lies from here on; one of the same name gives way to it.
+        """Path of a stored file; it replaces one of the same name.
 
         Raises:
             InputError: a name that no file can have.
@@ -205,12 +206,12 @@ class Given:
         return path
 
     def words(self, error: Exception) -> str:
-        """What is wrong, in names of files as they were given."""
+        """Error message, with the names of files as they were loaded."""
         # The temporary folder means nothing to who loaded the file.
         return str(error).replace(f"{self._folder.name}/", "").replace(self._folder.name, "the files loaded here")
 
     def close(self) -> None:
-        """Forget all files."""
+        """Remove all files."""
         self._folder.cleanup()
 
 
@@ -241,7 +242,7 @@ def load_bodies(path: Path) -> tuple[tuple[Obstacle, ...], str]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What every tab begins with."""
+    """Initial state of every tab."""
 
     robot: Robot
     rotations: Array | None = None
@@ -251,9 +252,9 @@ class View:
     obstacles: tuple[Obstacle, ...] = ()
     """Drawn, and kept away from when the tip is led."""
     waypoints: Waypoints | None = None
-    """Of a trajectory to be played."""
+    """Waypoints of a trajectory to be played."""
     min_margin: float = 0.05
-    """To keep when the tip is led; the slider's first value."""
+    """Smallest margin during motions of the tip; first value of the slider."""
     load: Load | None = None
     """A force on the tip and gravity that act from the beginning."""
     out: Path | None = None

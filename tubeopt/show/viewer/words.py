@@ -27,11 +27,11 @@ SIDEBAR: tuple[Quantity[Equilibrium], ...] = (
     Quantity("energy_mJ", "energy", form=".4f"),
     Quantity("margin", "margin", form=".4f"),
 )
-"""What is told of the equilibrium that is shown; a bar shows the last."""
+"""Quantities of the shown equilibrium; a bar shows the last."""
 
 
 def readout(session: Session, certificate: float | None) -> str:
-    """Where the robot is and how it is. `certificate` None: not computed yet."""
+    """State of the robot as text. `certificate` None: not computed yet."""
     e = session.equilibrium
     known = record(e, SIDEBAR)
     lines = "<br>".join(f'{q.about} <span data-testid="{q.about}">{q.number(known)}</span> {q.sign}' for q in SIDEBAR)
@@ -61,7 +61,7 @@ def typed(value: float, digits: int) -> str:
 
 
 def tube_colours(n_tubes: int) -> str:
-    """Which tube has which colour, the innermost first."""
+    """Colours of the tubes, the innermost first."""
     marks = (
         f'<span style="color:{tube_colour(i)}">\N{BLACK CIRCLE}</span>\N{NO-BREAK SPACE}tube\N{NO-BREAK SPACE}{i + 1}'
         for i in range(n_tubes)
@@ -70,7 +70,7 @@ def tube_colours(n_tubes: int) -> str:
 
 
 def certificate_words(certificate: float | None) -> str:
-    """What is proved at these translations."""
+    """Certificate at these translations, as text."""
     if certificate is None:
         return "certificate: …"
     if certificate > 0:
@@ -80,7 +80,7 @@ def certificate_words(certificate: float | None) -> str:
 
 
 def log_words(log: Sequence[Event]) -> str:
-    """What happened, the latest first."""
+    """Events, the latest first."""
     rows = [
         f'<li data-testid="event" value="{number}" style="{"color:#c81e1e" if event.snap else ""}">'
         f"{escape(event.text)}</li>"
@@ -104,7 +104,7 @@ def message_words(text: str, *, bad: bool = False) -> str:
 
 
 def others_words(others: Sequence[Equilibrium]) -> str:
-    """How many other equilibria there are at these joint values."""
+    """Number of other equilibria at these joint values, as text."""
     stable = sum(each.stable for each in others)
     many = counted(len(others), "other equilibrium", "other equilibria")
     kinds = f": {stable} stable (blue), {len(others) - stable} unstable (red)" if others else ""
@@ -124,7 +124,7 @@ LEGEND = (
 
 
 def legend() -> str:
-    """What the colours mean, and how long the axes and the squares of the floor are."""
+    """Legend of colours, axes and floor."""
     scale = [f"rgb{margin_colour(margin)}" for margin in (0.0, 0.5, 1.0)]
     rows = (
         f'<div><span style="display:inline-block;width:34px;height:9px;border-radius:3px;margin-right:8px;'
@@ -135,7 +135,7 @@ def legend() -> str:
 
 
 def hand_words(word: str, keys: str) -> str:
-    """That keys lead the tip, and for the page's script, which robot is its own."""
+    """Note on the keys that move the tip, with the id of the robot for the script of the page."""
     return f'<div style="{BOX}" data-testid="hand" data-hand="{escape(word)}">{escape(keys)}</div>'
 
 
@@ -144,7 +144,7 @@ Verb = Callable[[Session], Session | tuple[Session, str]]
 
 
 class Wishes(Protocol):
-    """Every method returns at once."""
+    """Commands of the page; every method returns at once."""
 
     def change(self, verb: Verb, *, held: int | str | None = None, key: str | None = None, pause: bool = True) -> None:
         """Do something to the robot.
@@ -174,10 +174,10 @@ class Wishes(Protocol):
         """Take a file: a trajectory, bodies to keep clear of, the robot beside."""
 
     def play(self) -> None:
-        """Play, or pause."""
+        """Start or pause the playback."""
 
     def replay(self) -> None:
-        """Play what was recorded."""
+        """Play the recording."""
 
     def look(self, side: str) -> None:
         """Look from a side: side, front, above, corner."""
