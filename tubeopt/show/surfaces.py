@@ -163,7 +163,7 @@ def axes_about(z: Array) -> Array:
 
 
 RIM = 0.55
-"""Lightening of the wall where a tube is cut."""
+"""Fraction of white in the colour of the wall where a tube is cut."""
 
 DARKEST = 0.45
 """Brightness factor of a tube without any remaining stiffness."""
