@@ -12,7 +12,7 @@ from typing import Any
 
 import griffe
 
-from tubeopt.files.units import UNITS, in_words, plain_unit, unit_of
+from tubeopt.files.units import UNITS, si_unit, unit_of, unit_text
 
 
 class FieldMarks(griffe.Extension):
@@ -36,7 +36,7 @@ def sentence(written: list[str | griffe.Expr]) -> str:
     texts = [ast.literal_eval(mark) for mark in marks if isinstance(mark, ast.Constant)]
     keys = [mark.args[0] for mark in marks if isinstance(mark, ast.Call) and ast.unparse(mark.func) in ("unit", "key")]
     units = [unit if (unit := ast.literal_eval(one)) in UNITS else unit_of(unit) for one in keys]
-    si = in_words(plain_unit(units[0])) if units else ""
+    si = unit_text(si_unit(units[0])) if units else ""
     if not texts:
         return ""
     return f"{texts[0][:1].upper()}{texts[0][1:]}{si and f', {si}'}."

@@ -34,7 +34,7 @@ STARTS = re.compile(r"(Of|That|What|Those|Which|Whose|By|As|The same)\b")
 PROSE = re.compile(r"[a-z]{2,},? [a-z]{2,}")
 """What a string has that is a text, and no name or format."""
 
-CALLS = re.compile(r"(Error|Exit|warn|warning|info|implausible|BadParameter)$")
+CALLS = re.compile(r"(Error|Exit|warn|warning|info|warn_implausible|BadParameter)$")
 """Functions and errors with a message for a user."""
 
 

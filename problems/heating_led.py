@@ -14,7 +14,7 @@ import argparse
 from pathlib import Path
 
 import tubeopt
-from tubeopt.runs.heating_study import LedHeating
+from tubeopt.runs.heating_study import ClosedLoopHeating
 from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.plots.heating import plot_feedback
 
@@ -34,7 +34,7 @@ def main(out: Path, samples: int = 100) -> list[Path]:
             f"{sensor}: {100 * led.probability:.1f} % of rigs keep the window ({100 * low:.1f} to {100 * high:.1f} %)"
         )
     picture = out / "heating_led.png"
-    plot_feedback(LedHeating(plan, laws["thermocouple"], Wiring(), rig.circuit.pwm_frequency), picture)
+    plot_feedback(ClosedLoopHeating(plan, laws["thermocouple"], Wiring(), rig.circuit.pwm_frequency), picture)
     return [picture]
 
 

@@ -19,7 +19,7 @@ import tubeopt
 from tubeopt.bodies.anatomy import Anatomy
 from tubeopt.bodies.frames import Frame, base_frame
 from tubeopt.bodies.phantoms import bronchial_tree
-from tubeopt.errors import extra
+from tubeopt.errors import import_extra
 from tubeopt.runs.surroundings_file import load_anatomy
 from tubeopt.show.plots.trajectory import plot_trajectory
 
@@ -37,7 +37,7 @@ anatomy:
 
 def written_case(directory: Path) -> Anatomy:
     """A scan, landmarks and the file that names them, written and read again."""
-    nibabel = extra("nibabel", "anatomy", "NIfTI files")
+    nibabel = import_extra("nibabel", "anatomy", "NIfTI files")
     phantom = bronchial_tree()
     plate = base_frame([0.02, -0.11, 0.2], [0.1, 0.2, -1.0])
     image = phantom.image(7e-4, Frame(plate.axes.T, -plate.axes.T @ plate.origin))

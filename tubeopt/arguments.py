@@ -1,4 +1,4 @@
-"""Arguments of a wrong type, refused where they enter: `typed` checks them by the annotations that are there anyway."""
+"""Checks of argument types by annotations: the decorator `typed`."""
 
 from __future__ import annotations
 
@@ -25,120 +25,121 @@ T = TypeVar("T", bound=Callable[..., Any])
 
 
 class Check(NamedTuple):
-    """Whether a value is of a type, and what it must be, in words; of a list the check is `late`."""
+    """Check of a type."""
 
     holds: Callable[[Any], bool]
-    words: str
+    """Test of a value."""
+    expected: str
+    """Description of allowed values, as "a number"."""
     late: bool = False
+    """True for lists, whose check takes long."""
 
 
-def typed(made: T) -> T:
-    """A function or a dataclass that raises InputError for an argument of another type than its annotation says.
+def typed(target: T) -> T:
+    """Decorate a function or a dataclass: an argument of another type than its annotation raises InputError.
 
-    It names the argument, what it is, and what it must be. Types alone are checked: ranges are left to what is called,
-    and so is what a list holds, unless what is called fails of it: it knows better how many of what there must be.
-    An annotation that says nothing (`Any`, a type variable) is not checked, nor is a default. Truths are no numbers,
-    and texts are no lists.
+    The message has the argument, its value and the expected type. Ranges are not checked. Members of a list are checked
+    only if the call fails: its own messages are better. `Any`, type variables and defaults are not checked. Truth
+    values are no numbers, and texts are no lists.
     """
-    is_class = isinstance(made, type)
-    called: Callable[..., Any] = made.__init__ if is_class else made
-    names = tuple(inspect.signature(called).parameters)
+    is_class = isinstance(target, type)
+    function: Callable[..., Any] = target.__init__ if is_class else target
+    names = tuple(inspect.signature(function).parameters)
     checks: dict[str, Check] = {}
     lists: dict[str, Check] = {}
-    placed: list[tuple[int, str, Check]] = []
+    positional: list[tuple[int, str, Check]] = []
     ready = False
 
     def prepare() -> None:
-        """When it is first called: annotations may name what is imported later."""
+        """Build the checks at the first call: annotations may name types that are imported later."""
         nonlocal ready
-        every = _checks(made)
+        every = _checks(target)
         checks.update({name: check for name, check in every.items() if not check.late})
         lists.update({name: check for name, check in every.items() if check.late})
-        placed[:] = [(k, name, checks[name]) for k, name in enumerate(names) if name in checks]
+        positional[:] = [(k, name, checks[name]) for k, name in enumerate(names) if name in checks]
         ready = True
 
-    @functools.wraps(called)
-    def checked(*args: Any, **given: Any) -> Any:
-        """What the function returns for arguments of the right types."""
+    @functools.wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        """Call the function after the checks."""
         if not ready:
             prepare()
         count = len(args)
         # A solve takes about 35 us: positions are compared without binding a signature.
-        for k, name, check in placed:
+        for k, name, check in positional:
             if k >= count:
                 break
             if not check.holds(args[k]):
-                raise _refused(name, args[k], check.words)
-        for name, value in given.items():
+                raise _type_error(name, args[k], check)
+        for name, value in kwargs.items():
             if name in checks and not checks[name].holds(value):
-                raise _refused(name, value, checks[name].words)
+                raise _type_error(name, value, checks[name])
         try:
-            return called(*args, **given)
+            return function(*args, **kwargs)
         except InputError:
             raise
         except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-            # Long lists are checked only after a failure: checking every member at each call would take longer than a
-            # solve.
-            for name, value in (*zip(names, args, strict=False), *given.items()):
+            # Checking every member of a list at each call would take longer than a solve.
+            for name, value in (*zip(names, args, strict=False), *kwargs.items()):
                 if name in lists and not lists[name].holds(value):
-                    raise _refused(name, value, lists[name].words) from None
+                    raise _type_error(name, value, lists[name]) from None
             raise
 
     if is_class:
-        setattr(made, "__init__", checked)  # noqa: B010
-        return made
+        setattr(target, "__init__", checked)  # noqa: B010
+        return target
     return checked  # type: ignore[return-value]
 
 
 def renamed(**names: str) -> Callable[[T], T]:
-    """A function that still accepts old names of keywords, given as old="new", and warns that they will end."""
+    """Decorate a function to accept old names of keywords, given as old="new", with a DeprecationWarning."""
 
     def of(function: T) -> T:
         @functools.wraps(function)
-        def asked(*args: Any, **given: Any) -> Any:
-            """What the function returns, for keywords by either name."""
-            for old in names.keys() & given.keys():
+        def with_new_names(*args: Any, **kwargs: Any) -> Any:
+            """Call the function with the new names."""
+            for old in names.keys() & kwargs.keys():
                 new = names[old]
-                if new in given:
+                if new in kwargs:
                     raise InputError(f"{old} and {new} are the same argument; give {new} only")
-                words = f"{old}= is now {new}= in {function.__qualname__.removesuffix('.__init__')}"
-                warnings.warn(f"{words}; {old}= ends with the next release", DeprecationWarning, stacklevel=2)
-                given[new] = given.pop(old)
-            return function(*args, **given)
+                change = f"{old}= is now {new}= in {function.__qualname__.removesuffix('.__init__')}"
+                warnings.warn(f"{change}; {old}= ends with the next release", DeprecationWarning, stacklevel=2)
+                kwargs[new] = kwargs.pop(old)
+            return function(*args, **kwargs)
 
-        return asked  # type: ignore[return-value]
+        return with_new_names  # type: ignore[return-value]
 
     return of
 
 
-def _refused(name: str, value: Any, words: str) -> InputError:
-    return InputError(f"{name} is {reprlib.repr(value)}; it must be {words}")
+def _type_error(name: str, value: Any, check: Check) -> InputError:
+    return InputError(f"{name} is {reprlib.repr(value)}; it must be {check.expected}")
 
 
-def _checks(made: Any) -> dict[str, Check]:
-    """The checks of annotations that name types which can be told at run time; "return" and "self" are none."""
-    owners: tuple[Any, ...] = (made,)
-    if isinstance(made, type):
-        owners = made.__mro__[::-1] if is_dataclass(made) else (inspect.unwrap(made.__init__),)  # type: ignore[misc]
-    found: dict[str, Check] = {}
-    for one in owners:
-        # Annotations are strings, and mean what they mean in the module of their class.
-        names = sys.modules[one.__module__].__dict__
-        for name, hint in inspect.get_annotations(one).items():
+def _checks(target: Any) -> dict[str, Check]:
+    """Checks of the annotations of a function or class: argument -> check."""
+    owners: tuple[Any, ...] = (target,)
+    if isinstance(target, type):
+        owners = target.__mro__[::-1] if is_dataclass(target) else (inspect.unwrap(target.__init__),)  # type: ignore[misc]
+    checks: dict[str, Check] = {}
+    for owner in owners:
+        # Annotations are strings, to be evaluated in the module of their class.
+        names = sys.modules[owner.__module__].__dict__
+        for name, hint in inspect.get_annotations(owner).items():
             try:
                 check = _check_of(eval(hint, names) if isinstance(hint, str) else hint)
-            except (NameError, AttributeError):  # a name for type checkers alone
+            except (NameError, AttributeError):  # a name for type checkers only
                 check = None
             # A derived class may change the type of a field of its base.
-            found.pop(name, None)
+            checks.pop(name, None)
             if check is not None:
-                found[name] = check
-    found.pop("return", None)
-    return found
+                checks[name] = check
+    checks.pop("return", None)
+    return checks
 
 
 def _check_of(hint: Any) -> Check | None:
-    """The check of a type; None where everything passes."""
+    """Check of a type; None if every value passes."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
         return _check_of(parts[0])
@@ -168,94 +169,90 @@ def _check_of(hint: Any) -> Check | None:
 
 
 def _either(parts: tuple[Any, ...]) -> Check | None:
-    found: list[Check] = []
+    checks: list[Check] = []
     # `ArrayLike` is a union itself: its members become one check with one word.
     if set(typing.get_args(ArrayLike)) <= set(parts):
         parts = tuple(part for part in parts if part not in typing.get_args(ArrayLike))
-        found.append(NUMBERS)
+        checks.append(NUMBERS)
     # None goes last: "a number or None".
     for part in sorted(parts, key=lambda part: part is type(None)):
         check = _check_of(part)
         if check is None:
             return None
-        found.append(check)
-    words, late = " or ".join(dict.fromkeys(each.words for each in found)), any(each.late for each in found)
-    if len(found) == 2:  # as most are: without a generator, since a solve checks a guess
-        first, second = found[0].holds, found[1].holds
-        return Check(lambda value: first(value) or second(value), words, late)
-    return Check(lambda value: any(each.holds(value) for each in found), words, late)
+        checks.append(check)
+    expected = " or ".join(dict.fromkeys(check.expected for check in checks))
+    late = any(check.late for check in checks)
+    if len(checks) == 2:  # the usual case, without a generator, since every solve checks its start
+        first, second = checks[0].holds, checks[1].holds
+        return Check(lambda value: first(value) or second(value), expected, late)
+    return Check(lambda value: any(check.holds(value) for check in checks), expected, late)
 
 
 def _fixed(parts: tuple[Any, ...]) -> Check:
-    """Of so many values, each of its own type."""
-    each = [_check_of(part) for part in parts]
+    """Check of a fixed number of values, each with its own type."""
+    checks = [_check_of(part) for part in parts]
 
     def holds(value: Any) -> bool:
-        """Whether a value is a list of as many values, each of its own type."""
-        if not _several(value) or len(value) != len(each):
+        """True for a list of as many values with the right types."""
+        if not _is_list(value) or len(value) != len(checks):
             return False
-        return all(check is None or check.holds(item) for check, item in zip(each, value, strict=True))
+        return all(check is None or check.holds(item) for check, item in zip(checks, value, strict=True))
 
-    words = dict.fromkeys("anything" if check is None else check.words for check in each)
-    if list(words) == ["anything"]:
-        return Check(holds, f"{len(each)} values", True)
-    return Check(holds, f"{len(each)} values: {', '.join(words)}", True)
+    expected = dict.fromkeys("anything" if check is None else check.expected for check in checks)
+    if list(expected) == ["anything"]:
+        return Check(holds, f"{len(checks)} values", True)
+    return Check(holds, f"{len(checks)} values: {', '.join(expected)}", True)
 
 
 def _list(item: Check | None) -> Check:
     def holds(value: Any) -> bool:
-        """Whether a value is a list whose members are all of one type."""
-        if not _several(value):
+        """True for a list whose members have the right type."""
+        if not _is_list(value):
             return isinstance(value, Iterator)  # which can be read only once
-        return item is None or all(item.holds(each) for each in value)
+        return item is None or all(item.holds(member) for member in value)
 
-    return Check(holds, "a list" if item is None else f"a list, each {item.words}", True)
+    return Check(holds, "a list" if item is None else f"a list, each {item.expected}", True)
 
 
-def _several(value: Any) -> bool:
-    """Whether a value has members in an order: a list, no text and no dict."""
+def _is_list(value: Any) -> bool:
+    """True for ordered values, except text and dicts."""
     if isinstance(value, np.ndarray):
         return value.ndim > 0
     return isinstance(value, Iterable) and hasattr(value, "__len__") and not isinstance(value, str | bytes | Mapping)
 
 
 def _numeric(value: Any) -> bool:
-    """Whether a value is a number, or a table of such whose rows are equally long."""
+    """True for a number, or a table of numbers with rows of equal length."""
     if isinstance(value, list | tuple):
         return all(map(_numeric, value)) and len({np.shape(row) for row in value}) <= 1
     # Arrays of truth values, texts and objects are no numbers, though NumPy converts some of them.
     return _number(value) or (hasattr(value, "__array__") and np.asarray(value).dtype.kind in "fiu")
 
 
-def _instance(wanted: type) -> Check:
-    words = vars(wanted).get("_asked_for") or f"{'an' if wanted.__name__[0] in 'AEIOU' else 'a'} {wanted.__name__}"
-    if getattr(wanted, "_is_protocol", False):
-        members = [name for base in wanted.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)]
+def _instance(kind: type) -> Check:
+    expected = vars(kind).get("_asked_for") or f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+    if getattr(kind, "_is_protocol", False):
+        members = [name for base in kind.__mro__ if getattr(base, "_is_protocol", False) for name in vars(base)]
         # `isinstance` with a protocol takes longer, and needs it to be checkable at run time.
         needed = [name for name in members if not name.startswith("_")]
-        return Check(lambda value: all(hasattr(value, name) for name in needed), words)
-    return Check(_of(wanted), words)
-
-
-def _of(wanted: type) -> Callable[[Any], bool]:
-    """`isinstance`, which takes long for abstract classes: types that were seen are remembered."""
-    seen: set[type] = set()
+        return Check(lambda value: all(hasattr(value, name) for name in needed), expected)
+    # `isinstance` is slow for abstract classes: known types are cached.
+    known: set[type] = set()
 
     def holds(value: Any) -> bool:
-        """Whether a value is of the type."""
-        kind = type(value)
-        if kind in seen:
+        """True for an instance of the class."""
+        if type(value) in known:
             return True
-        if isinstance(value, wanted):
-            seen.add(kind)
+        if isinstance(value, kind):
+            known.add(type(value))
             return True
         return False
 
-    return holds
+    return Check(holds, expected)
 
 
-MOST = 10**12
-"""Whole numbers are smaller: they count, or begin a sequence of random numbers."""
+MAX_WHOLE = 10**12
+"""Bound of whole numbers, which are counts or random seeds."""
 
 
 def _number(value: Any) -> bool:
@@ -268,7 +265,7 @@ def _number(value: Any) -> bool:
 
 
 def _whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and -MOST < int(value) < MOST
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and -MAX_WHOLE < int(value) < MAX_WHOLE
 
 
 NUMBERS = Check(_numeric, "numbers", True)

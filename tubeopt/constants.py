@@ -1,4 +1,4 @@
-"""Constants of nature and of units, each once (SI); `tests/test_constants.py` holds them against `scipy.constants`."""
+"""Physical constants in SI; `tests/test_constants.py` compares them with `scipy.constants`."""
 
 from __future__ import annotations
 
@@ -9,4 +9,4 @@ ZERO_CELSIUS = 273.15
 """0 degC in K."""
 
 STEFAN_BOLTZMANN = 5.670374419e-8
-"""Of the radiation of a black body, W/(m^2 K^4)."""
+"""Constant of black-body radiation, W/(m^2 K^4)."""

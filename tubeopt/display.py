@@ -1,7 +1,7 @@
-"""How public objects show themselves: in one line where text is wanted, as a table with a picture in a notebook.
+"""Representation of public objects: one line as text, a table with a picture in notebooks.
 
-Every class of `tubeopt` that holds data derives from `Displayed`. The line is made here; table and picture come from
-`show.notebook`, which is loaded when the first is asked for, so that a robot or an answer knows nothing of pictures.
+Every public data class derives from `Displayed`. Table and picture come from `show.notebook`, which is imported on
+first use, so that robots and answers do not depend on plots.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import numpy as np
 
 from .typing import lazy_import
 
-LENGTH = 160
-"""Characters that a line holds before what is left of an object is left out."""
+MAX_LENGTH = 160
+"""Approximate length of a line; further fields are omitted."""
 
-SMALL = 6
-"""Numbers of an array, or members of a list, that are told one by one."""
+MAX_MEMBERS = 6
+"""Longest array or list whose members are shown."""
 
 
 class Displayed:
-    """Data that show themselves in one line, and in a notebook as a table with a picture."""
+    """Base of data classes with a short text, and a table with a picture in notebooks."""
 
     _brief: ClassVar[tuple[str, ...]] = ()
-    """Attributes that the line tells; () for the fields in their order, without those that are as by default."""
+    """Attributes in the line; () for all fields that differ from their defaults."""
 
-    def __init_subclass__(cls, **given: Any) -> None:
-        super().__init_subclass__(**given)
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
         if "__repr__" not in cls.__dict__:
             cls.__repr__ = Displayed.__repr__  # type: ignore[method-assign]  # before dataclass would write its own
 
@@ -36,55 +36,55 @@ class Displayed:
         return short_repr(self)
 
     def _repr_mimebundle_(self, include: object = None, exclude: object = None) -> dict[str, Any]:
-        """What a notebook shows, with the picture alone for a reader that takes no HTML: of one drawing."""
+        """Formats for a notebook: HTML with table and picture, and the picture alone for other readers."""
         shown: dict[str, Any] = lazy_import("tubeopt.show.notebook.shown")(self)
         return shown
 
     def _repr_html_(self) -> str:
-        """Table and picture."""
+        """Table and picture as HTML."""
         page: str = self._repr_mimebundle_()["text/html"]
         return page
 
     def _repr_png_(self) -> bytes | None:
-        """The picture alone; None for what has none."""
+        """Picture as PNG; None without one."""
         picture: bytes | None = lazy_import("tubeopt.show.notebook.png")(self)
         return picture
 
 
 def short_repr(answer: Displayed) -> str:
-    """Class and what an object is, in about `LENGTH` characters."""
-    told: list[str] = []
+    """Class and fields of an object, in about `MAX_LENGTH` characters."""
+    shown: list[str] = []
     for name, value in _fields(answer):
-        one = f"{name}={brief(value)}"
+        text = f"{name}={brief(value)}"
         # At least one field is shown, however long.
-        if told and sum(map(len, told)) + len(one) > LENGTH:
-            told.append("...")
+        if shown and sum(map(len, shown)) + len(text) > MAX_LENGTH:
+            shown.append("...")
             break
-        told.append(one)
-    return f"{type(answer).__name__}({', '.join(told)})"
+        shown.append(text)
+    return f"{type(answer).__name__}({', '.join(shown)})"
 
 
 def _fields(answer: Displayed) -> list[tuple[str, Any]]:
     brief = getattr(answer, "_brief", ())
     if brief:
         return [(name, getattr(answer, name)) for name in brief]
-    fields = dataclasses.fields(answer)  # type: ignore[arg-type]  # they are dataclasses, which no type says
-    shown = [(field, getattr(answer, field.name)) for field in fields if field.repr]
-    return [(field.name, value) for field, value in shown if not _is_default(value, field)]
-
-
-def _is_default(value: Any, field: dataclasses.Field[Any]) -> bool:
-    """Whether a field is left as it was; arrays, which say not whether they are equal, never are."""
-    return value is None or (isinstance(value, str | int | float | tuple) and value == field.default)
+    shown = []
+    for field in dataclasses.fields(answer):  # type: ignore[arg-type]  # all derived classes are dataclasses
+        value = getattr(answer, field.name)
+        # Arrays have no scalar equality and are always shown.
+        is_default = value is None or (isinstance(value, str | int | float | tuple) and value == field.default)
+        if field.repr and not is_default:
+            shown.append((field.name, value))
+    return shown
 
 
 def brief(value: Any) -> str:
-    """A value in a few characters: numbers to 6 digits, long lists by their size, objects by their name."""
+    """Short text of a value: numbers to 6 digits, long lists by their size, objects by their name."""
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, np.ndarray):
         # Joint values and positions are shown, tables by their shape.
-        few = value.ndim == 1 and value.size <= SMALL
+        few = value.ndim == 1 and value.size <= MAX_MEMBERS
         return brief(value.tolist()) if few else f"<{' x '.join(map(str, value.shape))} array>"
     if isinstance(value, float):
         return f"{value:.6g}"
@@ -103,7 +103,7 @@ def brief(value: Any) -> str:
 
 def _of_several(values: list[Any] | tuple[Any, ...]) -> str:
     plain = all(isinstance(value, str | int | float | None) for value in values)
-    if plain and len(values) <= SMALL:
+    if plain and len(values) <= MAX_MEMBERS:
         inside = ", ".join(map(brief, values))
         return f"[{inside}]" if isinstance(values, list) else f"({inside})"
     kinds = {type(value).__name__ for value in values}
@@ -111,7 +111,7 @@ def _of_several(values: list[Any] | tuple[Any, ...]) -> str:
 
 
 def in_full(value: Any) -> str:
-    """All that a value holds, and what its parts hold, as text: what tells it from every other."""
+    """Complete text of a value and its parts, equal only for equal values."""
     if isinstance(value, tuple):
         return f"({', '.join(map(in_full, value))}{',' * (len(value) == 1)})"
     if not dataclasses.is_dataclass(value):

@@ -1,4 +1,4 @@
-"""The two ways in which a request can fail: it makes no sense, or it has no solution that could be found."""
+"""Errors of the library, checks of arguments, and warnings about implausible numbers."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .display import Displayed
 
 
 class ImplausibleWarning(UserWarning):
-    """The input is possible, but was probably meant in another unit; the message says which field, and its value."""
+    """Input that is possible, but probably in another unit; the message has the field and its value."""
 
 
 class InputError(ValueError):
-    """The input names something impossible; the message says which field, its value, and what is allowed."""
+    """Invalid input; the message has the field, its value, and what is allowed."""
 
 
 FAULTS = (ArithmeticError, AttributeError, LookupError, NameError, TypeError, ValueError)
-"""What a function of a user raises by a fault of its own."""
+"""Errors that a function of the user may raise."""
 
 
-def called(name: str, function: Callable[[float], Any], at: float) -> Any:
-    """The value of a user's function of the arc length at `at`, m; raises InputError, with `name`, for its faults."""
+def call_user_function(name: str, function: Callable[[float], Any], at: float) -> Any:
+    """Call a function of the user at the arc length `at`, m; raises InputError for its errors."""
     try:
         return function(at)
     except InputError:
@@ -43,11 +43,11 @@ def called(name: str, function: Callable[[float], Any], at: float) -> Any:
 
 
 class MissingExtraError(InputError):
-    """A package that an extra brings is not installed; the message has the line that installs it."""
+    """Missing optional package; the message has the command that installs it."""
 
 
 class SolveError(RuntimeError):
-    """No acceptable solution was found; the message names what was violated.
+    """No acceptable solution was found; the message has the violated conditions.
 
     ``solution`` is the best solution found, or None.
     """
@@ -58,37 +58,37 @@ class SolveError(RuntimeError):
 
 
 class TimeLimitError(SolveError):
-    """A time limit was reached before there was an answer; the message names the limit.
+    """A time limit was reached without an answer; the message has the limit.
 
     ``solution`` is the best solution found by then, or None.
     """
 
 
 class NotProvedError(RuntimeError):
-    """An answer was found, and given, whose proof was not finished in time; the message says how far it came."""
+    """An answer was returned, but its proof was not finished in time; the message has its progress."""
 
 
-_UNDOUBTED = ContextVar("undoubted", default=False)
+_WARNINGS_OFF = ContextVar("warnings_off", default=False)
 
 
 @contextmanager
-def undoubted() -> Iterator[None]:
-    """Warn of no implausible number: it was computed, or the reader of its file warns, with its key and unit."""
-    before = _UNDOUBTED.set(True)
+def without_unit_warnings() -> Iterator[None]:
+    """Disable warnings of implausible numbers: they were computed, or the reader of their file warns itself."""
+    before = _WARNINGS_OFF.set(True)
     try:
         yield
     finally:
-        _UNDOUBTED.reset(before)
+        _WARNINGS_OFF.reset(before)
 
 
-def implausible(words: str) -> None:
-    """Warn of what is possible but was probably meant otherwise."""
-    if not _UNDOUBTED.get():
-        warnings.warn(words, ImplausibleWarning, stacklevel=2)
+def warn_implausible(message: str) -> None:
+    """Warn of input that is possible but probably wrong."""
+    if not _WARNINGS_OFF.get():
+        warnings.warn(message, ImplausibleWarning, stacklevel=2)
 
 
 def positive(name: str, value: float, *, zero: bool = False) -> float:
-    """Return `value` as float if it is finite and > 0 (>= 0 with `zero`), else raise InputError naming it."""
+    """Convert a value to float; raises InputError unless it is finite and > 0 (>= 0 with `zero`)."""
     number = finite(name, value)
     # NaN is not finite, and was refused above.
     if number < 0 or (number == 0 and not zero):
@@ -97,7 +97,7 @@ def positive(name: str, value: float, *, zero: bool = False) -> float:
 
 
 def finite(name: str, value: Any) -> float:
-    """Return `value` as a finite float, else raise InputError naming it."""
+    """Convert a value to a finite float; raises InputError for other values."""
     try:
         number = value if type(value) is float else float(_only_numbers(value))
     except OverflowError:
@@ -110,11 +110,11 @@ def finite(name: str, value: Any) -> float:
 
 
 PLAIN = {float, int, np.float64}
-"""Types of numbers that need no further look: what is asked at each solve is checked in a microsecond."""
+"""Types of numbers without further checks: arguments of a solve must be checked in a microsecond."""
 
 
 def _only_numbers(value: Any) -> Any:
-    """`value`, or TypeError where a truth value, a text or a complex number stands in it, which NumPy would convert."""
+    """Return a value; raises TypeError for truth values, texts and complex numbers in it, which NumPy would convert."""
     if isinstance(value, np.ndarray):
         # Truth values, bytes, texts and complex numbers.
         if value.dtype.kind in "bSUc":
@@ -129,24 +129,23 @@ def _only_numbers(value: Any) -> Any:
     return value
 
 
-def whole(name: str, value: Any, least: int | None = None) -> int:
-    """The value as a whole number, of at least `least` if given; raises InputError where it is none."""
-    # True is an int for Python, and never meant as a number here.
+def whole(name: str, value: Any, min_value: int | None = None) -> int:
+    """Convert a value to int; raises InputError unless it is a whole number of at least `min_value`."""
+    # True is an int for Python, but no valid number here.
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise InputError(f"{name} is {value!r}; it must be a whole number")
-    if least is not None and value < least:
-        raise InputError(f"{name} is {value}; it must be at least {least}")
+    if min_value is not None and value < min_value:
+        raise InputError(f"{name} is {value}; it must be at least {min_value}")
     return int(value)
 
 
 @dataclass(frozen=True)
 class Settings(Displayed):
-    """What a user may want to change of how something is solved: the numbers that a class derived from this has.
+    """Base of solver options.
 
     Raises:
-        InputError: a field whose default is a whole number is none of at least 1, or of at least 0 by the names
-            `_none`; another one is no positive number, holds one that is none, or is no settings where these are asked
-            for.
+        InputError: a field with an int default is no whole number of at least 1 (0 for the names `_none`), another
+            number is not positive, or a part is no settings of its class.
     """
 
     _none: ClassVar[tuple[str, ...]] = ()
@@ -165,15 +164,15 @@ class Settings(Displayed):
                 positive(each.name, value)
 
 
-def instance(name: str, value: Any, wanted: type, *, optional: bool = False) -> None:
-    """Raise InputError naming `name` unless `value` is a `wanted`; where it is optional, None will do."""
-    if not (isinstance(value, wanted) or (optional and value is None)):
-        article = "an" if wanted.__name__[0] in "AEIOU" else "a"
-        raise InputError(f"{name} is {value!r}; it must be {article} {wanted.__name__}")
+def instance(name: str, value: Any, kind: type, *, optional: bool = False) -> None:
+    """Raise InputError unless a value is an instance of `kind`, or None with `optional`."""
+    if not (isinstance(value, kind) or (optional and value is None)):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise InputError(f"{name} is {value!r}; it must be {article} {kind.__name__}")
 
 
 def numbers(name: str, value: Any) -> tuple[float, ...]:
-    """Return `value`, one number or several, as finite floats, else raise InputError naming it."""
+    """Convert one number or several to finite floats; raises InputError for other values."""
     # A text and a dict can be iterated, into letters and keys.
     if isinstance(value, str | Mapping):
         raise InputError(f"{name} is {value!r}; it must be numbers")
@@ -187,7 +186,7 @@ def numbers(name: str, value: Any) -> tuple[float, ...]:
 
 
 def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -> NDArray[np.float64]:
-    """Return `value` as a finite float array of shape (size,), else raise InputError naming it."""
+    """Convert a value to a finite array of shape (size,); raises InputError for other values."""
     try:
         array = np.array(_only_numbers(value), dtype=float)
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -196,13 +195,13 @@ def vector(name: str, value: ArrayLike, size: int, what: str = "one per tube") -
         shape = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
         got = f"has {shape}" if array.ndim else f"is {value!r}"
         raise InputError(f"{name} {got}; it must be {size} numbers ({what})")
-    if not all(map(math.isfinite, array.tolist())):  # of so few numbers faster than NumPy
+    if not all(map(math.isfinite, array.tolist())):  # faster than NumPy for a few numbers
         raise InputError(f"{name} is {array.tolist()}; every number must be finite")
     return array
 
 
 def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.float64]:
-    """`value` as a float array with so many dimensions, else InputError naming the first bad place."""
+    """Convert a value to a finite array with `dimensions` axes; raises InputError with the first invalid entry."""
     try:
         array = np.array(_only_numbers(value), dtype=float)
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -210,33 +209,33 @@ def finite_array(name: str, value: ArrayLike, dimensions: int) -> NDArray[np.flo
     if array.ndim != dimensions:
         raise InputError(f"{name} have shape {array.shape}; they must have {dimensions} dimensions")
     if not np.isfinite(array).all():
-        # The first bad place is enough to find the cause.
-        place = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise InputError(f"{name}{place} is {array[tuple(place)]}; every number must be finite")
+        # The first invalid entry is enough to find the cause.
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise InputError(f"{name}{index} is {array[tuple(index)]}; every number must be finite")
     return array
 
 
 def items(name: str, values: Any, kinds: Any, what: str) -> tuple[Any, ...]:
-    """`values` as a tuple whose every member is of `kinds`, or InputError naming it; `what` says what they must be."""
+    """Convert values to a tuple; raises InputError unless all are of `kinds`, with `what` as their description."""
     # An array without dimension is iterable by its type, and fails when it is read.
     scalar = isinstance(values, np.ndarray) and values.ndim == 0
     if scalar or isinstance(values, str | Mapping) or not isinstance(values, Iterable):
         raise InputError(f"{name} is {values!r}; it must be a list of {what}")
-    found = tuple(values)
-    for one in found:
-        if not isinstance(one, kinds):
-            raise InputError(f"{name} contains {one!r}; it must be a list of {what}")
-    return found
+    members = tuple(values)
+    for member in members:
+        if not isinstance(member, kinds):
+            raise InputError(f"{name} contains {member!r}; it must be a list of {what}")
+    return members
 
 
 def triple(name: str, value: ArrayLike) -> tuple[float, float, float]:
-    """Return x, y, z of `value` if they are finite numbers, else raise InputError naming it."""
+    """Convert a value to finite coordinates x, y, z; raises InputError for other values."""
     x, y, z = vector(name, value, 3, "x, y, z").tolist()
     return x, y, z
 
 
 def choice(name: str, value: str, allowed: Iterable[str]) -> str:
-    """Return `value` if it is one of `allowed`, else raise InputError with the nearest allowed word."""
+    """Return an allowed word; raises InputError for others, with the nearest allowed word."""
     options = list(allowed)
     if not isinstance(value, str | None) or value not in options:
         raise InputError(f"{name} is {value!r}; it must be one of {', '.join(options)}{nearest(str(value), options)}")
@@ -244,21 +243,21 @@ def choice(name: str, value: str, allowed: Iterable[str]) -> str:
 
 
 def nearest(word: object, known: Iterable[str]) -> str:
-    """Return "; did you mean 'x'?" for the known word closest to `word`, or an empty string."""
-    # At a cutoff of 0.5 half of the letters agree: "curvatur" and "curve" find "curvature".
+    """Hint "; did you mean 'x'?" with the known word closest to `word`; "" without a similar word."""
+    # At a cutoff of 0.5 half of the letters agree: "curvatur" and "curve" match "curvature".
     match = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5) if isinstance(word, str) else []
     return f"; did you mean {match[0]!r}?" if match else ""
 
 
-def extra(module: str, brought_by: str, what: str) -> Any:
-    """A module that is not installed with tubeopt itself, loaded where it is used.
+def import_extra(module: str, brought_by: str, what: str) -> Any:
+    """Import an optional module.
 
     Args:
-        brought_by: the extra that has it.
-        what: is said to need it, in the plural: "STL files".
+        brought_by: extra of tubeopt that installs the module.
+        what: plural noun in the message: "STL files".
 
     Raises:
-        MissingExtraError: it is not installed; with the line that installs it.
+        MissingExtraError: the module is not installed.
     """
     try:
         return importlib.import_module(module)

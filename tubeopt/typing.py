@@ -1,4 +1,4 @@
-"""Names of array types, what every answer has, and attributes and methods that are elsewhere."""
+"""Array types, the protocol of answers, lazy imports and delegated attributes."""
 
 from __future__ import annotations
 
@@ -18,22 +18,21 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 Progress = Callable[[int, int], object]
-"""Called with how much is done, and how much there is, 0 where nobody knows."""
+"""Callback with the finished and the total number of steps; 0 if the total is unknown."""
 
 
 @functools.lru_cache(maxsize=256)
 def lazy_import(name: str) -> Any:
-    """A public function by its full name, for a method of plain data that is a shorthand for it.
+    """Import a public function by its full name, for a method that is a shorthand for it.
 
-    Data do not know what is done with them: what saves or differentiates an equilibrium knows the equilibrium, not the
-    other way. A method such as `equilibrium.save(directory)` is there all the same for who reads from left to right.
+    Data classes must not import the modules that use them. With this, `equilibrium.save(directory)` works nevertheless.
     """
     module, _, function = name.rpartition(".")
     return getattr(importlib.import_module(module), function)
 
 
 class Delegate(Generic[T]):
-    """A value of a part, read at the whole: with `lowest = Delegate[float]("outcome")`, `plan.outcome.lowest`."""
+    """Attribute of a part: with `lowest = Delegate[float]("outcome")`, `plan.lowest` is `plan.outcome.lowest`."""
 
     def __init__(self, part: str) -> None:
         self.part, self._name = part, ""
@@ -48,7 +47,7 @@ class Delegate(Generic[T]):
 
 
 class StatusEnum(Enum):
-    """How a solve ended: members whose values are sentences, and who read as such."""
+    """Status of a solve; the text of a member is its value, a sentence."""
 
     def __str__(self) -> str:
         return str(self.value)

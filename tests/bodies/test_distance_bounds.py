@@ -8,7 +8,7 @@ import pytest
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import ROUND_OFF, DistanceField
 from tubeopt.bodies.solids import (
-    COVERED,
+    SAMPLING,
     _bounds,
     _samples,
     field_of_mesh,
@@ -110,7 +110,7 @@ def test_the_middle_of_an_equilateral_triangle_is_as_far_from_samples_as_is_said
     least, most = _bounds(corners, np.array([[0.0, 0.0, height]]), size)
     assert least == pytest.approx([height], rel=1e-9)
     assert most == pytest.approx([np.hypot(height, side / np.sqrt(3))], rel=1e-9)
-    assert COVERED == ((1.0, 8.0), (0.5, 0.0))
+    assert SAMPLING == ((1.0, 8.0), (0.5, 0.0))
 
 
 def test_a_thick_cloud_and_a_thick_surface_lie_within_their_tables() -> None:

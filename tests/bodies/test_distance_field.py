@@ -99,7 +99,7 @@ def test_coarser_cells_take_away_what_they_tell() -> None:
     image = oblique_image()
     lumen = image.chosen([1])
     fine = field_of_image(image, lumen=lumen)
-    coarse = field_of_image(image, lumen=lumen, most=3000)
+    coarse = field_of_image(image, lumen=lumen, max_nodes=3000)
     assert coarse.values.size <= 3000
     assert coarse.node_error > 0
     points = image.frame.placed(np.argwhere(lumen)[::8] * image.spacing)

@@ -11,8 +11,8 @@ from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.obstacles import (
     Box,
     Capsule,
+    ClearanceMonitor,
     HalfSpace,
-    Lookout,
     Obstacle,
     Scene,
     Sphere,
@@ -109,7 +109,7 @@ def test_a_lookout_says_what_a_look_would_and_looks_seldom(monkeypatch: pytest.M
         return nearest(scene, points, within)
 
     monkeypatch.setattr(Scene, "nearest", counted)
-    lookout, told = Lookout(scene), []
+    lookout, told = ClearanceMonitor(scene), []
     for _ in range(400):
         points = points + random.normal(size=points.shape) * 1e-4 - np.array([3e-4, 0.0, 1e-4])
         told.append(lookout.far(points, reach))
@@ -122,7 +122,7 @@ def test_a_lookout_trusts_a_point_as_far_as_it_can_have_come_closer() -> None:
     """Of 5 mm, where 1 mm are asked for, a way of 4 mm straight towards a plane leaves nothing to spare."""
     wall = Scene((HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
     for way, far in ((3.99e-3, True), (4.01e-3, False)):
-        lookout, reach = Lookout(wall), np.array([1e-3])
+        lookout, reach = ClearanceMonitor(wall), np.array([1e-3])
         assert lookout.far(np.array([[0.0, 0.0, 5e-3]]), reach)
         assert lookout.far(np.array([[0.0, 0.0, 5e-3 - way]]), reach) == far
 

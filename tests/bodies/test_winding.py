@@ -10,7 +10,7 @@ from tests.examples import TWO_TUBE
 from tubeopt import verify_trajectory
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.solids import field_of_mesh
-from tubeopt.bodies.triangles import Triangles, seen_along, winding_number
+from tubeopt.bodies.triangles import Triangles, rays_of, winding_number
 from tubeopt.typing import Array
 
 
@@ -65,7 +65,7 @@ def test_winding_numbers_are_sums_of_solid_angles(mesh: trimesh.Trimesh) -> None
     truth = by_solid_angle(corners, points + rng.normal(size=points.shape) * 1e-7)
     clear = Triangles(corners, closed=False).signed_distance(points) > 1e-6
     assert clear.sum() > 400
-    np.testing.assert_array_equal(winding_number(seen_along(corners), points)[clear], np.round(truth[clear]))
+    np.testing.assert_array_equal(winding_number(rays_of(corners), points)[clear], np.round(truth[clear]))
 
 
 def test_bodies_that_overlap_are_one() -> None:

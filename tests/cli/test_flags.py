@@ -13,7 +13,7 @@ from pydantic import Field
 from typer.testing import CliRunner
 
 from tests.command_line import COLOUR, ROOT, THESIS, Run, answer, refused
-from tubeopt.cli.flags import asks
+from tubeopt.cli.flags import study_command
 from tubeopt.cli.output import Output
 from tubeopt.errors import InputError
 from tubeopt.files.checked import Number, Positive, Whole
@@ -46,7 +46,7 @@ app = typer.Typer()
 
 
 @app.command()
-@asks(PaintStudy, flags={"coats": "--coats,-c"}, defaults={"names": "red, blue"}, example="paint ROBOT.yaml")
+@study_command(PaintStudy, flags={"coats": "--coats,-c"}, defaults={"names": "red, blue"}, example="paint ROBOT.yaml")
 def paint(
     study: PaintStudy, output: Output, robot: str, twice: Annotated[bool, typer.Option("--twice")] = False
 ) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import THESIS, Run, refused
-from tubeopt.cli.commands import COMMANDS, Asked
+from tubeopt.cli.commands import COMMANDS, StudyCommand
 from tubeopt.show.reports import formats_of, reports
 
 PICTURES = ("png", "pdf", "svg", "eps", "tiff")
@@ -32,7 +32,7 @@ def test_formats_of_commands(command: str, formats: tuple[str, ...]) -> None:
 def test_every_command_that_asks_has_a_report_of_its_name() -> None:
     """Without one all its formats would be refused."""
     known = {command.partition(" --")[0] for command in reports()}
-    assert {words for words, row in COMMANDS.items() if isinstance(row, Asked)} <= known
+    assert {words for words, row in COMMANDS.items() if isinstance(row, StudyCommand)} <= known
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ def test_a_file_that_is_there_stays(run: Run, tmp_path: Path, what: str) -> None
     path = tmp_path / "mine.yaml"
     path.write_text("mine")
     (line,) = refused(run("init", what, "mine.yaml"))
-    assert line == "mine.yaml: the file is there already; --force replaces it"
+    assert line == "mine.yaml: the file exists; --force replaces it"
     assert path.read_text() == "mine"
     assert run("init", what, "mine.yaml", "--force").code == 0
     assert "kind:" in path.read_text()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import ROOT, THESIS, Run, refused
-from tubeopt.files.units import as_typed
+from tubeopt.files.units import in_input_units
 
 ETR = [str(ROOT / "configs/robots/thesis_etr.yaml"), str(ROOT / "configs/experiments/synthetic_etr.csv")]
 PLAN = f"kind: plan\nrobot: {THESIS}\nstart_deg: [0, 0, 0]\n"
@@ -250,7 +250,7 @@ def test_programs_of_a_mold_stay_finite(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_sentences_of_the_library_come_in_the_units_that_are_typed(said: str, typed: str) -> None:
-    assert as_typed(said) == typed
+    assert in_input_units(said) == typed
 
 
 def test_obstacles_typed_as_text_are_named_by_their_flag(run: Run) -> None:

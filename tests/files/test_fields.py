@@ -26,7 +26,7 @@ from tubeopt.files.field_metadata import (
     key,
     unit,
 )
-from tubeopt.files.fields import Part, asking, entry_of, to_data, values
+from tubeopt.files.fields import Part, entry_of, keys_from, to_data, values
 from tubeopt.files.yaml_file import load_yaml, save_yaml
 
 
@@ -263,12 +263,12 @@ def test_the_range_of_a_whole_number_in_a_file_is_said_in_whole_numbers(data: di
         check(entry_of(Seeded), data, "")
 
 
-@asking(Pace)
+@keys_from(Pace)
 class PaceEntry(Part):
     places_mm: list[Number]
 
 
-@asking(Tries, "count")
+@keys_from(Tries, "count")
 class Asked(PlainEntry):
     wait_degC: Number
 

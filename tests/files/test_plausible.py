@@ -30,7 +30,7 @@ from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.design.requirements import Strain
 from tubeopt.equilibrium.problem import check_load
-from tubeopt.errors import ImplausibleWarning, undoubted
+from tubeopt.errors import ImplausibleWarning, without_unit_warnings
 from tubeopt.files.checked import check
 from tubeopt.files.fields import EntryOf
 from tubeopt.robots.robot import resized
@@ -253,7 +253,7 @@ def test_rates_and_bodies_in_another_unit_in_a_file(caplog: pytest.LogCaptureFix
 def test_numbers_that_nobody_typed_are_not_doubted() -> None:
     robot = load_robot(THESIS)
     resized(robot, 0, "curvature", 0.02)
-    with undoubted():
+    with without_unit_warnings():
         replace(robot, tubes=tuple(replace(tube, curvature=0.02) for tube in robot.tubes))
     with pytest.warns(ImplausibleWarning, match="curvature is 0.02"):
         replace(robot, tubes=tuple(replace(tube, curvature=0.02) for tube in robot.tubes))

@@ -10,7 +10,7 @@ import pytest
 
 import tubeopt
 from tubeopt.errors import InputError
-from tubeopt.files.shipped import ENDINGS, FOLDER, NAME, about, resolved, shipped
+from tubeopt.files.shipped import ENDINGS, FOLDER, NAME, description_of, resolve_file, shipped
 from tubeopt.runs.robot_keys import load_entry
 from tubeopt.runs.study_file import load_study
 from tubeopt.runs.sweep_file import load_sweep
@@ -28,8 +28,8 @@ def test_every_file_has_a_name_of_its_own_and_says_what_it_is() -> None:
     assert len(files) == len(shipped()) > 50
     for name, path in shipped().items():
         assert NAME.fullmatch(name)
-        assert 10 < len(about(path)) < 220, path
-        assert not about(path).startswith("Source"), path
+        assert 10 < len(description_of(path)) < 220, path
+        assert not description_of(path).startswith("Source"), path
 
 
 @pytest.mark.parametrize("name", shipped("robots"))
@@ -76,7 +76,7 @@ def test_a_local_file_with_an_ending_is_typed_with_it(empty: Path, caplog: pytes
 
 def test_a_folder_of_this_name_hides_nothing(empty: Path) -> None:
     (empty / "thesis_ctr").mkdir()
-    assert resolved("thesis_ctr") == shipped()["thesis_ctr"]
+    assert resolve_file("thesis_ctr") == shipped()["thesis_ctr"]
 
 
 @pytest.mark.parametrize(

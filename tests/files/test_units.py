@@ -16,12 +16,12 @@ from tubeopt.files.units import (
     MM,
     PER_M,
     PERCENT,
+    alternative_units,
     decimal,
     in_unit,
-    meant,
-    others,
     parse_number,
     shown,
+    suggest_key,
     to_si,
 )
 
@@ -95,12 +95,12 @@ def test_units_are_those_of_the_international_system() -> None:
     assert {name: float(size) for name, size in units.UNITS.items()} == pytest.approx(
         {x: in_si(x) for x in units.UNITS}, rel=1e-15
     )
-    alike = {name: float(size) for unit in units.UNITS for name, size in others(unit)}
+    alike = {name: float(size) for unit in units.UNITS for name, size in alternative_units(unit)}
     assert alike == pytest.approx({name: in_si(name) for name in alike}, rel=1e-15)
     assert {"min", "inch", "kPa", "mAh", "per_cm"} <= set(alike)
 
 
 def test_a_key_in_another_unit_is_said_with_the_factor_to_its_own() -> None:
-    assert meant("hold_min", ["hold_s"]) == "; did you mean 'hold_s', 60 times the number?"
-    assert meant("width_inch", ["width_mm"]) == "; did you mean 'width_mm', 25.4 times the number?"
-    assert meant("turn_rad", ["turn_deg"]) == "; did you mean 'turn_deg', 57.2958 times the number?"
+    assert suggest_key("hold_min", ["hold_s"]) == "; did you mean 'hold_s', 60 times the number?"
+    assert suggest_key("width_inch", ["width_mm"]) == "; did you mean 'width_mm', 25.4 times the number?"
+    assert suggest_key("turn_rad", ["turn_deg"]) == "; did you mean 'turn_deg', 57.2958 times the number?"

@@ -14,7 +14,7 @@ from tests.examples import CONFIGS, CRL, THESIS
 from tests.inverse_targets import reachable
 from tubeopt import IkSession, InverseOptions, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
-from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Lookout, Obstacle, Scene, Sphere
+from tubeopt.bodies.obstacles import Box, Capsule, ClearanceMonitor, HalfSpace, Obstacle, Scene, Sphere
 from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse import closest, multistart
@@ -240,7 +240,7 @@ def test_who_is_looked_around_for_misses_no_contact() -> None:
         space = joint_space(robot)
         begin, end = (forward_kinematics(robot, *space.split(q)) for q in space.sample(4)[:2])
         scene = Scene(bodies_near(end, random)[:4])
-        lookout, e = Lookout(scene), begin
+        lookout, e = ClearanceMonitor(scene), begin
         for t in np.linspace(0.0, 1.0, 15):
             joints = (
                 a + t * (b - a) for a, b in ((begin.rotations, end.rotations), (begin.translations, end.translations))

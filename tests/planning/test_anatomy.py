@@ -14,7 +14,7 @@ import tubeopt
 from tests.command_line import ROOT
 from tests.conftest import draw_quickly
 from tubeopt import InputError, PlanOptions, TipGoal
-from tubeopt.bodies.anatomy import Anatomy, anatomy_seen, centres
+from tubeopt.bodies.anatomy import Anatomy, anatomy_in_frame, centres
 from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame, base_frame
@@ -108,7 +108,7 @@ def test_a_landmark_that_is_called_as_the_region_is_refused() -> None:
     marks = {"target": np.zeros(3)}
     field = field_of_image(image, lumen=image.chosen([LUMEN, TARGET]))
     with pytest.raises(InputError, match="a landmark and the target region"):
-        anatomy_seen([field], Frame(), target=centres(image, image.chosen([TARGET])), landmarks=marks)
+        anatomy_in_frame([field], Frame(), target=centres(image, image.chosen([TARGET])), landmarks=marks)
 
 
 def test_a_region_is_a_goal() -> None:
@@ -171,7 +171,7 @@ def write_case(directory: Path) -> tuple[Anatomy, Frame]:
             }
         )
     )
-    return anatomy_seen([field], base, target=centres(placed, placed.chosen([2])), landmarks=marks), base
+    return anatomy_in_frame([field], base, target=centres(placed, placed.chosen([2])), landmarks=marks), base
 
 
 def test_files_make_the_anatomy_that_the_library_makes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 import tubeopt
 from tubeopt import InputError, PlacedRobot, PlanOptions, SolveError, plan_arms, verify_arms
-from tubeopt.bodies.anatomy import seen_from
+from tubeopt.bodies.anatomy import bodies_in_frame
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.distance_field import DistanceField
 from tubeopt.bodies.frames import Frame, base_frame, roll_of
@@ -185,7 +185,7 @@ def bodies() -> list[Obstacle]:
 def test_bodies_are_where_they_were_for_whoever_looks(body: Obstacle, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.bodies.corridors.CELLS", 6)  # the table of a mesh tells what is far
     points = np.random.default_rng(1).uniform(-5e-3, 8e-3, (40, 3))
-    (seen,) = seen_from(PLATE, [body])
+    (seen,) = bodies_in_frame(PLATE, [body])
     for k in range(40):  # one by one: a mesh bounds what is not the nearest of a call
         told = seen.signed_distance(PLATE.seen(points[k]))
         assert told == pytest.approx(body.signed_distance(points[k]), abs=1e-9)

@@ -20,7 +20,7 @@ import pytest
 from tubeopt import Feedback, HeatingPlan, InputError, SolveError, Thermocouple, load_rig
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import HeatingRun, run_heating
-from tubeopt.runs.heating_study import LedHeating
+from tubeopt.runs.heating_study import ClosedLoopHeating
 from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, parts_list, pwm_frequency
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import (
@@ -332,7 +332,7 @@ def test_a_run_says_whether_its_readings_kept_the_window(
 
 def test_a_sketch_for_a_heating_that_is_not_held_says_so() -> None:
     outcome = plan().outcome
-    held = LedHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)
+    held = ClosedLoopHeating(plan(), led(), Wiring(), plan().rig.circuit.pwm_frequency)
     LedHeatingReport(held).conclude()
     broken = replace(plan(), outcome=replace(outcome, broken=("the ramp is 9 K/s",)))
     with pytest.raises(SolveError, match="the ramp is 9 K/s"):

@@ -19,7 +19,7 @@ from PIL import Image
 import tubeopt
 from tests.test_problems import LAW_RIGS, PROBLEMS, problem
 from tubeopt.cli.app import main
-from tubeopt.runs.heating_study import LedHeating
+from tubeopt.runs.heating_study import ClosedLoopHeating
 from tubeopt.shaping import plan_mandrel, rank_mold_materials
 from tubeopt.shaping.firmware.boards import Wiring
 from tubeopt.show.page import TITLED, WIDTH
@@ -59,11 +59,11 @@ def helix() -> Any:
 
 
 @cache
-def led() -> LedHeating:
+def led() -> ClosedLoopHeating:
     """A heating, on an Arduino Uno; its controller is not drawn."""
     rig = tubeopt.load_rig("thesis_calcium_silicate")
     plan = tubeopt.plan_heating(rig.tube, rig, tubeopt.HeatingSpec(hold_time=2.0))
-    return LedHeating(plan, None, Wiring(), rig.circuit.pwm_frequency)  # type: ignore[arg-type]
+    return ClosedLoopHeating(plan, None, Wiring(), rig.circuit.pwm_frequency)  # type: ignore[arg-type]
 
 
 @cache

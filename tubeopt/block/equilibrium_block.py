@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ..arguments import typed
-from ..errors import InputError, SolveError, choice, undoubted
+from ..errors import InputError, SolveError, choice, without_unit_warnings
 from ..robots.assembly import DIMENSIONS, dimensions_of, order_of
 from ..robots.concentric import ConcentricRobot
 from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
@@ -105,7 +105,7 @@ def verified_equilibrium(block: ComposedBlock[N], value: Callable[[Any], Any]) -
     return result
 
 
-@undoubted()
+@without_unit_warnings()
 def rebuilt(robot: Robot, numbers: dict[str, Any]) -> Robot:
     """A robot with other DIMENSIONS of its tubes, (n,) each, or PIECES.
 

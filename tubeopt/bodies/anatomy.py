@@ -1,4 +1,4 @@
-"""The anatomy around a robot: distance fields, a target and landmarks, and bodies as another frame sees them."""
+"""Anatomy around a robot: distance fields, target and landmarks; bodies in another frame."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from .corridors import Corridor, MeshObstacle
 from .distance_field import DistanceField
 from .frames import Frame, Registration
 from .images import LabelImage
-from .obstacles import Capsule, HalfSpace, Obstacle, Sphere, as_points, nearest_distance
+from .obstacles import Capsule, HalfSpace, Obstacle, Point3, Sphere, as_points, nearest_distance
 
 
 @dataclass(frozen=True, eq=False)
-class Turned:
-    """A body that is written along the axes of one frame, seen from another, which is given in the first."""
+class TransformedBody:
+    """Body in another frame, which is given in the frame of the body."""
 
     body: Obstacle
     frame: Frame
 
     @property
-    def SOLID(self) -> bool:  # as other bodies have it
-        """Whether distances are those of the body, no bounds of them."""
+    def SOLID(self) -> bool:  # a constant of other bodies
+        """True if distances are exact outside of the body, and no bounds."""
         return bool(getattr(self.body, "SOLID", False))
 
     @property
     def stands_for(self) -> str:
-        """What the distance is from, in words, where the body is no solid."""
+        """Reference of the distance of points or an open surface, as text; "" for a solid."""
         return str(getattr(self.body, "stands_for", ""))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
@@ -44,20 +44,20 @@ class Turned:
         return self.body.distance(*own)
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
+        """Signed distances (...) of points (..., 3), m."""
         return self.body.signed_distance(self.frame.placed(as_points(points)))
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors along which the distance grows."""
+        """Gradients (..., 3) of the distance at points (..., 3)."""
         return np.asarray(self.body.gradient(self.frame.placed(as_points(points))) @ self.frame.axes)
 
 
-def _point(frame: Frame, place: ArrayLike) -> tuple[float, float, float]:
-    return triple("place", frame.seen(place))
+def _point(frame: Frame, point: ArrayLike) -> Point3:
+    return triple("point", frame.seen(point))
 
 
-def seen_from(frame: Frame, bodies: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
-    """Bodies as a frame sees them that is given in their own."""
+def bodies_in_frame(frame: Frame, bodies: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
+    """Transform bodies into a frame that is given in their own."""
     return tuple(_seen(frame, body) for body in bodies)
 
 
@@ -74,7 +74,7 @@ def _seen(frame: Frame, body: Obstacle) -> Obstacle:
         return replace(body, vertices=tuple(map(tuple, frame.seen(body.vertices).tolist())))
     if isinstance(body, DistanceField):
         return body.in_frame(frame)
-    return Turned(body, frame)
+    return TransformedBody(body, frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +84,13 @@ class Anatomy(Displayed):
     bodies: tuple[Obstacle, ...] = ()
     """Bodies that the arm avoids; a lumen is represented by its outside."""
     target: Array | None = None
-    """(N, 3) places of a region for the tip, those with most room first; None without one."""
+    """Points (N, 3) of a region for the tip, those with the largest clearance first; None without one."""
     landmarks: Mapping[str, Array] = field(default_factory=dict)
     """Landmarks (3,), m, by name."""
     base: Frame = field(default_factory=Frame)
     """Pose of the plate in the patient, RAS."""
     registration_error: float = 0.0
-    """Root of the mean square error of the landmarks that it was found from, m; 0 without."""
+    """RMS error of the landmarks of the registration, m; 0 without one."""
     registration: Registration | None = None
     """Registration of the plate, with its standard errors; None without."""
 
@@ -100,7 +100,7 @@ class Anatomy(Displayed):
         return tuple(body for body in self.bodies if isinstance(body, DistanceField))
 
     def place(self, name: str) -> Array:
-        """(3,) or, of the target, (N, 3): what a goal of the tip may name.
+        """Position of a landmark (3,), m, or points of the target (N, 3), m, for a goal of the tip.
 
         Raises:
             InputError: no landmark of this name, or no target.
@@ -113,12 +113,12 @@ class Anatomy(Displayed):
         """(3,) position of a landmark, m; raises InputError for an unknown name."""
         if name not in self.landmarks:
             known = [*self.landmarks, *(["target"] if self.target is not None else [])]
-            there = f"they are {', '.join(known)}" if known else "it has no landmarks"
-            raise InputError(f"{name!r} is not a landmark of the anatomy; {there}{nearest(name, known)}")
+            listed = f"they are {', '.join(known)}" if known else "it has no landmarks"
+            raise InputError(f"{name!r} is not a landmark of the anatomy; {listed}{nearest(name, known)}")
         return self.landmarks[name]
 
 
-def anatomy_seen(
+def anatomy_in_frame(
     fields: Sequence[DistanceField],
     base: Frame,
     *,
@@ -126,33 +126,33 @@ def anatomy_seen(
     landmarks: Mapping[str, Array] | None = None,
     registration: Registration | None = None,
 ) -> Anatomy:
-    """Anatomy in the frame of a plate at `base`, from fields and positions in the axes of the patient.
+    """Build the anatomy in the frame of a base plate, from fields and positions in the axes of the patient.
 
     Raises:
         InputError: a target without a free voxel.
     """
-    bodies = tuple(each.in_frame(base) for each in fields)
-    places = None
+    bodies = tuple(body.in_frame(base) for body in fields)
+    points = None
     if target is not None:
-        places = base.seen(target)
-        room = nearest_distance(bodies, places)
-        if not (room > 0).any():
+        points = base.seen(target)
+        clearance = nearest_distance(bodies, points)
+        if not (clearance > 0).any():
             raise InputError(
                 "no voxel of the target is proved free: the largest proved distance from "
-                f"obstacles is {room.max() * 1e3:.3g} mm; the target lies inside an obstacle "
+                f"obstacles is {clearance.max() * 1e3:.3g} mm; the target lies inside an obstacle "
                 "or in a passage of one voxel"
             )
-        places = places[np.argsort(-room, kind="stable")][: int((room > 0).sum())]
-    known = {name: base.seen(place) for name, place in (landmarks or {}).items()}
-    if places is not None and "target" in known:
+        points = points[np.argsort(-clearance, kind="stable")][: int((clearance > 0).sum())]
+    known = {name: base.seen(point) for name, point in (landmarks or {}).items()}
+    if points is not None and "target" in known:
         raise InputError(
             "'target' is both a landmark and the target region; rename the landmark (in a "
             ".txt file the file name is its name), or remove the region"
         )
     error = 0.0 if registration is None else registration.rms
-    return Anatomy(bodies, places, known, base, error, registration)
+    return Anatomy(bodies, points, known, base, error, registration)
 
 
 def centres(image: LabelImage, chosen: Mask) -> Array:
-    """(N, 3) centres of voxels in the axes of the patient, m."""
+    """Centres (N, 3) of chosen voxels in the axes of the patient, m."""
     return image.frame.placed(np.argwhere(chosen) * image.spacing)

@@ -1,4 +1,4 @@
-"""Bodies to stay inside of, or outside of, that are given by data: vessels along a centreline, triangle meshes."""
+"""Corridors (vessels along a centreline) and triangle meshes, with readers of mesh files."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, extra, instance, positive, triple
+from ..errors import InputError, import_extra, instance, positive, triple
 from ..files.csv_file import read_csv
-from ..files.field_metadata import POSITIVE, check_size, check_usual, unit
+from ..files.field_metadata import POSITIVE, check_size, check_typical, unit
 from ..files.files import read_bytes
 from ..files.units import MM
 from ..typing import Array, Index
 from .distance_field import DistanceField
-from .frames import Frame, agreed, ras
+from .frames import Frame, file_axes, ras
 from .obstacles import AWAY, THICK, Point3, RoundCone, Scene, as_points, distance_of_numbers, greater
 from .polygons import read_polygons, read_vtk
 from .triangles import Triangles, oriented
 
 LOGGER = logging.getLogger(__name__)
-logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks, which Python prints without one
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # without a handler Python would print its tracebacks
 
-# Cells along the longest side of a mesh in the lattice on which its distance is tabulated: 14,000 nodes, a fraction
-# of a second. It only decides which points need the exact distance.
+# Cells along the longest side of a mesh in the table of its distance: 14,000 nodes, a fraction of a second. The table
+# only decides which points need the exact distance.
 CELLS = 24
 
 # Margin of the lattice around the mesh, as a fraction of its longest side: points farther away use the distance from
@@ -40,11 +40,11 @@ AROUND = 0.25
 
 @dataclass(frozen=True)
 class Corridor(Displayed):
-    """Everything outside a tube of `radius` around a polyline: a vessel in which the arm must stay.
+    """Vessel in which the arm must stay: the outside of a tube of `radius` around a polyline.
 
-    With a radius for every point it goes linearly between them: the vessel is the union of such balls. It is closed at
-    both ends by half balls: let the centreline begin behind the plate and go on beyond the target. Inside, the distance
-    is the depth in the ball in which a point lies deepest, which is not above that from the wall.
+    Radii at the points are interpolated linearly, and the vessel is the union of the balls. Half balls close both ends:
+    the centreline should start behind the base plate and continue beyond the target. Inside, the distance is the
+    largest depth in a ball, which is at most the distance from the wall.
 
     Raises:
         InputError: fewer than two points, numbers that are not finite, a radius that is not greater than 0, several
@@ -68,43 +68,41 @@ class Corridor(Displayed):
             raise InputError(f"centreline of the corridor has {len(points)} points; it must have at least 2")
         object.__setattr__(self, "centreline", points)
         object.__setattr__(self, "radius", _radius(self.radius, len(points)))
-        check_usual(self, "the corridor")
+        check_typical(self, "the corridor")
         check_size("a point of the corridor", tuple(x for point in points for x in point), AWAY, "mm")
 
     @property
     def radii(self) -> Array:
-        """(k,) radius at every point of the centreline, m."""
+        """Radii (k,) at the points of the centreline, m."""
         return np.broadcast_to(np.array(self.radius), len(self.centreline))
 
     @cached_property
-    def _parts(self) -> tuple[RoundCone, ...]:
+    def _inside(self) -> Scene:
+        """Cones between the points of the centreline."""
         ends = zip(pairwise(self.centreline), pairwise(self.radii.tolist()), strict=True)
-        return tuple(RoundCone(a, b, p, q) for (a, b), (p, q) in ends)
+        return Scene(tuple(RoundCone(a, b, p, q) for (a, b), (p, q) in ends))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance from the wall, m; positive inside the vessel."""
-        inside = -self._parts[0].distance(x, y, z)
-        for part in self._parts[1:]:
-            inside = greater(inside, -part.distance(x, y, z))
-        return inside
-
-    @cached_property
-    def _inside(self) -> Scene:
-        return Scene(self._parts)
+        first, *following = self._inside.bodies
+        depth = -first.distance(x, y, z)
+        for cone in following:
+            depth = greater(depth, -cone.distance(x, y, z))
+        return depth
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3) from the wall, m; positive inside the vessel."""
+        """Distances (...) of points (..., 3) from the wall, m; positive inside the vessel."""
         array = as_points(points)
         return -self._inside.nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors along which the distance from the wall grows."""
+        """Gradients (..., 3) of the distance from the wall at points (..., 3)."""
         array = as_points(points)
         return -self._inside.gradient(array.reshape(-1, 3)).reshape(array.shape)
 
 
 def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
-    """One radius of a corridor, or as many as its centreline has points."""
+    """Check the radius of a corridor, or its radii at `count` points."""
     if np.ndim(radius) == 0:
         return positive("radius of the corridor", radius)
     radii = tuple(positive(f"radius {k + 1} of the corridor", each) for k, each in enumerate(radius))
@@ -115,16 +113,16 @@ def _radius(radius: Any, count: int) -> float | tuple[float, ...]:
 
 @dataclass(frozen=True)
 class MeshObstacle(Displayed):
-    """A surface of triangles. A closed one bounds a body; an open one is avoided by the distance from its triangles.
+    """Surface of triangles. A closed one bounds a body; from an open one the distance has no sign.
 
     Raises:
         InputError: tables of wrong shape, no triangles, trimesh is not installed.
     """
 
     vertices: tuple[Point3, ...] = field(repr=False)
-    """(k, 3) corners of the triangles, m."""
+    """Corners of the triangles (k, 3), m."""
     faces: tuple[tuple[int, int, int], ...] = field(repr=False)
-    """(f, 3) corners of every triangle, from 0."""
+    """Numbers of the corners of every triangle (f, 3), from 0."""
     name: str = "the mesh"
     """Name in messages."""
 
@@ -142,28 +140,28 @@ class MeshObstacle(Displayed):
         if not len(faces):
             raise InputError(f"{self.name} has no triangles; it must have at least one")
         instance("name of the mesh", self.name, str)
-        extra("trimesh", "planning", "meshes")
+        import_extra("trimesh", "planning", "meshes")
 
     @cached_property
     def _mesh(self) -> Any:
-        trimesh = extra("trimesh", "planning", "meshes")
+        trimesh = import_extra("trimesh", "planning", "meshes")
         return trimesh.Trimesh(np.array(self.vertices), np.array(self.faces))
 
     @cached_property
     def _outwards(self) -> Array | None:
-        """(f, 3, 3) corners of the triangles of a closed surface, their normals outwards; None for an open surface."""
+        """Corners (f, 3, 3) of the triangles of a closed surface with normals outwards; None for an open surface."""
         mesh = self._mesh
         if not mesh.is_watertight:
             return None
         try:
             faces = oriented(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        except InputError:  # of a surface with one side
+        except InputError:  # a one-sided surface
             return None
         return np.asarray(mesh.vertices)[faces]
 
     @property
     def opened_by(self) -> str:
-        """Why it bounds no body, in words; empty where it does."""
+        """Reason why the surface bounds no body; "" if it bounds one."""
         if self.closed:
             return ""
         edges = np.sort(self._mesh.edges, axis=1)
@@ -184,45 +182,45 @@ class MeshObstacle(Displayed):
         return "" if self.closed else open_surface(self.name, len(self.faces))
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Numbers only: symbols are interpolated in `lattice`."""
+        """Signed distance for numbers; for symbols, programs interpolate the table `lattice`."""
         refusal = "a mesh has no formula for its distance; it is for plans, not for inverse kinematics"
         return distance_of_numbers(self, x, y, z, refusal)
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m: exact for the nearest of a call, farther away a lower bound."""
+        """Distances (...) of points (..., 3), m: exact for the nearest point of a call, lower bounds for others."""
         array = as_points(points)
         flat = array.reshape(-1, 3)
         nearest = max(float(self.at_most(flat).min(initial=np.inf)), 0.0)
         return self.distance_within(flat, np.full(len(flat), np.nextafter(nearest, np.inf))).reshape(array.shape[:-1])
 
-    def distance_within(self, points: Array, least: Array) -> Array:
-        """(N,) distance of points (N, 3) from the surface where it is less than `least` (N,), else no less than it."""
+    def distance_within(self, points: Array, within: Array) -> Array:
+        """Distances (N,) of points (N, 3) from the surface, exact below `within` (N,), otherwise at least that."""
         bound = self.lattice.signed_distance(points)
-        near = bound < least
+        near = bound < within
         bound[near] = self.surface.signed_distance(points[near])
         return bound
 
     SOLID = True
 
     def at_most(self, points: Array) -> Array:
-        """(N,) what the distance of points (N, 3) from the surface is not above, from the table in `lattice`."""
+        """Upper bounds (N,) of the distance of points (N, 3) from the surface, from the table `lattice`."""
         return self.lattice.at_most(points)
 
     @cached_property
     def surface(self) -> Triangles:
-        """Its triangles, the normals of a closed surface outwards."""
+        """Triangles of the surface; the normals of a closed one are outwards."""
         if self._outwards is not None:
             return Triangles(self._outwards)
         return Triangles(np.array(self.vertices)[np.array(self.faces)], closed=False)
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors away from the nearest point of the surface; into the open from inside."""
+        """Gradients (..., 3) of the distance at points (..., 3); inside, they point to the surface."""
         array = as_points(points)
         return self.surface.gradient(array.reshape(-1, 3)).reshape(array.shape)
 
     @cached_property
     def lattice(self) -> DistanceField:
-        """The body as a table of distances on a lattice around it."""
+        """Table of distances on a lattice around the body."""
         low, high = self._mesh.bounds
         size = float((high - low).max())
         first, extent = low - AROUND * size, high - low + 2 * AROUND * size
@@ -233,7 +231,7 @@ class MeshObstacle(Displayed):
 
 
 def open_surface(name: str, count: int) -> str:
-    """What the distance from an open surface of `count` triangles is from, in words."""
+    """Reference of the distance from an open surface of `count` triangles, as text."""
     return f"the {count} triangle{'' if count == 1 else 's'} of {name}, an open surface: it has no inside"
 
 
@@ -254,15 +252,15 @@ def load_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | Non
 
 
 def read_mesh(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> MeshObstacle:
-    """As `load_mesh`, without its warning: for what may refuse an open surface."""
-    own = agreed(path, axes) or "RAS"
+    """Read a mesh as `load_mesh`, without its warning of an open surface."""
+    own = file_axes(path, axes) or "RAS"
     points, faces = _loaded(path, scale)
     if not len(faces):
         raise InputError(
             f"{path}: it has no triangles; give a file with faces, or the points under the key points of an anatomy, "
             "each as a ball"
         )
-    # STL has corners in place of points; points of no face are left out.
+    # STL repeats common corners; points without a face are omitted.
     _, first, number = np.unique(points, axis=0, return_index=True, return_inverse=True)
     used, corners = np.unique(first[number.ravel()][faces], return_inverse=True)
     return _surface(path, ras(points[used], own), corners.reshape(-1, 3))
@@ -278,31 +276,31 @@ def warn_of_open(path: str | PathLike[str], body: MeshObstacle) -> None:
 
 
 def load_points(path: str | PathLike[str], *, scale: float = 1e-3, axes: str | None = None) -> Array | MeshObstacle:
-    """(N, 3) points of a PLY file, or of a CSV file with the columns x_mm, y_mm and z_mm, m.
+    """Load points (N, 3), m, from a PLY file or a CSV file with the columns x_mm, y_mm and z_mm.
 
-    Unit and axes as in `load_mesh`. A file with triangles gives their surface, with other points as triangles without
-    area.
+    Unit and axes are as in `load_mesh`. A file with triangles returns their surface, with other points as triangles
+    without area.
 
     Raises:
         InputError: no such file, no points in it, numbers that are not finite, axes that contradict the file's.
     """
-    own = agreed(path, axes) or "RAS"
+    own = file_axes(path, axes) or "RAS"
     if str(path).lower().endswith(".csv"):
         table = read_csv(path, PLACE)
         table.expect(PLACE)
         points = table.numbers(PLACE, MM)
         table.check()
         return ras(points, own)
-    places, faces = _loaded(path, scale)
-    points = ras(places, own)
+    vertices, faces = _loaded(path, scale)
+    points = ras(vertices, own)
     if not len(faces):
         return points
-    alone = np.setdiff1d(np.arange(len(points)), faces)
-    return _surface(path, points, np.concatenate([faces, np.repeat(alone[:, None], 3, axis=1)]))
+    isolated = np.setdiff1d(np.arange(len(points)), faces)
+    return _surface(path, points, np.concatenate([faces, np.repeat(isolated[:, None], 3, axis=1)]))
 
 
 def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObstacle:
-    """The surface of a file; what is wrong with it begins with its path."""
+    """Build the surface of a file; error messages begin with its path."""
     rows = tuple(map(tuple, np.asarray(faces).tolist()))
     try:
         return MeshObstacle(tuple(map(tuple, vertices.tolist())), rows, Path(path).name)
@@ -312,15 +310,15 @@ def _surface(path: str | PathLike[str], vertices: Array, faces: Any) -> MeshObst
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 
-# Sizes (m) between which bodies are: outside, the unit of the file is probably another.
+# Range of plausible sizes (m): otherwise the file probably has another unit.
 SMALLEST, LARGEST = 2e-4, 5.0
 
 
 def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:
-    """(N, 3) all points of a file, m, and (f, 3) the triangles of its faces."""
-    trimesh, kind = extra("trimesh", "anatomy", "meshes"), Path(path).suffix.lower()
+    """Points (N, 3) of a file, m, and the triangles (f, 3) of its faces."""
+    trimesh, kind = import_extra("trimesh", "anatomy", "meshes"), Path(path).suffix.lower()
     if kind not in (".stl", ".vtk", ".obj", ".off", ".ply"):
-        # Others have a unit and axes of their own, as glTF has metres and y upwards.
+        # Other formats define their unit and axes, such as glTF: metres and y upwards.
         raise InputError(f"{path}: the format is {kind!r}; it must be STL, PLY, OBJ, OFF or legacy VTK")
     if kind != ".stl":
         polygons = read_vtk(path) if kind == ".vtk" else read_polygons(path)
@@ -331,15 +329,15 @@ def _loaded(path: str | PathLike[str], scale: float) -> tuple[Array, Index]:
             raise InputError(f"{path}: {error}") from None
     read_bytes(path)
     try:
-        found = trimesh.load(str(path), force="mesh", process=False)
+        mesh = trimesh.load(str(path), force="mesh", process=False)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # the file is no STL
-        words = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: no mesh can be read from it: {words}") from None
-    return _lengths(path, found.vertices, scale), np.asarray(found.faces)
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no mesh can be read from it: {reason}") from None
+    return _lengths(path, mesh.vertices, scale), np.asarray(mesh.faces)
 
 
 def _lengths(path: str | PathLike[str], vertices: Any, scale: float) -> Array:
-    """(N, 3) m; raises InputError for no points, numbers that are not finite, and a size that no body has."""
+    """Points (N, 3), m; raises InputError for none, numbers that are not finite, and implausible sizes."""
     points = np.asarray(vertices, dtype=float) * positive("scale", scale)
     if not len(points):
         raise InputError(f"{path}: it has no points")

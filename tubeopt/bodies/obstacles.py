@@ -1,13 +1,13 @@
-"""Obstacles: bodies with a signed distance, positive outside, to keep an arm away from; many of them as one `Scene`.
+"""Obstacles: bodies with a signed distance, positive outside, and a `Scene` of many of them.
 
-Every body says its distance three ways: `signed_distance` of NumPy points, exact; `gradient`, the unit vector away from
-it; and `distance`, written with arithmetic alone, so that the same formula takes numbers, arrays and symbols of an
-optimal control problem. There a kink (the edges of a box, the centre of a sphere) is rounded off within `SMOOTH`.
+Every body has its distance in three forms: `signed_distance` of NumPy points, exact; `gradient`, the unit vector away
+from it; and `distance`, a formula for numbers, arrays and symbols of an optimal control problem. In the formula, a kink
+(the edges of a box, the centre of a sphere) is rounded off within `SMOOTH`.
 
-A scene finds the nearest of many bodies with trees of their centres. A body that has `balls` (what covers it) and
-`numbers` (a row of a table from which its kind computes distances, many at a time) is asked for its distance only from
-points that it may be the nearest to. One that has `distance_within` only says what is less than that. Any other says
-its distance from all points.
+A scene finds the nearest of many bodies with trees of their centres. A body with `balls` (which cover it) and `numbers`
+(its row of a table, from which its class computes many distances at once) is evaluated only at points to which it may
+be the nearest. A body with `distance_within` is exact only below a given distance. Other bodies are evaluated at all
+points.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import scipy
@@ -26,262 +26,275 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, positive, triple
-from ..files.field_metadata import POSITIVE, Typical, check_usual, unit
+from ..files.field_metadata import POSITIVE, Typical, check_typical, unit
 from ..typing import Array, Index
 
-# Bodies of a kind that are all asked at once: up to so many that takes less than half as long as trees do.
+# Largest number of bodies of a class without a tree: below it, a table takes less than half the time of a tree.
 BRUTE_FORCE_LIMIT = 16
 
-# Balls in one tree differ in radius by no more than this factor: a tree is asked within the largest radius, and small
-# balls would be found in vain.
+# Largest ratio of radii in one tree: a query uses the largest radius, which returns many small balls in vain.
 SIZES = 2.0
 
-# Points at once: bounds the memory.
+# Number of points per chunk, which bounds the memory.
 CHUNK = 16384
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Balls of similar size: their tree, the body that each is of, their radii and the largest of these."""
+    """Balls of similar size that cover bodies."""
 
     tree: Any
+    """k-d tree of the centres."""
     owner: Any
+    """Number of the body of each ball (k,)."""
     radius: Array
+    """Radii (k,), m."""
     largest: float
+    """Largest radius, m."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObstacleGroup:
-    """The bodies of one kind, at least one, and their numbers in the scene."""
+    """Bodies of one class, at least one, with their numbers in the scene."""
 
     bodies: tuple[Any, ...]
     members: Index
 
     @property
     def kind(self) -> Any:
-        """That tells distances from rows of `table`."""
+        """Class of the bodies, which computes distances from rows of `table`."""
         return type(self.bodies[0])
 
     @cached_property
     def table(self) -> Array:
-        """(b, k) a row for each body."""
+        """Table of the bodies' numbers, shape (b, k)."""
         return np.array([body.numbers() for body in self.bodies])
 
     @cached_property
     def layers(self) -> tuple[Layer, ...]:
-        """The balls that cover the bodies."""
+        """Balls that cover the bodies, in layers of similar size."""
         parts = [body.balls() for body in self.bodies]
         owner = np.repeat(np.arange(len(parts)), [len(radius) for _, radius in parts])
         centre, radius = np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])
         size = np.floor(np.log(radius / radius.min()) / np.log(SIZES)).astype(int)
-        alike = [size == each for each in np.unique(size)]
+        similar = [size == each for each in np.unique(size)]
         return tuple(
-            Layer(scipy.spatial.cKDTree(centre[mine]), owner[mine], radius[mine], float(radius[mine].max()))
-            for mine in alike
+            Layer(scipy.spatial.cKDTree(centre[mask]), owner[mask], radius[mask], float(radius[mask].max()))
+            for mask in similar
         )
 
-    def nearest(self, points: Array, least: Array) -> Array:
-        """(N,) distance of points (N, 3) from the nearest body where it is less than `least` (N,), else `least`."""
+    def nearest(self, points: Array, within: Array) -> Array:
+        """Distances (N,) of points (N, 3) from the nearest body, m, or `within` (N,) if that is smaller."""
         if len(self.bodies) <= BRUTE_FORCE_LIMIT:
-            return np.asarray(np.minimum(least, self.kind.distances(points, self.table[:, None]).min(0)))
-        out = least.copy()
+            return np.asarray(np.minimum(within, self.kind.distances(points, self.table[:, None]).min(0)))
+        out = within.copy()
+
+        def _lower(layer: Layer, rows: Any, balls: Any) -> None:
+            np.minimum.at(out, rows, self.kind.distances(points[rows], self.table[layer.owner[balls]]))
+
         for layer in self.layers:
             reach = np.maximum(out + layer.largest, 0.0)
             far, first = layer.tree.query(points, distance_upper_bound=reach.max(initial=0.0) * (1 + 1e-9) + 1e-300)
             rows = np.flatnonzero(np.isfinite(far) & (far - layer.largest < out))
-            self._ask(layer, out, points, rows, first[rows])
-            # The ball with the nearest centre may be a small one, and need not be filled to its rim.
+            _lower(layer, rows, first[rows])
+            # Of spheres of one size, the nearest centre is that of the nearest body. Otherwise the ball with the
+            # nearest centre may be a small one, and a body need not fill its balls.
+            if getattr(self.kind, "ROUND", False) and float(layer.radius.min()) == layer.largest:
+                continue
             rows = rows[far[rows] < out[rows] + layer.largest]
-            if len(rows) and not self._told(layer):
-                found = layer.tree.query_ball_point(points[rows], out[rows] + layer.largest)
-                count = [len(each) for each in found]
-                self._ask(layer, out, points, np.repeat(rows, count), np.concatenate(found).astype(int))
+            if len(rows):
+                near = layer.tree.query_ball_point(points[rows], out[rows] + layer.largest)
+                _lower(layer, np.repeat(rows, [len(balls) for balls in near]), np.concatenate(near).astype(int))
         return out
 
     def pairs(self, points: Array, reach: Array) -> list[tuple[Index, Index]]:
-        """Numbers of all bodies, and maybe of others, that come closer than `reach` (N,) to points (N, 3), and rows of
-        these points."""
+        """Pairs of bodies and rows of points (N, 3) that are closer than `reach` (N,), and maybe others."""
         if len(self.bodies) <= BRUTE_FORCE_LIMIT:
             body, row = np.nonzero(self.kind.distances(points, self.table[:, None]) < reach)
             return [(self.members[body], row)]
-        found = []
+        pairs = []
         for layer in self.layers:
             near = layer.tree.query_ball_point(points, np.maximum(reach + layer.largest, 0.0), return_sorted=False)
-            row = np.repeat(np.arange(len(points)), [len(each) for each in near])
+            row = np.repeat(np.arange(len(points)), [len(balls) for balls in near])
             body = layer.owner[np.fromiter(chain.from_iterable(near), int, len(row))]
-            found.append((self.members[body], row))
-        return found
+            pairs.append((self.members[body], row))
+        return pairs
 
-    def _told(self, layer: Layer) -> bool:
-        """Whether the nearest centre is that of the nearest body: all of them are balls of one size."""
-        return bool(getattr(self.kind, "ROUND", False)) and float(layer.radius.min()) == layer.largest
 
-    def _ask(self, layer: Layer, out: Array, points: Array, rows: Any, balls: Any) -> None:
-        """Lower `out` at rows of points to their distances from the bodies of balls."""
-        np.minimum.at(out, rows, self.kind.distances(points[rows], self.table[layer.owner[balls]]))
+class BodyRows(NamedTuple):
+    """Bodies that are evaluated together."""
+
+    body: Any
+    """Class with `distances` and `gradients` of table rows, or a single body."""
+    rows: Index
+    """Rows of the request."""
+    numbers: Array | None
+    """Rows of the table; None for a single body."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Bodies with signed distances, as one; `bodies` may be named by their numbers, from 0."""
+    """Union of bodies with signed distances; bodies are numbered from 0."""
 
     bodies: tuple[Any, ...]
 
     def pairs(self, points: Array, reach: float | Array) -> tuple[Index, Index]:
-        """Numbers of bodies and rows of points (N, 3): all bodies, and maybe others, that come closer to a point than
-        `reach`, one number or (N,)."""
-        crowds, rest = self._parts
-        most = np.broadcast_to(reach, len(points))
-        near = [np.flatnonzero(_within(self.bodies[k], points, most) < most) for k in rest]
-        found = [(np.full(len(rows), k), rows) for k, rows in zip(rest, near, strict=True)]
-        for crowd in crowds:
-            found += crowd.pairs(points, most)
+        """Numbers of bodies and rows of points (N, 3) that are closer than `reach`, one number or (N,); maybe others.
+
+        No pair within the distance is missing.
+        """
+        groups, single = self._parts
+        limit = np.broadcast_to(reach, len(points))
+        near = [np.flatnonzero(_distance_within(self.bodies[k], points, limit) < limit) for k in single]
+        pairs = [(np.full(len(rows), k), rows) for k, rows in zip(single, near, strict=True)]
+        for group in groups:
+            pairs += group.pairs(points, limit)
         none = np.zeros(0, dtype=int)
-        return np.concatenate([none, *(body for body, _ in found)]), np.concatenate([none, *(row for _, row in found)])
+        return np.concatenate([none, *(body for body, _ in pairs)]), np.concatenate([none, *(row for _, row in pairs)])
 
     def close(self, points: Array, reach: float | Array) -> list[int]:
-        """Numbers of all bodies, and maybe of others, that come closer than `reach`, one number or (N,), to points
-        (N, 3)."""
-        found: list[int] = np.unique(self.pairs(points, reach)[0]).tolist()
-        return found
+        """Numbers of the bodies that are closer to points (N, 3) than `reach`, one number or (N,); maybe others."""
+        numbers: list[int] = np.unique(self.pairs(points, reach)[0]).tolist()
+        return numbers
 
     def distances(self, chosen: Sequence[int] | Index, points: Array) -> Array:
-        """(b, N) signed distances of points (N, 3) from some bodies, m."""
+        """Signed distances (b, N) of points (N, 3) from chosen bodies, m."""
         chosen = np.asarray(chosen, dtype=int)
         out = np.empty((len(chosen), len(points)))
-        for asked, rows, numbers in self._by_kind(chosen):
-            out[rows] = asked.signed_distance(points) if numbers is None else asked.distances(points, numbers[:, None])
+        for body, rows, numbers in self._by_kind(chosen):
+            out[rows] = body.signed_distance(points) if numbers is None else body.distances(points, numbers[:, None])
         return out
 
     def gradient(self, points: Array) -> Array:
-        """(N, 3) unit vectors along which the distance of points (N, 3) from the nearest body grows."""
+        """Gradients (N, 3) of the distance of points (N, 3) from the nearest body."""
         return self.gradients(self.distances(range(len(self.bodies)), points).argmin(0), points)
 
     def pair_distances(self, chosen: Index, points: Array, within: Array) -> Array:
-        """(c,) signed distance of each of points (c, 3) from its own body of `chosen` (c,), m, where it is less than
-        `within` (c,), else no less than that."""
+        """Signed distance (c,) of each point (c, 3) from its body of `chosen` (c,), m; exact below `within` (c,).
+
+        Larger distances are replaced by a value of at least `within`.
+        """
         out = np.empty(len(chosen))
-        for asked, rows, numbers in self._by_kind(chosen):
+        for body, rows, numbers in self._by_kind(chosen):
             if numbers is None:
-                out[rows] = _within(asked, points[rows], within[rows])
+                out[rows] = _distance_within(body, points[rows], within[rows])
             else:
-                out[rows] = asked.distances(points[rows], numbers)
+                out[rows] = body.distances(points[rows], numbers)
         return out
 
     def gradients(self, chosen: Sequence[int] | Index, points: Array) -> Array:
-        """(c, 3) unit vectors along which the distance of each of points (c, 3) from its own body of `chosen` (c,)
-        grows."""
+        """Gradients (c, 3) of the distance of each point (c, 3) from its body of `chosen` (c,)."""
         chosen = np.asarray(chosen, dtype=int)
         out = np.empty((len(chosen), 3))
-        for asked, rows, numbers in self._by_kind(chosen):
-            out[rows] = asked.gradient(points[rows]) if numbers is None else asked.gradients(points[rows], numbers)
+        for body, rows, numbers in self._by_kind(chosen):
+            out[rows] = body.gradient(points[rows]) if numbers is None else body.gradients(points[rows], numbers)
         return out
 
-    def _by_kind(self, chosen: Index) -> Iterator[tuple[Any, Index, Array | None]]:
-        """Kinds with a table, the rows of `chosen` whose bodies are of each, and their rows of the table; and bodies
-        without, each with its own rows of `chosen` and None."""
-        crowds, rest = self._parts
-        crowd, place = self._places
-        for c in np.unique(crowd[chosen]).tolist():
-            rows = np.flatnonzero(crowd[chosen] == c)
-            if c < len(crowds):
-                yield crowds[c].kind, rows, crowds[c].table[place[chosen[rows]]]
+    def _by_kind(self, chosen: Index) -> Iterator[BodyRows]:
+        """Rows of `chosen`, sorted by the class of their bodies, or by body for those without a group."""
+        groups, single = self._parts
+        group, member = self._membership
+        for g in np.unique(group[chosen]).tolist():
+            rows = np.flatnonzero(group[chosen] == g)
+            if g < len(groups):
+                yield BodyRows(groups[g].kind, rows, groups[g].table[member[chosen[rows]]])
             else:
-                yield self.bodies[rest[c - len(crowds)]], rows, None
+                yield BodyRows(self.bodies[single[g - len(groups)]], rows, None)
 
     @cached_property
-    def _places(self) -> tuple[Index, Index]:
-        """Of every body which crowd it is in, those in none behind the last, and the how many-th there."""
-        crowds, rest = self._parts
-        crowd, place = np.zeros((2, len(self.bodies)), dtype=int)
-        crowd[rest] = len(crowds) + np.arange(len(rest))
-        for c, each in enumerate(crowds):
-            crowd[each.members], place[each.members] = c, np.arange(len(each.members))
-        return crowd, place
+    def _membership(self) -> tuple[Index, Index]:
+        """Number of the group of every body, and its number there; single bodies have numbers after the last group."""
+        groups, single = self._parts
+        group, member = np.zeros((2, len(self.bodies)), dtype=int)
+        group[single] = len(groups) + np.arange(len(single))
+        for g, each in enumerate(groups):
+            group[each.members], member[each.members] = g, np.arange(len(each.members))
+        return group, member
 
     @cached_property
     def _parts(self) -> tuple[list[ObstacleGroup], list[int]]:
-        """Crowds, and the numbers of all bodies that are in none."""
+        """Groups, and the numbers of all bodies without a group."""
         kinds: dict[type, list[int]] = {}
-        rest = []
+        single = []
         for k, body in enumerate(self.bodies):
             if hasattr(body, "balls") and hasattr(body, "numbers"):
                 kinds.setdefault(type(body), []).append(k)
             else:
-                rest.append(k)
-        return [ObstacleGroup(tuple(self.bodies[k] for k in same), np.array(same)) for same in kinds.values()], rest
+                single.append(k)
+        return [ObstacleGroup(tuple(self.bodies[k] for k in same), np.array(same)) for same in kinds.values()], single
 
     @cached_property
     def solid(self) -> bool:
-        """Whether all distances are those of bodies, not bounds of them."""
+        """True if all distances outside of bodies are exact, and no bounds."""
         return all(getattr(body, "SOLID", False) for body in self.bodies)
 
     @cached_property
     def stands_for(self) -> tuple[str, ...]:
-        """What distances are from, in words, of all bodies that are no solids but points or open surfaces."""
-        found = (getattr(body, "stands_for", "") for body in self.bodies)
-        return tuple(dict.fromkeys(filter(None, found)))
+        """References of the distances of all points and open surfaces, as text; solids have none."""
+        texts = (getattr(body, "stands_for", "") for body in self.bodies)
+        return tuple(dict.fromkeys(filter(None, texts)))
 
     def at_most(self, points: Array) -> Array:
-        """(N,) what the distance of points (N, 3) from the nearest body is not above, as far as it is told at once."""
-        told = [body.at_most(points) for body in self._telling]
-        return np.min(told, axis=0) if told else np.full(len(points), np.inf)
+        """Upper bounds (N,) of the distance of points (N, 3) from the nearest body, m; inf without a fast bound."""
+        bounds = [body.at_most(points) for body in self._bounded]
+        return np.min(bounds, axis=0) if bounds else np.full(len(points), np.inf)
 
     @cached_property
-    def _telling(self) -> list[Any]:
+    def _bounded(self) -> list[Any]:
         return [body for body in self.bodies if hasattr(body, "at_most")]
 
     def nearest(self, points: Array, within: float | Array = np.inf) -> Array:
-        """(N,) signed distance of points (N, 3) from the nearest body, m; `within`, one number or (N,), where it is
-        more than that."""
-        most = np.broadcast_to(within, len(points))
-        chunks = (slice(k, k + CHUNK) for k in range(0, len(points), CHUNK))
-        return np.concatenate([np.zeros(0), *(self._chunk(points[some], most[some]) for some in chunks)])
+        """Signed distances (N,) of points (N, 3) from the nearest body, m, cut at `within`, one number or (N,)."""
+        limit = np.broadcast_to(within, len(points))
+        groups, single = self._parts
+        parts = [np.zeros(0)]
+        for first in range(0, len(points), CHUNK):
+            chunk = points[first : first + CHUNK]
+            out = limit[first : first + CHUNK].copy()
+            for k in single:
+                out = np.minimum(out, _distance_within(self.bodies[k], chunk, out))
+            for group in groups:
+                out = group.nearest(chunk, out)
+            parts.append(out)
+        return np.concatenate(parts)
 
-    def _chunk(self, points: Array, within: Array) -> Array:
-        crowds, rest = self._parts
-        out = within.copy()
-        for k in rest:
-            out = np.minimum(out, _within(self.bodies[k], points, out))
-        for crowd in crowds:
-            out = crowd.nearest(points, out)
-        return out
 
-
-# Distance (m) that a lookout sees farther than it must: it then serves several steps of a motion.
+# Extra distance (m) of a search: its result then serves several steps of a motion.
 AHEAD = 10e-3
 
 
-class Lookout:
-    """Tells whether bodies are far from points that move little from call to call, mostly without looking: a distance
-    changes by no more than its point moves. What it cannot tell, it looks for."""
+class ClearanceMonitor:
+    """Fast test of the clearance of points that move little from call to call.
+
+    A distance changes by no more than its point moves, so that most calls need no search.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._points, self._least = np.zeros((0, 3)), np.zeros(0)
+        self._points, self._clearance = np.zeros((0, 3)), np.zeros(0)
 
     def far(self, points: Array, reach: Array) -> bool:
-        """Whether all bodies are farther than `reach` (N,) from points (N, 3), m."""
+        """True if all bodies are farther than `reach` (N,) from points (N, 3), m."""
         if len(points) == len(self._points):
-            way = points - self._points
-            moved, spare = np.sqrt((way * way).sum(1)), self._least - reach
-            if (spare > moved).all():
+            step = points - self._points
+            moved, margin = np.sqrt((step * step).sum(1)), self._clearance - reach
+            if (margin > moved).all():
                 return True
-            if (spare <= -moved).any():
+            if (margin <= -moved).any():
                 return False
-        self._points, self._least = points, self.scene.nearest(points, reach + AHEAD)
-        return bool((self._least > reach).all())
+        self._points, self._clearance = points, self.scene.nearest(points, reach + AHEAD)
+        return bool((self._clearance > reach).all())
 
 
-def _within(body: Any, points: Array, least: Array) -> Array:
-    """(N,) distance of points (N, 3) from a body where it is less than `least` (N,), else no less than it."""
+def _distance_within(body: Any, points: Array, within: Array) -> Array:
+    """Distances (N,) of points (N, 3) from a body, exact below `within` (N,), otherwise at least that."""
     if hasattr(body, "distance_within"):
-        return np.asarray(body.distance_within(points, least))
+        return np.asarray(body.distance_within(points, within))
     return np.asarray(body.signed_distance(points))
 
 
 class Same:
-    """Bodies as a key: the same ones, not equal ones, which a mesh would take long to compare."""
+    """Cache key of bodies by identity: equality of meshes would take long to compute."""
 
     def __init__(self, bodies: Sequence[Any]) -> None:
         self.bodies = tuple(bodies)
@@ -300,20 +313,20 @@ def _scene(key: Same) -> Scene:
 
 
 def scene_of(bodies: Sequence[Any]) -> Scene:
-    """The scene of bodies, its trees built once for the same bodies."""
+    """Scene of bodies, cached with its trees."""
     return _scene(Same(bodies))
 
 
-# Length (m) within which kinks of `distance` are rounded off, so that second derivatives exist for IPOPT; a distance
-# changes by no more than a few times that.
+# Length (m) within which kinks of `distance` are rounded off, so that second derivatives exist for IPOPT. The error of
+# a distance is a few times this length.
 SMOOTH = 1e-7
 
-# Balls at most that cover a long body for the search of what is near: more balls are tighter, and each is asked.
-PIECES = 16
+# Largest number of balls that cover a long body: more balls are tighter, but each costs a query.
+MAX_BALLS = 16
 
 Point3 = tuple[float, float, float]
 
-# Of positions and radii of bodies, m.
+# Typical positions and radii of bodies, m.
 AWAY, THICK = Typical(1e-6, 10.0), Typical(1e-5, 2.0)
 
 Balls = tuple[Array, Array]
@@ -321,22 +334,22 @@ Balls = tuple[Array, Array]
 
 
 class Obstacle(Protocol):
-    """A body with a signed distance. Frozen and hashable, so that what is built for it can be cached."""
+    """Body with a signed distance; hashable, so that its trees and programs can be cached."""
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
-        """Smooth signed distance of points given by coordinates of any arithmetic kind, m."""
+        """Smooth signed distance, m; coordinates may be numbers, arrays or symbols."""
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) exact distance of points (..., 3) to the surface, m; negative inside."""
+        """Exact signed distances (...) of points (..., 3), m; negative inside."""
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors along which the distance of points (..., 3) grows."""
+        """Gradients (..., 3) of the distance at points (..., 3), unit vectors."""
 
     def __hash__(self) -> int: ...
 
 
 def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
-    """The obstacles as a tuple; raises InputError for what is no sequence of bodies."""
+    """Convert obstacles to a tuple; raises InputError unless they are a sequence of bodies."""
     try:
         bodies = tuple(obstacles)
     except TypeError:
@@ -348,23 +361,23 @@ def checked_obstacles(obstacles: Any) -> tuple[Obstacle, ...]:
 
 
 def root(square: Any) -> Any:
-    """The square root, smooth at 0."""
+    """Square root, smooth at 0."""
     return (square + SMOOTH**2) ** 0.5
 
 
 def greater(a: Any, b: Any) -> Any:
-    """The greater of two, smooth where they are equal."""
+    """Maximum of two values, smooth where they are equal."""
     return (a + b + root((a - b) ** 2)) / 2
 
 
 def unit_vectors(vectors: Array, otherwise: Array) -> Array:
-    """Vectors (..., 3) over their length; `otherwise` (3,) where that is 0."""
+    """Normalise vectors (..., 3); a vector of length 0 becomes `otherwise` (3,)."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise)
 
 
 def as_points(points: ArrayLike) -> Array:
-    """Points (..., 3) as an array; raises InputError for another shape."""
+    """Convert points to an array (..., 3); raises InputError for another shape."""
     try:
         array = np.asarray(points, dtype=float)
     except (TypeError, ValueError):
@@ -374,68 +387,83 @@ def as_points(points: ArrayLike) -> Array:
     return array
 
 
-class Measured(Displayed):
-    """A body that its `numbers` stand for, so that many of a kind are measured at once."""
+class TabulatedBody(Displayed):
+    """Body that is described by numbers, so that many of its class are evaluated at once."""
 
     SOLID = True
-    """Whether `signed_distance` is outside of the body the distance from it, no bound of it."""
+    """True if `signed_distance` is exact outside of the body, and no bound."""
 
     def numbers(self) -> tuple[float, ...]:
-        """What `distances` and `gradients` take for it."""
+        """Row of the table for `distances` and `gradients`."""
         raise NotImplementedError
 
     @staticmethod
     def distances(points: Array, numbers: Array) -> Array:
-        """(...) distances of points (..., 3) from bodies of `numbers` (..., k), m."""
+        """Signed distances (...) of points (..., 3) from bodies with `numbers` (..., k), m."""
         raise NotImplementedError
 
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
-        """(..., 3) unit vectors along which the distances of points (..., 3) from bodies of `numbers` (..., k) grow."""
+        """Gradients (..., 3) of the distances of points (..., 3) from bodies with `numbers` (..., k)."""
         raise NotImplementedError
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
+        """Signed distances (...) of points (..., 3), m."""
         return self.distances(as_points(points), np.array(self.numbers()))
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) unit vectors along which the distance of points (..., 3) grows."""
+        """Gradients (..., 3) of the distance at points (..., 3), unit vectors."""
         return self.gradients(as_points(points), np.array(self.numbers()))
 
 
-class Axial(Measured):
-    """A hull of two balls.
+class Ends(NamedTuple):
+    """Balls at both ends of a hull."""
 
-    Its distance is the least of those from the balls between both: exact outside; inside, the depth in the ball in
-    which a point lies deepest, which is not above the distance from the surface.
+    start: Point3
+    """Centre, m."""
+    end: Point3
+    """Centre, m."""
+    start_radius: float
+    """Radius, m."""
+    end_radius: float
+    """Radius, m."""
+
+
+class TwoBallHull(TabulatedBody):
+    """Convex hull of two balls.
+
+    Its distance is the smallest one from the balls between the ends. It is exact outside. Inside, it is the depth in
+    the ball in which a point is deepest, which is at most the distance from the surface.
     """
 
     CALLED: ClassVar[str]
-    """In messages."""
+    """Name in messages."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
             checked = positive if name.endswith("radius") else triple
             object.__setattr__(self, name, checked(f"{name} of the {self.CALLED}", value))
-        check_usual(self, f"the {self.CALLED}")
+        check_typical(self, f"the {self.CALLED}")
 
-    def ends(self) -> tuple[Point3, Point3, float, float]:
-        """Centres and radii of the balls at both ends."""
+    def ends(self) -> Ends:
+        """Balls at both ends."""
         raise NotImplementedError
 
     @cached_property
     def _row(self) -> tuple[float, ...]:
-        """Start (3), unit axis (3), length, radius at the start, its change per length, and over what that is the slope
-        of the surface. Where one ball holds the other, it is alone."""
-        start, end, begins, ends = self.ends()
+        """Start (3), unit axis (3), length, radius at the start, its change per length, and the slope of the surface.
+
+        If one ball contains the other, the row describes it alone.
+        """
+        start, end, start_radius, end_radius = self.ends()
         axis = np.subtract(end, start)
         length = float(np.linalg.norm(axis))
-        change = ends - begins
+        change = end_radius - start_radius
         if abs(change) >= length:
             centre = end if change > 0 else start
-            return (*centre, 0.0, 0.0, 0.0, 0.0, max(begins, ends), 0.0, 0.0)
+            return (*centre, 0.0, 0.0, 0.0, 0.0, max(start_radius, end_radius), 0.0, 0.0)
         slope = change / length
-        return (*start, *(axis / length).tolist(), length, begins, slope, slope / (1 - slope**2) ** 0.5)
+        return (*start, *(axis / length).tolist(), length, start_radius, slope, slope / (1 - slope**2) ** 0.5)
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
@@ -447,20 +475,20 @@ class Axial(Measured):
         return root(square + (along - t) ** 2) - radius - slope * t
 
     def balls(self) -> Balls:
-        """Around pieces of the axis, no longer than the cone is thick, where that does not take too many."""
+        """Balls around pieces of the axis, which are no longer than the body is thick unless there are too many."""
         start, axis, (length, radius, slope, _) = np.split(np.array(self._row), [3, 6])
-        count = int(np.clip(np.ceil(length / (2 * min(radius, radius + slope * length))), 1, PIECES))
+        count = int(np.clip(np.ceil(length / (2 * min(radius, radius + slope * length))), 1, MAX_BALLS))
         ends = np.linspace(0.0, length, count + 1)
-        middle, most = (ends[1:] + ends[:-1]) / 2, radius + np.maximum(slope * ends[1:], slope * ends[:-1])
-        return start + middle[:, None] * axis, most + length / (2 * count)
+        middle, largest = (ends[1:] + ends[:-1]) / 2, radius + np.maximum(slope * ends[1:], slope * ends[:-1])
+        return start + middle[:, None] * axis, largest + length / (2 * count)
 
     def numbers(self) -> tuple[float, ...]:
-        """What `distances` takes."""
+        """Row of the table, as `_row`."""
         return self._row
 
     @staticmethod
     def _from_axis(points: Array, numbers: Array) -> tuple[Array, Array]:
-        """(..., 3) vectors to points from the centres of the balls they are nearest to, and (...) radii of these."""
+        """Vectors (..., 3) to points from the centres of their nearest balls, and the radii (...) of these balls."""
         away, axis, lean = points - numbers[..., :3], numbers[..., 3:6], numbers[..., 9]
         t = (away * axis).sum(-1)
         if lean.any():
@@ -470,22 +498,22 @@ class Axial(Measured):
 
     @staticmethod
     def distances(points: Array, numbers: Array) -> Array:
-        """(...) distances of points (..., 3) from cones of `numbers` (..., 10), m."""
-        away, radius = Axial._from_axis(points, numbers)
+        """Signed distances (...) of points (..., 3) from hulls with `numbers` (..., 10), m."""
+        away, radius = TwoBallHull._from_axis(points, numbers)
         return np.asarray(np.linalg.norm(away, axis=-1) - radius)
 
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
-        """(..., 3) unit vectors along which the distances of points (..., 3) from cones of `numbers` (..., 10) grow."""
+        """Gradients (..., 3) of the distances of points (..., 3) from hulls with `numbers` (..., 10)."""
         axis = numbers[..., 3:6]
-        aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
-        away, _ = Axial._from_axis(points, numbers)
-        return unit_vectors(away, unit_vectors(aside, np.array([0.0, 0.0, 1.0])))
+        normal = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=-1)])
+        away, _ = TwoBallHull._from_axis(points, numbers)
+        return unit_vectors(away, unit_vectors(normal, np.array([0.0, 0.0, 1.0])))
 
 
 @dataclass(frozen=True)
-class Sphere(Axial):
-    """A ball.
+class Sphere(TwoBallHull):
+    """Ball.
 
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
@@ -497,21 +525,21 @@ class Sphere(Axial):
     CALLED = "sphere"
 
     ROUND = True
-    """Whether the ball that covers the body is the body."""
+    """True if the ball that covers the body is the body."""
 
-    def ends(self) -> tuple[Point3, Point3, float, float]:
-        """The centre twice and the radius twice: the sphere as a cone."""
-        return self.centre, self.centre, self.radius, self.radius
+    def ends(self) -> Ends:
+        """Two equal balls."""
+        return Ends(self.centre, self.centre, self.radius, self.radius)
 
     @staticmethod
     def distances(points: Array, numbers: Array) -> Array:
-        """(...) signed distances of points (..., 3) from spheres of `numbers` (..., 10), m."""
+        """Signed distances (...) of points (..., 3) from spheres with `numbers` (..., 10), m."""
         return np.asarray(np.linalg.norm(points - numbers[..., :3], axis=-1) - numbers[..., 7])
 
 
 @dataclass(frozen=True)
-class Capsule(Axial):
-    """All points within `radius` of the segment from `start` to `end`.
+class Capsule(TwoBallHull):
+    """Points within `radius` of the segment from `start` to `end`.
 
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
@@ -523,38 +551,38 @@ class Capsule(Axial):
 
     CALLED = "capsule"
 
-    def ends(self) -> tuple[Point3, Point3, float, float]:
-        """Centres and radii of the balls at both ends."""
-        return self.start, self.end, self.radius, self.radius
+    def ends(self) -> Ends:
+        """Balls at both ends."""
+        return Ends(self.start, self.end, self.radius, self.radius)
 
 
 @dataclass(frozen=True)
-class RoundCone(Axial):
-    """All points within balls whose centres and radii go linearly from those of one ball to those of another.
+class RoundCone(TwoBallHull):
+    """Union of balls whose centres and radii vary linearly between two balls.
 
     Raises:
         InputError: a number that is not finite, a radius that is not greater than 0.
     """
 
     start: Point3
-    """Centre, m."""
+    """Centre of the first ball, m."""
     end: Point3
-    """Centre, m."""
+    """Centre of the second ball, m."""
     start_radius: float
-    """m."""
+    """Radius of the first ball, m."""
     end_radius: float
-    """m."""
+    """Radius of the second ball, m."""
 
     CALLED = "cone"
 
-    def ends(self) -> tuple[Point3, Point3, float, float]:
-        """Centres and radii of the balls at both ends."""
-        return self.start, self.end, self.start_radius, self.end_radius
+    def ends(self) -> Ends:
+        """Balls at both ends."""
+        return Ends(self.start, self.end, self.start_radius, self.end_radius)
 
 
 @dataclass(frozen=True)
 class HalfSpace(Displayed):
-    """Everything behind a plane.
+    """Half-space behind a plane.
 
     Raises:
         InputError: a number that is not finite, a normal without length.
@@ -565,7 +593,7 @@ class HalfSpace(Displayed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", triple("point of the half-space", self.point))
-        check_usual(self, "the half-space")
+        check_typical(self, "the half-space")
         normal = np.array(triple("normal of the half-space", self.normal))
         length = float(np.linalg.norm(normal))
         if length == 0:
@@ -580,17 +608,17 @@ class HalfSpace(Displayed):
     SOLID = True
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """(...) distance of points (..., 3), m."""
+        """Signed distances (...) of points (..., 3), m."""
         return np.asarray((as_points(points) - self.point) @ np.array(self.normal))
 
     def gradient(self, points: ArrayLike) -> Array:
-        """(..., 3) the normal."""
+        """Normal at all points, shape (..., 3)."""
         return np.broadcast_to(np.array(self.normal), as_points(points).shape).copy()
 
 
 @dataclass(frozen=True)
-class Box(Measured):
-    """A cuboid along the axes of the plate.
+class Box(TabulatedBody):
+    """Cuboid along the axes of the base frame.
 
     Raises:
         InputError: a number that is not finite, a corner `low` that is not below `high` along every axis.
@@ -605,7 +633,7 @@ class Box(Measured):
         for axis, a, b in zip("xyz", self.low, self.high, strict=True):
             if not a < b:
                 raise InputError(f"corners of the box are {a:g} and {b:g} m along {axis}; low must be less than high")
-        check_usual(self, "the box")
+        check_typical(self, "the box")
 
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance, m."""
@@ -618,32 +646,34 @@ class Box(Measured):
         return root(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2) - greater(-inside, 0.0)
 
     def balls(self) -> Balls:
-        """The one through its corners."""
+        """Ball through the corners."""
         low, high = np.array(self.low), np.array(self.high)
         return ((low + high) / 2)[None], np.array([np.linalg.norm(high - low) / 2])
 
     def numbers(self) -> tuple[float, ...]:
-        """Coordinates of both corners, m."""
+        """Coordinates of both corners (6), m."""
         return (*self.low, *self.high)
 
     @staticmethod
     def _beyond(points: Array, numbers: Array) -> tuple[Array, Array]:
-        """How far points lie beyond the faces along each axis, and on which side of the middle."""
+        """Distances of points beyond the faces along each axis, m, and signs of their sides of the centre."""
         low, high = numbers[..., :3], numbers[..., 3:]
         shifted = points - (low + high) / 2
         return np.abs(shifted) - (high - low) / 2, np.where(shifted < 0, -1.0, 1.0)
 
     @staticmethod
     def distances(points: Array, numbers: Array) -> Array:
-        """(...) distances of points (..., 3) from boxes of `numbers` (..., 6), m."""
+        """Signed distances (...) of points (..., 3) from boxes with `numbers` (..., 6), m."""
         beyond, _ = Box._beyond(points, numbers)
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(beyond.max(-1), 0.0))
 
     @staticmethod
     def gradients(points: Array, numbers: Array) -> Array:
-        """(..., 3) unit vectors to points (..., 3) from the nearest place of boxes of `numbers` (..., 6);
-        inside, through the nearest face."""
+        """Gradients (..., 3) of the distances of points (..., 3) from boxes with `numbers` (..., 6).
+
+        Inside, they point to the nearest face.
+        """
         beyond, side = Box._beyond(points, numbers)
         nearest = np.eye(3)[np.argmax(beyond, axis=-1)] * side
         outside = np.maximum(beyond, 0.0) * side
@@ -651,7 +681,7 @@ class Box(Measured):
 
 
 def distance_of_numbers(body: Obstacle, x: Any, y: Any, z: Any, refusal: str) -> Array:
-    """The `distance` of a body that has no formula for it; raises InputError with the `refusal` for symbols."""
+    """Smooth distance of a body without a formula; raises InputError with the text `refusal` for symbols."""
     if not all(isinstance(value, (int, float, np.ndarray)) for value in (x, y, z)):
         raise InputError(refusal)
     return body.signed_distance(np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float))
@@ -659,6 +689,6 @@ def distance_of_numbers(body: Obstacle, x: Any, y: Any, z: Any, refusal: str) ->
 
 @typed
 def nearest_distance(obstacles: Sequence[Obstacle], points: ArrayLike) -> Array:
-    """(...) distance of points (..., 3) to the nearest of `obstacles`, m; infinite without any."""
+    """Signed distances (...) of points (..., 3) from the nearest obstacle, m; infinite without obstacles."""
     array = as_points(points)
     return scene_of(obstacles).nearest(array.reshape(-1, 3)).reshape(array.shape[:-1])

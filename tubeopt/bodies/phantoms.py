@@ -1,8 +1,8 @@
-"""Anatomy made of formulas, for examples, tests and benchmarks: a bronchial tree, a ventricle, a kidney.
+"""Synthetic anatomy for examples, tests and benchmarks: a bronchial tree, a ventricle, a kidney.
 
-Each is a union of balls whose centres and radii go linearly along segments. The robot's plate is at the origin, its z
-into the patient; the way goes on behind the plate. Sizes are those of adults as anatomy books round them; no scan of
-anybody is behind them.
+Each is a union of balls whose centres and radii vary linearly along segments. The base plate is at the origin, with z
+into the patient; the lumen continues behind the plate. Sizes are rounded values of adults from anatomy books; no scan
+was used.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from .obstacles import RoundCone, as_points, nearest_distance
 # Labels of the images.
 LUMEN, TARGET = 1, 2
 
-# Length (m) by which images are larger than the way.
-BESIDE = 2e-3
+# Length (m) by which images are larger than the lumen.
+BORDER = 2e-3
 
 Stretch = tuple[tuple[float, float, float], tuple[float, float, float], float, float]
-"""From, to, radius at either end; mm."""
+"""Start, end, start radius, end radius; mm."""
 
 
 @dataclass(frozen=True)
 class Phantom:
-    """A lumen of a patient for examples, in mm."""
+    """Lumen of a synthetic patient, in mm."""
 
     name: str
     stretches: tuple[Stretch, ...]
@@ -40,26 +40,29 @@ class Phantom:
     landmarks: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def depth(self, points: ArrayLike, stretches: tuple[Stretch, ...] | None = None) -> Array:
-        """(...) how deep points (..., 3), m, lie within the ball of the union in which they lie deepest, m; negative
-        outside, where it is the distance from it."""
+        """Largest depth (...) of points (..., 3) in a ball of the union, m; outside, minus the distance from it."""
         array = as_points(points) * 1e3
         cones = [RoundCone(*stretch) for stretch in (self.stretches if stretches is None else stretches)]
         return -nearest_distance(cones, array) * 1e-3
 
     def image(self, voxel: float = 5e-4, frame: Frame | None = None) -> LabelImage:
-        """Labels of voxels of one size, m: LUMEN, and TARGET within it; the image lies along the axes of the plate, or
-        along those of a frame."""
+        """Label image with LUMEN and TARGET.
+
+        Args:
+            voxel: size of the voxels, m.
+            frame: axes of the image; by default those of the base plate.
+        """
         positive("voxel", voxel)
         frame = frame or Frame()
         ends = frame.seen(np.array([stretch[:2] for stretch in self.stretches]) * 1e-3)
-        wide = np.array([max(stretch[2:]) for stretch in self.stretches]) * 1e-3
-        around = wide.max() + BESIDE
-        low = ends.min((0, 1)) - around
-        count = np.ceil((ends.max((0, 1)) + around - low) / voxel).astype(int)
+        radius = np.array([max(stretch[2:]) for stretch in self.stretches]) * 1e-3
+        border = radius.max() + BORDER
+        low = ends.min((0, 1)) - border
+        count = np.ceil((ends.max((0, 1)) + border - low) / voxel).astype(int)
         labels = np.zeros(count, dtype=np.uint8)
         for k, stretch in enumerate(self.stretches):
-            first = ((ends[k].min(0) - wide[k] - low) / voxel).astype(int)
-            last = np.ceil((ends[k].max(0) + wide[k] - low) / voxel).astype(int) + 1
+            first = ((ends[k].min(0) - radius[k] - low) / voxel).astype(int)
+            last = np.ceil((ends[k].max(0) + radius[k] - low) / voxel).astype(int) + 1
             box = tuple(slice(*pair) for pair in zip(first, np.minimum(last, count), strict=True))
             label = TARGET if k >= len(self.stretches) - self.target else LUMEN
             b, c = np.meshgrid(*(np.arange(side.start, side.stop) for side in box[1:]), indexing="ij")
@@ -93,7 +96,7 @@ def bronchial_tree() -> Phantom:
 
 
 def ventricle() -> Phantom:
-    """A straight tract to a lateral ventricle, and this from its frontal horn to its atrium and towards the foramen."""
+    """Straight tract to a lateral ventricle, from its frontal horn to its atrium and towards the foramen."""
     horn, body, atrium = (0.0, 0.0, 55.0), (0.0, -14.0, 72.0), (4.0, -34.0, 80.0)
     return Phantom(
         "ventricle",
@@ -110,7 +113,7 @@ def ventricle() -> Phantom:
 
 
 def kidney() -> Phantom:
-    """A straight access to the renal pelvis, and three calyces, each a neck and a cup; the target is the upper cup."""
+    """Straight access to the renal pelvis, and three calyces with neck and cup; the target is the upper cup."""
     pelvis, upper, middle, lower = (0.0, 0.0, 50.0), (18.0, 0.0, 76.0), (2.0, 6.0, 80.0), (-18.0, -4.0, 74.0)
     return Phantom(
         "kidney",

@@ -1,20 +1,20 @@
-"""Distance from a surface of triangles, for many points at once; of a closed surface it has a sign.
+"""Distance of many points from a surface of triangles, with a sign for a closed surface.
 
-Which triangles to ask is found with a tree of their centres, after the long ones are cut. On which side a point lies
-follows from the winding number: how often the surface goes around the point. A ray from the point crosses the surface;
-each crossing counts 1 where the surface is left and -1 where it is entered. The sum is 1 in a body, 0 outside and in
-its cavities, and 2 where two bodies overlap. Unlike the normal of the nearest triangle it is right where surfaces cross
-each other or lie within one another.
+Candidate triangles come from a tree of their centres, after long triangles are cut. The side of a point follows from
+its winding number, the number of times that the surface encloses it. A ray from the point counts 1 for every crossing
+that leaves the surface and -1 for every one that enters it. The sum is 1 in a body, 0 outside and in its cavities, and
+2 where two bodies overlap. Unlike the normal of the nearest triangle, it is correct for intersecting and nested
+surfaces.
 
-A ray through an edge or a corner is taken for one beside it, by the same rule for all triangles there (simulation of
-simplicity, Edelsbrunner and Muecke 1990). Where round-off may decide, another direction is taken.
+A ray through an edge or a corner is treated as a neighbouring ray, by the same rule for all triangles there (simulation
+of simplicity, Edelsbrunner and Muecke 1990). If round-off may decide, another direction is used.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -25,33 +25,57 @@ from .distance_field import UP
 from .obstacles import unit_vectors
 
 _ANGLES = [0.7, 0.4, 1.1], [2.3, 0.5, 0.2], [1.2, 2.9, 0.8]
-# (3, 3, 3) axes of rays, asked one after the other: none are those along which many surfaces have edges.
+# Axes of rays (3, 3, 3), used one after the other: many surfaces have edges along the coordinate axes.
 DIRECTIONS = scipy.spatial.transform.Rotation.from_euler("xyz", _ANGLES).as_matrix()
 
-# Share of the square of the size below which round-off may decide on which side of an edge a ray passes.
+# Area over the squared size of the surface below which round-off may decide on which side of an edge a ray passes.
 ROUND_OFF = 1e-13
 
-# Columns in which triangles are looked up, along either side: a ray then meets a few triangles, and the table has
-# 260,000 entries at most.
-MOST_COLUMNS = 512
+# Largest number of columns of the lookup table along each side: a ray then meets a few triangles, and the table has at
+# most 260,000 entries.
+MAX_COLUMNS = 512
+
+
+class Grid(NamedTuple):
+    """Columns of the lookup table, perpendicular to the rays."""
+
+    low: Array
+    """Start of the first column (2,), m."""
+    width: Array
+    """Widths of a column (2,), m."""
+    count: int
+    """Number of columns along each side."""
+
+
+class Sides(NamedTuple):
+    """Sides of triangles as the rays see them, directed from the lesser to the greater corner.
+
+    So two triangles compute the same numbers for a common side.
+    """
+
+    start: Array
+    """Shape (f, 3, 2), m."""
+    end: Array
+    """Shape (f, 3, 2), m."""
+    sense: Array
+    """1, or -1 for a side against the orientation of its triangle; shape (f, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """A surface as parallel rays see it: corners (f, 3, 3) of its triangles, the third coordinate along the rays."""
+    """Surface with the corners (f, 3, 3) of its triangles, m, in axes whose third is along parallel rays."""
 
     corners: Array
 
     @cached_property
-    def _grid(self) -> tuple[Array, Array, int]:
-        """Where columns begin (2,), their widths (2,), and how many there are along either side."""
+    def _grid(self) -> Grid:
         flat = self.corners[..., :2].reshape(-1, 2)
-        low, count = flat.min(0), int(np.clip(np.sqrt(len(self.corners)), 1, MOST_COLUMNS))
-        return low, np.maximum(np.ptp(flat, axis=0), 1e-300) / count, count
+        count = int(np.clip(np.sqrt(len(self.corners)), 1, MAX_COLUMNS))
+        return Grid(flat.min(0), np.maximum(np.ptp(flat, axis=0), 1e-300) / count, count)
 
     @cached_property
     def _columns(self) -> tuple[Index, Index]:
-        """Where the triangles of every column begin in a list (columns + 1,), and that list."""
+        """List of the triangles sorted by column, preceded by the start of every column in it (columns + 1,)."""
         low, width, count = self._grid
         flat = self.corners[..., :2]
         first, last = (
@@ -67,28 +91,27 @@ class Rays:
         return np.searchsorted(column[order], np.arange(count * count + 1)), face[order]
 
     @cached_property
-    def _sides(self) -> tuple[Array, Array, Array]:
-        """Of every triangle, where its three sides begin and end (f, 3, 2), each from the lesser to the greater corner,
-        so that two triangles compute the same of a side that they share; and 1, or -1 where that turns it (f, 3)."""
-        begin = self.corners[..., :2]
-        end = np.roll(begin, -1, axis=1)
-        back = (begin[..., 0] > end[..., 0]) | ((begin[..., 0] == end[..., 0]) & (begin[..., 1] > end[..., 1]))
-        return np.where(back[..., None], end, begin), np.where(back[..., None], begin, end), np.where(back, -1.0, 1.0)
+    def _sides(self) -> Sides:
+        start = self.corners[..., :2]
+        end = np.roll(start, -1, axis=1)
+        back = (start[..., 0] > end[..., 0]) | ((start[..., 0] == end[..., 0]) & (start[..., 1] > end[..., 1]))
+        swap = back[..., None]
+        return Sides(np.where(swap, end, start), np.where(swap, start, end), np.where(back, -1.0, 1.0))
 
     def winding(self, points: Array) -> tuple[Array, Mask]:
-        """(N,) how often the surface goes around points (N, 3), and where round-off may have decided."""
+        """Winding numbers (N,) of points (N, 3), and a mask (N,) of those that round-off may have decided."""
         low, width, count = self._grid
-        places = np.floor((points[:, :2] - low) / width).astype(int)
-        seen = ((places >= 0) & (places <= count)).all(1)
-        column = np.clip(places[:, 1], 0, count - 1) * count + np.clip(places[:, 0], 0, count - 1)
+        cell = np.floor((points[:, :2] - low) / width).astype(int)
+        inside = ((cell >= 0) & (cell <= count)).all(1)
+        column = np.clip(cell[:, 1], 0, count - 1) * count + np.clip(cell[:, 0], 0, count - 1)
         starts, faces = self._columns
-        each = np.where(seen, starts[column + 1] - starts[column], 0)
+        each = np.where(inside, starts[column + 1] - starts[column], 0)
         row = np.repeat(np.arange(len(points)), each)
         face = faces[np.arange(len(row)) + np.repeat(starts[column] - np.cumsum(each) + each, each)]
-        begin, end, sense = (table[face] for table in self._sides)
-        side, away = end - begin, points[row, None, :2] - begin
+        start, end, sense = (table[face] for table in self._sides)
+        side, away = end - start, points[row, None, :2] - start
         area = side[..., 0] * away[..., 1] - side[..., 1] * away[..., 0]
-        left = np.where(area >= 0, sense, -sense)  # a ray through a side passes to the left of it
+        left = np.where(area >= 0, sense, -sense)  # a ray through a side counts as left of it
         hit = np.abs(left.sum(1)) == 3
         size = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
         doubtful = (np.abs(area) <= ROUND_OFF * size**2).any(1)
@@ -100,88 +123,90 @@ class Rays:
 
 
 def winding_number(rays: list[Rays], points: Array) -> Array:
-    """(N,) winding numbers at points (N, 3) of a surface as `seen_along` has it."""
-    out, asked = np.zeros(len(points)), np.arange(len(points))
-    for direction, seen in zip(DIRECTIONS, rays, strict=True):
-        out[asked], doubtful = seen.winding(_turned(points[asked], direction))
-        asked = asked[doubtful]
-        if not len(asked):
+    """Winding numbers (N,) of points (N, 3) in a surface, given by its rays from `rays_of`."""
+    out, open_rows = np.zeros(len(points)), np.arange(len(points))
+    for direction, surface in zip(DIRECTIONS, rays, strict=True):
+        out[open_rows], doubtful = surface.winding(_rotated(points[open_rows], direction))
+        open_rows = open_rows[doubtful]
+        if not len(open_rows):
             break
     return out
 
 
-def seen_along(corners: Array) -> list[Rays]:
-    """A surface of triangles (f, 3, 3), by the rays of all DIRECTIONS."""
-    return [Rays(_turned(corners, direction)) for direction in DIRECTIONS]
+def rays_of(corners: Array) -> list[Rays]:
+    """Surface of triangles (f, 3, 3) in the axes of all DIRECTIONS."""
+    return [Rays(_rotated(corners, direction)) for direction in DIRECTIONS]
 
 
-def _turned(points: Array, axes: Array) -> Array:
-    """Points (..., 3) by their coordinates along axes (3, 3), number by number: equal points stay equal to the last
-    digit, wherever they stand."""
+def _rotated(points: Array, axes: Array) -> Array:
+    """Coordinates of points (..., 3) along axes (3, 3).
+
+    Computed without matrix products, whose sums depend on the position in the array: equal points must remain equal.
+    """
     x, y, z = np.moveaxis(points, -1, 0)
     return np.stack([x * axis[0] + y * axis[1] + z * axis[2] for axis in axes], axis=-1)
 
 
-# Edges are cut to the longest side of the body over this, so that triangles are of similar size.
-FINEST = 6
+# Size of the body over the longest allowed edge: triangles of similar size need few candidates.
+EDGES_PER_SIZE = 6
 
-# Triangles that are asked first; their distance tells which others can be nearer.
-FIRST = 3
+# Number of the first candidate triangles, whose distance bounds the search of others.
+FIRST_CANDIDATES = 3
 
-# Points at once: bounds the memory.
+# Number of points per chunk, which bounds the memory.
 CHUNK = 4096
 
-# Triangles are equally near within this fraction of the size of the body: at an edge or corner both neighbours are,
-# to round-off.
+# Tolerance over the size of the body within which triangles are equally near: at an edge or corner the distances of
+# both neighbours differ by round-off.
 TIE = 1e-9
 
 # Distance (m) up to which a point is on the surface.
 ON = 1e-12
 
-# Height of a triangle over its longest side up to which it counts as that side: its normal would be round-off.
+# Height of a triangle over its longest side below which it counts as that side: its normal would be round-off.
 THIN = 1e-12
 
 
 def bisected(corners: Array, longest: float) -> Array:
-    """(g, 3, 3) a surface of triangles (f, 3, 3), cut across their longest sides until none is longer than this."""
-    done = []
+    """Cut triangles (f, 3, 3) across their longest sides until none is longer than `longest`, m."""
+    short = []
     while len(corners):
         side = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        most = side.argmax(1)
         long = side.max(1) > longest
-        done.append(corners[~long])
-        order = (most[long, None] + np.arange(3)) % 3
+        short.append(corners[~long])
+        order = (side.argmax(1)[long, None] + np.arange(3)) % 3
         a, b, c = np.moveaxis(np.take_along_axis(corners[long], order[..., None], axis=1), 1, 0)
         middle = (a + b) / 2
         corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.concatenate([corners, *done])
+    return np.concatenate([corners, *short])
 
 
 def oriented(vertices: Array, faces: Index) -> Index:
-    """Faces (f, 3) of closed surfaces, each edge that of two, turned so that normals point out of what they bound.
+    """Orient the faces (f, 3) of closed surfaces so that their normals point out of the bodies.
 
-    Neighbours are made to agree, as most of them in their body lie. The largest body is not a cavity, and of the others
-    those that were turned against it are, where their box lies within that of another.
+    Two faces share every edge. Neighbours are made consistent by the majority of each body. The largest body is not a
+    cavity. Another body is one if its orientation is opposite and its box lies within that of another body.
 
     Raises:
-        InputError: a surface with one side, as a Moebius strip's.
+        InputError: a one-sided surface, as a Moebius strip.
     """
     count, faces = len(faces), np.array(faces)
     edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     pairs = np.lexsort(np.sort(edges, axis=1).T).reshape(-1, 2)
-    one, other = pairs.T // 3
+    first, second = pairs.T // 3
     forward = (edges[:, 0] < edges[:, 1])[pairs]
-    differ = count * (forward[:, 0] == forward[:, 1])  # of neighbours that agree the one runs there, the other back
-    # Every face stands for itself and, `count` further, for itself turned over.
-    rows, columns = np.concatenate([one, one + count]), np.concatenate([other + differ, other + count - differ])
+    # Consistent neighbours run along their common edge in opposite directions.
+    differ = count * (forward[:, 0] == forward[:, 1])
+    # Nodes of the graph: every face, and, shifted by `count`, every face flipped.
+    rows, columns = np.concatenate([first, first + count]), np.concatenate([second + differ, second + count - differ])
     graph = scipy.sparse.coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(2 * count, 2 * count))
     _, part = scipy.sparse.csgraph.connected_components(graph, directed=False)
     if (part[:count] == part[count:]).any():
         raise InputError("the mesh is a one-sided surface; it must have an inside and an outside")
     _, body = np.unique(np.minimum(part[:count], part[count:]), return_inverse=True)
-    turned = part[:count] > part[count:]
-    turned ^= (np.bincount(body, turned) > np.bincount(body) / 2)[body]
-    faces[turned] = faces[turned, ::-1]
+    flipped = part[:count] > part[count:]
+    flipped ^= (np.bincount(body, flipped) > np.bincount(body) / 2)[body]
+    faces[flipped] = faces[flipped, ::-1]
     a, b, c = np.moveaxis(vertices[faces] - vertices[faces[:, 0]].mean(0), 1, 0)
     volume = np.bincount(body, (a * np.cross(b, c)).sum(1))
     against = volume * np.sign(volume[np.abs(volume).argmax()]) < 0
@@ -189,147 +214,165 @@ def oriented(vertices: Array, faces: Index) -> Index:
     for corner in (a, b, c):
         np.minimum.at(low, body, corner)
         np.maximum.at(high, body, corner)
-    around, beyond = low[~against], high[~against]
+    outer_low, outer_high = low[~against], high[~against]
     cavity = against.copy()
     for k in np.flatnonzero(against):
-        cavity[k] = ((around < low[k]) & (beyond > high[k])).all(1).any()
+        cavity[k] = ((outer_low < low[k]) & (outer_high > high[k])).all(1).any()
     inwards = ((volume > 0) == cavity)[body]
     faces[inwards] = faces[inwards, ::-1]
     return faces
 
 
 def _areas(corners: Array) -> Array:
-    """(f,) twice the areas of triangles (f, 3, 3), m^2."""
+    """Twice the areas (f,) of triangles (f, 3, 3), m^2."""
     square = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(np.linalg.norm(square, axis=1))
 
 
+class SideVectors(NamedTuple):
+    """Sides of triangles in space."""
+
+    side: Array
+    """Vectors along the sides (f, 3, 3), m."""
+    square: Array
+    """Squared lengths (f, 3), m^2."""
+    inward: Array
+    """Vectors perpendicular to the sides, into the triangle (f, 3, 3)."""
+
+
+class NearestPoints(NamedTuple):
+    """Nearest points of a surface."""
+
+    distance: Array
+    """Distances (N,), m; negative inside a closed surface."""
+    point: Array
+    """Nearest points (N, 3), m."""
+    normal: Array
+    """Normals of their triangles (N, 3)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A surface by the corners (f, 3, 3) of its triangles, m."""
+    """Surface of triangles with corners (f, 3, 3), m."""
 
     corners: Array
     closed: bool = True
-    """Whether it bounds a body, its normals outwards; the distance from another surface has no sign."""
+    """True if the surface bounds a body, with normals outwards; the distance from an open surface has no sign."""
     hollow: bool = False
-    """Whether the body is all that a closed surface does not go around."""
+    """True if the body is everything that the closed surface does not enclose."""
 
     @cached_property
     def size(self) -> float:
-        """Longest side of the box around it, m."""
+        """Longest side of the bounding box, m."""
         return float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
 
     @cached_property
     def _cut(self) -> Array:
-        """The same surface of smaller triangles."""
-        corners = bisected(self.corners, max(self.size / FINEST, 1e-12))
-        # Each side of a closed surface is that of another triangle too; an open one can end in one without area.
+        """Corners of the surface with smaller triangles."""
+        corners = bisected(self.corners, max(self.size / EDGES_PER_SIZE, 1e-12))
+        # A triangle without area is redundant in a closed surface. An open one may consist of it.
         return corners if not self.closed else np.asarray(corners[_areas(corners) > 0])
 
     @cached_property
     def _normals(self) -> Array:
-        """(f, 3) unit vectors; 0 for a triangle without inside, which then lies in its disc however that is turned."""
+        """Unit normals (f, 3); 0 for a triangle without area, whose disc then has any orientation."""
         a, b, c = (self._cut[:, k] for k in range(3))
         normal: Array = np.cross(b - a, c - a)
         return np.where(self._flat[:, None], unit_vectors(normal, np.zeros(3)), 0.0)
 
     @cached_property
     def _flat(self) -> Mask:
-        """(f,) whether a triangle has an inside, to which there are perpendiculars."""
+        """Mask (f,) of the triangles with an area."""
         side = np.linalg.norm(np.roll(self._cut, -1, axis=1) - self._cut, axis=2).max(1)
         return np.asarray(_areas(self._cut) > THIN * side**2)
 
     @cached_property
     def _discs(self) -> tuple[Array, Array]:
-        """Centres (f, 3) of the triangles, and the largest distance (f,) of a corner from each."""
+        """Discs around the triangles: centres (f, 3) and radii (f,), m."""
         centre = self._cut.mean(1)
         return centre, np.linalg.norm(self._cut - centre[:, None], axis=2).max(1)
 
     @cached_property
     def _tree(self) -> tuple[Any, float]:
-        """The tree of the centres, and the largest disc."""
+        """Tree of the centres, and the largest radius of a disc, m."""
         centre, size = self._discs
         return scipy.spatial.cKDTree(centre), float(size.max())
 
     @cached_property
-    def _sides(self) -> tuple[Array, Array, Array]:
-        """Of every triangle its sides (f, 3, 3), their squares (f, 3), and vectors (f, 3, 3) square to them that point
-        into it."""
+    def _sides(self) -> SideVectors:
         side = np.roll(self._cut, -1, axis=1) - self._cut
-        into = np.cross(self._normals[:, None], side)
         square = np.maximum((side**2).sum(-1), np.finfo(float).tiny)
-        return side, square, into
+        return SideVectors(side, square, np.cross(self._normals[:, None], side))
 
     @cached_property
     def _rays(self) -> list[Rays]:
-        return seen_along(self.corners)
-
-    def _in_body(self, points: Array) -> Mask:
-        """(N,) whether points (N, 3) are in the body: bodies that overlap are one, and a cavity is no part of it."""
-        if not self.closed:
-            return np.zeros(len(points), dtype=bool)
-        return np.asarray((winding_number(self._rays, points) != 0) ^ self.hollow)
+        return rays_of(self.corners)
 
     def signed_distance(self, points: Array) -> Array:
-        """(N,) distance of points (N, 3), m; negative inside a closed surface."""
-        return self.nearest(points)[0]
+        """Distances (N,) of points (N, 3), m; negative inside a closed surface."""
+        return self.nearest(points).distance
 
-    def nearest(self, points: Array) -> tuple[Array, Array, Array]:
-        """(N,) distance of points (N, 3), m, negative inside a closed surface; their nearest places (N, 3), and normals
-        there (N, 3)."""
+    def nearest(self, points: Array) -> NearestPoints:
+        """Nearest points of the surface to points (N, 3), m."""
         parts = [self._chunk(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)]
-        empty = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
-        distance, place, normal = (np.concatenate(each) for each in zip(empty, *parts, strict=True))
-        return distance, place, normal
+        empty = NearestPoints(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+        return NearestPoints(*(np.concatenate(each) for each in zip(empty, *parts, strict=True)))
 
     def gradient(self, points: Array) -> Array:
-        """(N, 3) unit vectors along which the distance of points (N, 3) grows: on the surface its normals, and where
-        several places are equally near, along the way from one of them."""
+        """Gradients (N, 3) of the distance of points (N, 3): on the surface its normals.
+
+        If several points of the surface are equally near, the gradient belongs to one of them.
+        """
         distance, nearest, normal = self.nearest(points)
         far = np.abs(distance)[:, None] > ON
         at = unit_vectors(normal, UP)
         return np.asarray(np.where(far, (points - nearest) / np.where(far, distance[:, None], 1.0), at))
 
-    def _chunk(self, points: Array) -> tuple[Array, Array, Array]:
+    def _chunk(self, points: Array) -> NearestPoints:
+        """Nearest points of the surface for a chunk of points (N, 3): candidates by bounds, then exact distances."""
         tree, radius = self._tree
-        count = min(FIRST, len(self._cut))
+        # An upper bound of the distance from a few triangles with near centres.
+        count = min(FIRST_CANDIDATES, len(self._cut))
         first = np.asarray(tree.query(points, k=count)[1]).reshape(len(points), count)
-        _, distance = self._places(np.repeat(points, count, axis=0), first.ravel())
+        _, distance = self._nearest_of(np.repeat(points, count, axis=0), first.ravel())
         bound = distance.reshape(-1, count).min(1)
+        # All triangles whose disc is not farther than the bound.
         tie = TIE * self.size
-        asked = tree.query_ball_point(points, bound + radius + tie)
-        row = np.repeat(np.arange(len(points)), [len(each) for each in asked])
-        face = np.concatenate([np.asarray(each, dtype=int) for each in asked])
-        near = self._at_least(points[row], face) <= bound[row] + tie
+        candidates = tree.query_ball_point(points, bound + radius + tie)
+        row = np.repeat(np.arange(len(points)), [len(each) for each in candidates])
+        face = np.concatenate([np.asarray(each, dtype=int) for each in candidates])
+        near = self._disc_distance(points[row], face) <= bound[row] + tie
         row, face = row[near], face[near]
-        place, distance = self._places(points[row], face)
-        # Rows are in order, and none is without a triangle.
+        point, distance = self._nearest_of(points[row], face)
+        # Rows are sorted, and every row has a triangle.
         first = np.searchsorted(row, np.arange(len(points)))
-        least = np.minimum.reduceat(distance, first)
-        nearest = np.flatnonzero(distance <= least[row])
+        smallest = np.minimum.reduceat(distance, first)
+        nearest = np.flatnonzero(distance <= smallest[row])
         one = nearest[np.searchsorted(row[nearest], np.arange(len(points)))]
-        return np.where(self._in_body(points), -least, least), place[one], self._normals[face[one]]
+        if self.closed:
+            # Overlapping bodies are one, and a cavity is no part of its body.
+            inside = (winding_number(self._rays, points) != 0) ^ self.hollow
+            smallest = np.where(inside, -smallest, smallest)
+        return NearestPoints(smallest, point[one], self._normals[face[one]])
 
-    def _at_least(self, points: Array, face: Array) -> Array:
-        """(K,) lower bounds of the distance of points (K, 3) from triangles (K,): that of the disc around each."""
+    def _disc_distance(self, points: Array, face: Array) -> Array:
+        """Lower bounds (K,) of the distances of points (K, 3) from triangles (K,), m: distances from their discs."""
         centre, size = self._discs
         away = points - centre[face]
         above = (away * self._normals[face]).sum(1) ** 2
-        beside = np.sqrt(np.maximum((away**2).sum(1) - above, 0.0)) - size[face]
-        return np.asarray(np.sqrt(above + np.maximum(beside, 0.0) ** 2))
+        lateral = np.sqrt(np.maximum((away**2).sum(1) - above, 0.0)) - size[face]
+        return np.asarray(np.sqrt(above + np.maximum(lateral, 0.0) ** 2))
 
-    def _places(self, points: Array, face: Array) -> tuple[Array, Array]:
-        """Nearest points (K, 3) of triangles (K,) to points (K, 3), and their distance: on one of the sides, but where
-        the foot of the perpendicular lies between them."""
-        sides, squares, into = self._sides
-        corner, side = self._cut[face], sides[face]
+    def _nearest_of(self, points: Array, face: Array) -> tuple[Array, Array]:
+        """Nearest points (K, 3) of triangles (K,) to points (K, 3), and their distances (K,), m."""
+        corner, side = self._cut[face], self._sides.side[face]
         away = points[:, None] - corner
-        share = np.clip((away * side).sum(2) / squares[face], 0.0, 1.0)
-        on_sides = corner + share[..., None] * side
-        gap = ((points[:, None] - on_sides) ** 2).sum(2)
-        row = np.arange(len(face))
-        place = on_sides[row, gap.argmin(1)]
-        above = ((away * into[face]).sum(2) >= 0).all(1) & self._flat[face]
+        t = np.clip((away * side).sum(2) / self._sides.square[face], 0.0, 1.0)
+        on_sides = corner + t[..., None] * side
+        squared = ((points[:, None] - on_sides) ** 2).sum(2)
+        nearest = on_sides[np.arange(len(face)), squared.argmin(1)]
+        # The foot of the perpendicular is nearer, if it lies in the triangle.
+        above = ((away * self._sides.inward[face]).sum(2) >= 0).all(1) & self._flat[face]
         normal = self._normals[face[above]]
-        place[above] = points[above] - normal * (away[above, 0] * normal).sum(1)[:, None]
-        return place, np.linalg.norm(points - place, axis=1)
+        nearest[above] = points[above] - normal * (away[above, 0] * normal).sum(1)[:, None]
+        return nearest, np.linalg.norm(points - nearest, axis=1)

@@ -1,7 +1,7 @@
-"""The command line, a module per group of commands. Each turns flags into a question, and an answer into text.
+"""The command line, with one module per group of commands.
 
-`main` begins and ends the process `tubeopt`: Ctrl-C waits until a command can report it, and undoes nothing done. While
-Python imports, and while it leaves, Ctrl-C would end the process by the signal, with a trace or without a word.
+`main` starts and ends the process `tubeopt`. It delays Ctrl-C until a command can report it: during imports and at
+exit, Python would end the process with a traceback, or without a message.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NoReturn
 
 __all__ = ["main"]
 
-# Packages by nanobind: on exit they print on stderr which of their objects are left.
+# Packages that use nanobind: on exit they print their remaining objects on stderr.
 BINDINGS = "ompl", "manifold3d"
 
 # Thresholds of the garbage collector. With those of Python, collections during imports take a tenth of a short command.
@@ -23,25 +23,25 @@ GARBAGE = 50_000, 20, 20
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run one command as a process of its own; `arguments` default to those of the process. Ends with SystemExit."""
+    """Run one command as a process and exit; `arguments` default to those of the process."""
     gc.set_threshold(*GARBAGE)
-    heard: list[int] = []
+    signals: list[int] = []
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else it was started to ignore Ctrl-C
     if listens:
-        signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+        signal.signal(signal.SIGINT, lambda number, frame: signals.append(number))
     try:
         # Importing takes most of a short command: Ctrl-C is already noted here.
         from .app import main as run
 
-        run(arguments, heard)
+        run(arguments, signals)
     finally:
-        with contextlib.suppress(OSError, ValueError):  # what cannot be printed is told when Python leaves
+        with contextlib.suppress(OSError, ValueError):  # Python reports a broken stdout at exit
             sys.stdout.flush()
         if listens:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        # Python remembers an interrupt that fell into text that it ran as code, as dataclasses are made of, and would
-        # end by the signal in place of the code: running other text makes it forget.
+        # An interrupt during `exec`, which dataclasses use, is stored by Python and would end the process by the
+        # signal: another `exec` clears it.
         exec("")
         if not any(name in sys.modules for name in BINDINGS):
-            # Nor need Python look through all that there is for what to take down: the system takes it whole.
+            # The final garbage collection takes time; the system frees all memory anyway.
             gc.freeze()

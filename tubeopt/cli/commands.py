@@ -1,7 +1,7 @@
-"""The commands of `tubeopt`: what is typed, and the study that it asks or the function that it runs.
+"""The commands of `tubeopt`, each with its study or its function.
 
-Most commands ask a study, show its answer and save it: a row here is all of them. Nothing is imported for a row before
-its command is run.
+Most commands run a study, show its answer and save it; such a command is one row here. A row imports nothing before its
+command runs.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A command that asks a study of a kind, and shows and saves its answer. Its flags are the study's keys."""
+class StudyCommand:
+    """Command that runs a study of a kind, and shows and saves its answer. Its flags are the study's keys."""
 
     kind: str
-    """Of the study."""
+    """Kind of the study."""
     help: str
     example: str
-    """The last line of its help."""
+    """Example in the last line of the help."""
     arguments: Mapping[str, tuple[str, str]] | None = None
-    """Keys that are arguments, in order -> (metavar, help); by default the robot's file."""
+    """Keys that are arguments, in order -> (metavar, help); by default the robot file."""
     flags: Mapping[str, str] = field(default_factory=dict)
-    """Keys whose flag is not their name -> the flag, or several with "/" or "," between."""
+    """Keys whose flag is not their name -> flag, or several flags separated by "/" or ","."""
     defaults: Mapping[str, str] = field(default_factory=dict)
-    """Keys whose default on the command line is not that of a study, as they would be typed."""
+    """Keys whose default on the command line differs from that in a study, as text."""
     from_file: bool = False
-    """The study is read from a file; flags override its keys."""
+    """True if the study is read from a file; flags override its keys."""
     pictures: bool = True
-    """The answer has plots."""
+    """True if the answer has plots."""
 
 
 ROBOT = ("ROBOT.yaml", "Robot file, or the name of a built-in robot such as thesis_ctr.")
@@ -51,14 +51,14 @@ TRAJECTORY = "Trajectory: columns time_s, rotation_1_deg, ... and, if tubes tran
 CHARGES = "100,90,80,70,60"
 """States of charge, percent, for which a command writes tables."""
 
-COMMANDS: dict[str, Asked | str] = {
-    "fk": Asked(
+COMMANDS: dict[str, StudyCommand | str] = {
+    "fk": StudyCommand(
         "forward_kinematics",
         "Forward kinematics: compute the stable shape at given joint values, and its stability margin.",
         flags={"tolerance_rad": "--tolerance-rad,--tolerance"},
         example="tubeopt fk thesis_ctr --rotations-deg 0,57.3,114.6 --translations-mm 0,0,0",
     ),
-    "ik": Asked(
+    "ik": StudyCommand(
         "inverse_kinematics",
         """Inverse kinematics: find stable joint values for a position and direction of the tip.
 
@@ -68,28 +68,28 @@ COMMANDS: dict[str, Asked | str] = {
         flags={"start": "--from"},
         example="tubeopt ik thesis_ctr --target-mm 50,30,150 --all --out results",
     ),
-    "equilibria": Asked(
+    "equilibria": StudyCommand(
         "equilibria",
         "Find all equilibria at given joint values, stable and unstable, lowest energy first.",
         example="tubeopt equilibria two_tube --rotations-deg 190,0",
     ),
-    "snap": Asked(
+    "snap": StudyCommand(
         "snap",
         "Find the first snap on the straight joint path between two configurations, and the jump of the tip.",
         example="tubeopt snap thesis_ctr --to-deg 360,0,0 --out results",
     ),
-    "follow": Asked(
+    "follow": StudyCommand(
         "follow",
         "Simulate slow motion through waypoints, with history: snaps, and the equilibria after them.",
         arguments={"robot": ROBOT, "path": ("PATH.csv", PATH)},
         example="tubeopt follow thesis_ctr turn_and_back",
     ),
-    "load-limit": Asked(
+    "load-limit": StudyCommand(
         "load_limit",
         "Find the load factor at which the robot snaps or buckles, and the equilibrium after it.",
         example="tubeopt load-limit thesis_ctr --from-deg 0,0,0 --rotations-deg 200,0,0 --tip-force-mN=-10,0,0",
     ),
-    "force": Asked(
+    "force": StudyCommand(
         "force",
         """Estimate the tip force in every row of a recording, with its uncertainty and undetermined directions.
 
@@ -101,7 +101,7 @@ COMMANDS: dict[str, Asked | str] = {
         example="tubeopt force thesis_ctr synthetic_forces --noise-mm 0.1",
         pictures=False,
     ),
-    "certify": Asked(
+    "certify": StudyCommand(
         "certify",
         """Prove for all rotations that the robot cannot snap, or search for a snap.
 
@@ -110,13 +110,13 @@ COMMANDS: dict[str, Asked | str] = {
         force.""",
         example="tubeopt certify crl_ctr --translations-mm -20,0,0",
     ),
-    "stability-map": Asked(
+    "stability-map": StudyCommand(
         "stability_map",
         "Map the margin over the rotations of two tubes, started at home, and the snap boundary.",
         example="tubeopt stability-map crl_ctr --out results",
     ),
     "run": "studies.run",
-    "validate": Asked(
+    "validate": StudyCommand(
         "validation",
         "Compare the model with measured tips, and calibrate it: errors, residuals, fitted parameters.",
         arguments={
@@ -125,19 +125,19 @@ COMMANDS: dict[str, Asked | str] = {
         },
         example="tubeopt validate thesis_etr synthetic_etr --fit curvature",
     ),
-    "measure": Asked(
+    "measure": StudyCommand(
         "measure",
         "Choose the configurations to measure that determine parameters best, and a snap-free path through them.",
         example="tubeopt measure crl_ctr --fit rotation_2,rotation_3,curvature_1 --count 12 --out results",
         pictures=False,
     ),
-    "design": Asked(
+    "design": StudyCommand(
         "design",
         "Optimise tube dimensions. Free parameters, constraints and objective come from a study file.",
         example="tubeopt design design_thesis_snap_free --out results",
         from_file=True,
     ),
-    "design-pair": Asked(
+    "design-pair": StudyCommand(
         "design_pair",
         """Optimise two robots together for the number of point pairs of a region that both tips reach.
 
@@ -147,14 +147,14 @@ COMMANDS: dict[str, Asked | str] = {
     ),
     "figure": "studies.figure",
     "sweep": "studies.sweep",
-    "workspace": Asked(
+    "workspace": StudyCommand(
         "workspace",
         """Compute the workspace within the joint limits: volume, directions, margin, and the part lost to snapping.
 
         With --out, samples are saved during the run, memory stays constant, and an interrupted run resumes.""",
         example="tubeopt workspace crl_ctr --samples 20000 --out results",
     ),
-    "fabricate": Asked(
+    "fabricate": StudyCommand(
         "fabrication",
         """Prepare molds and heating for every tube of a robot: drawings, G-code, duty-cycle tables, plots.
 
@@ -164,7 +164,7 @@ COMMANDS: dict[str, Asked | str] = {
         defaults={"charges_percent": CHARGES},
         example="tubeopt fabricate thesis_etr --rig thesis_calcium_silicate --sensor thermocouple --out results",
     ),
-    "heat plan": Asked(
+    "heat plan": StudyCommand(
         "heating",
         """Plan the duty cycle over time that heats the curved part of a tube into its temperature window.
 
@@ -174,7 +174,7 @@ COMMANDS: dict[str, Asked | str] = {
         defaults={"charges_percent": CHARGES},
         example="tubeopt heat plan thesis_calcium_silicate --sensor thermocouple --out results",
     ),
-    "heat oven": Asked(
+    "heat oven": StudyCommand(
         "oven",
         """Plan shape setting in an oven, a furnace or a salt bath: soak time, quench, and radius of the cold tube.
 
@@ -183,7 +183,7 @@ COMMANDS: dict[str, Asked | str] = {
         arguments={"oven": OVEN},
         example="tubeopt heat oven steel_slab --hold-s 600 --out results",
     ),
-    "heat firmware": Asked(
+    "heat firmware": StudyCommand(
         "led_heating",
         """Design closed-loop heating: controller gains, success probability on random rigs, and firmware for a board.
 
@@ -195,14 +195,14 @@ COMMANDS: dict[str, Asked | str] = {
         example="tubeopt heat firmware thesis_calcium_silicate --board uno --out results",
     ),
     "heat run": "studies.run_heating",
-    "heat calibrate": Asked(
+    "heat calibrate": StudyCommand(
         "heating_calibration",
         "Estimate heat loss and contacts of a rig from a heating log.",
         arguments={"log": ("LOG.csv", LOG)},
         example="tubeopt heat calibrate heating_log --rig thesis_calcium_silicate --out results",
     ),
     "view": "view.view",
-    "plan": Asked(
+    "plan": StudyCommand(
         "plan",
         """Plan a snap-free trajectory around obstacles and within rate limits, and prove it.
 
@@ -211,7 +211,7 @@ COMMANDS: dict[str, Asked | str] = {
         example="tubeopt plan plan_thesis_turn --out results",
         from_file=True,
     ),
-    "plan-arms": Asked(
+    "plan-arms": StudyCommand(
         "plan_arms",
         """Plan snap-free trajectories of several robots that do not touch each other, and prove them.
 
@@ -219,7 +219,7 @@ COMMANDS: dict[str, Asked | str] = {
         example="tubeopt plan-arms plan_two_arms --out results",
         from_file=True,
     ),
-    "verify": Asked(
+    "verify": StudyCommand(
         "verify",
         "Check any trajectory for snaps, collisions and excessive speed. Exit code 3: a check failed.",
         arguments={"trajectory": ("TRAJECTORY.csv", TRAJECTORY)},
@@ -228,23 +228,23 @@ COMMANDS: dict[str, Asked | str] = {
     "export": "control.export",
     "serve": "control.serve",
     "doctor": "information.doctor",
-    "mold plan": Asked(
+    "mold plan": StudyCommand(
         "mold_plan",
         "Design a mold for the tubes of a robot: DXF, SVG, STL, G-code and a set-up sheet.",
         example="tubeopt mold plan thesis_etr --out results",
     ),
-    "mold mandrel": Asked(
+    "mold mandrel": StudyCommand(
         "mandrel",
         "Design a mandrel for a helix or another space curve: STL, rotation and feed table, G-code for a 4th axis.",
         example="tubeopt mold mandrel example_pieces --tube 1 --out results",
     ),
-    "mold calibrate": Asked(
+    "mold calibrate": StudyCommand(
         "mold_calibration",
         "Estimate spring-back from trials: the fraction of the mold's curvature that tubes lose.",
         arguments={"trials": ("TRIALS.csv", "Trials, one per row: columns mold_radius_mm and obtained_radius_mm.")},
         example="tubeopt mold calibrate example_trials --out results",
     ),
-    "mold materials": Asked(
+    "mold materials": StudyCommand(
         "mold_materials",
         "Rank mold materials for a tube: heat loss, limit temperature, leakage current, and reasons.",
         arguments={"robot": ("[ROBOT.yaml]", "Robot file with the tube; default a tube with the given sizes.")},
@@ -257,9 +257,9 @@ COMMANDS: dict[str, Asked | str] = {
     "robot show": "information.show",
     "list": "information.list_files",
 }
-"""What is typed after `tubeopt` -> the study that it asks, or the module of this package and function that it runs."""
+"""Words after `tubeopt` -> study command, or module of this package and function, as "studies.run"."""
 
 
 def flowing(documentation: str) -> str:
-    """A docstring whose paragraphs are a line each, which the terminal breaks where it is full."""
+    """Join the lines of each paragraph of a docstring; the terminal wraps them."""
     return re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(documentation))

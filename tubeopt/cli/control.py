@@ -1,4 +1,4 @@
-"""`tubeopt export` and `serve`: a robot as a C library, or over WebSocket under the names of CRTK."""
+"""`tubeopt export` and `serve`: a robot as a C library, or over WebSocket with CRTK commands."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from ..control.crtk import CrtkRobot
 from ..control.server import HOST, RobotServer, ServerOptions, check_websockets
 from ..files.checked import Entry, NotNegative, Positive, Whole
 from ..files.field_metadata import Typical
-from ..files.fields import asking, values
+from ..files.fields import keys_from, values
 from ..runs.robot_keys import Posed, RobotPath, rewording_joints
 from ..runs.surroundings_file import Bodies
 from ..show.command_report import Served
 from ..show.reports import report
-from .flags import asks
-from .interruption import left_alone
-from .output import OF_PICTURES, Output, can_be_saved, present, told
+from .flags import study_command
+from .interruption import handling_interruption
+from .output import OF_PICTURES, Output, can_be_saved, present, print_address
 
 # --- C library --------------------------------------------------------------------------------------------------------
 
 
-@asking(c_library, "prefix", "loads")
+@keys_from(c_library, "prefix", "loads")
 class ExportEntry(Entry):
-    """A robot to be written in C."""
+    """Robot to export as a C library."""
 
     robot: RobotPath
     c: str = Field(description="directory to write the C library to", examples=["DIR"])
 
 
-@asks(
+@study_command(
     ExportEntry,
     example="tubeopt export thesis_ctr --c thesis_in_c",
     note="Build and test it: cmake -B build -S thesis_in_c && cmake --build build && ctest --test-dir build",
@@ -106,7 +106,7 @@ class ServeEntry(Posed):
     publish_Hz: Positive = Field(Decimal(40), description="rate of published states")
 
 
-@asks(
+@study_command(
     ServeEntry,
     example="tubeopt serve thesis_ctr --rotations-deg 0,57,115 --translations-mm -50,-30,-20",
     without=("out", *OF_PICTURES),
@@ -134,10 +134,10 @@ def serve(study: ServeEntry, output: Output) -> None:
 
     def _ready() -> None:
         address = f"ws://{HOST}:{server.port}"
-        told(Served(robot, address, robot.name or "robot", server.token), output)
+        print_address(Served(robot, address, robot.name or "robot", server.token), output)
 
     # Ctrl-C is the usual end of a server: exit code 0.
-    with left_alone(), suppress(KeyboardInterrupt):
+    with handling_interruption(), suppress(KeyboardInterrupt):
         asyncio.run(_until_interrupted(server, _ready))
     if not (output.as_json or output.quiet):
         pace, (took, _) = server.pace, server.pace.quantiles(0.999)
@@ -150,8 +150,7 @@ def serve(study: ServeEntry, output: Output) -> None:
 
 
 async def _until_interrupted(server: RobotServer, ready: Callable[[], object]) -> None:
-    """Serve until Ctrl-C, which the event loop hears between its own steps: raised within one of them,
-    KeyboardInterrupt may end up in a task that nobody waits for."""
+    """Serve until Ctrl-C, handled by the event loop: KeyboardInterrupt could end in a task that nothing awaits."""
     serving = asyncio.create_task(server.serve(ready))
     listens = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
     if listens and threading.current_thread() is threading.main_thread():

@@ -1,4 +1,4 @@
-"""`tubeopt robot`, `list` and `doctor`: what a robot is made of, which files come with tubeopt, what is installed."""
+"""`tubeopt robot`, `list` and `doctor`: data of a robot, built-in files, installation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tubeopt init`: a robot, a rig or a study to begin with, written after a few questions, or from flags without any."""
+"""`tubeopt init`: template files of robots, rigs and studies, from prompts or flags."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ..files.checked import check
 from ..files.files import write_text
 from ..files.units import unit_of
 from ..files.yaml_file import read_flow
-from ..runs.templates import NewRig, NewRobot, NewStudy, Written
+from ..runs.templates import NewRig, NewRobot, NewStudy, WrittenFile
 from ..show.reports import report
-from .flags import as_typed, asks, read_typed
-from .messages import BAD_INPUT, complain
+from .flags import as_typed, read_typed, study_command
+from .messages import BAD_INPUT, print_error
 from .output import OF_PICTURES, Output, present
 
 New = TypeVar("New", NewRobot, NewRig, NewStudy)
 
 WITHOUT = ("out", *OF_PICTURES)
-"""Fields of an output that these commands do not have: the file is an argument."""
+"""Fields of an output without a flag: the file is an argument."""
 
 File = Annotated[Path | None, typer.Argument(metavar="FILE", help="File to write.", show_default=False)]
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 
 
-@asks(
+@study_command(
     NewRobot,
     arguments={},
     flags={"robot_kind": "--kind"},
@@ -38,34 +38,37 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a file that is the
     without=WITHOUT,
 )
 def robot(study: NewRobot, output: Output, file: File = None, force: Force = False) -> None:
-    """Write a robot file to begin with, by default robot.yaml.
+    """Write a template of a robot file, by default robot.yaml.
 
-    In a terminal it asks for the tubes. With any flag it asks nothing, and uses defaults for the rest. Every key has a
-    comment; optional keys are commented out.
+    Without flags, it prompts for the tubes if it runs in a terminal. With any flag, missing values have defaults. Every
+    key has a comment; optional keys are commented out.
     """
     path = _free(file or Path("robot.yaml"), force)
-    _write(path, _answered(study, NewRobot, lambda new: new.text(path)), f"fk {path}", output)
+    _write(path, _from_flags_or_prompts(study, NewRobot, lambda new: new.text(path)), f"fk {path}", output)
 
 
-@asks(
+@study_command(
     NewRig,
     arguments={},
     example="tubeopt init rig mine.yaml --mold steel --outer-diameter-mm 1.5 --inner-diameter-mm 1.2",
     without=WITHOUT,
 )
 def rig(study: NewRig, output: Output, file: File = None, force: Force = False) -> None:
-    """Write a rig file to begin with, by default rig.yaml.
+    """Write a template of a rig file, by default rig.yaml.
 
-    In a terminal it asks for battery, mold and tube. With any flag it asks nothing, and uses defaults for the rest.
-    Every key has a comment; optional keys are commented out.
+    Without flags, it prompts for battery, mold and tube if it runs in a terminal. With any flag, missing values have
+    defaults. Every key has a comment; optional keys are commented out.
     """
     path = _free(file or Path("rig.yaml"), force)
     _write(
-        path, _answered(study, NewRig, lambda new: new.text(path)), f"heat plan {path} --sensor thermocouple", output
+        path,
+        _from_flags_or_prompts(study, NewRig, lambda new: new.text(path)),
+        f"heat plan {path} --sensor thermocouple",
+        output,
     )
 
 
-@asks(
+@study_command(
     NewStudy,
     arguments={},
     flags={"study_kind": "--kind"},
@@ -78,19 +81,21 @@ def study(
     file: File = None,
     keys: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A further key; may be given again.", show_default=False),
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Value of any other key of the study; repeatable.", show_default=False
+        ),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Write a study file to begin with, by default study.yaml, for `tubeopt run`, or `tubeopt sweep` for kind sweep.
+    """Write a template of a study file, by default study.yaml, for `tubeopt run` or, with kind sweep, `tubeopt sweep`.
 
-    In a terminal it asks for kind and robot. With any flag it asks nothing, and uses defaults for the rest. Every key
-    has a comment; optional keys are commented out.
+    Without flags, it prompts for kind and robot if it runs in a terminal. With any flag, missing values have defaults.
+    Every key has a comment; optional keys are commented out.
     """
     path = _free(file or Path("study.yaml"), force)
-    given = dict(_pair(text) for text in keys or ())
+    extra = dict(_pair(text) for text in keys or ())
     try:
-        written = _answered(study, NewStudy, lambda new: new.text(path, given), asks_nothing=bool(given))
+        written = _from_flags_or_prompts(study, NewStudy, lambda new: new.text(path, extra), prompts=not extra)
     except InputError as error:
         hint = r"\1 is missing; --set \1=VALUE gives it"
         raise InputError(re.sub(r"^.*: (\w+) is missing$", hint, str(error), flags=re.MULTILINE)) from None
@@ -98,7 +103,7 @@ def study(
 
 
 def _pair(text: str) -> tuple[str, Any]:
-    """Key and value of "key=value"."""
+    """Split "key=value" into key and value."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise InputError(f"--set is {text!r}; it must be KEY=VALUE, as to_deg=[360,0,0]")
@@ -106,28 +111,30 @@ def _pair(text: str) -> tuple[str, Any]:
 
 
 def _free(path: Path, force: bool) -> Path:
-    """The path, where a file may be written; raises InputError where one is there that is not to be replaced."""
+    """Path of the new file; raises InputError if it exists and `force` is false."""
     if path.is_dir():
         raise InputError(f"{path}: this is a directory; it must be a file")
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"{path}: the name of the file must end in .yaml")
     if path.exists() and not force:
-        raise InputError(f"{path}: the file is there already; --force replaces it")
+        raise InputError(f"{path}: the file exists; --force replaces it")
     return path
 
 
-def _answered(given: New, kind: type[New], text: Callable[[New], str], *, asks_nothing: bool = False) -> str:
-    """The text made of flags; where none is given and there is a terminal, of answers to questions.
+def _from_flags_or_prompts(
+    from_flags: New, kind: type[New], text: Callable[[New], str], *, prompts: bool = True
+) -> str:
+    """Text of the file from flags; without any flag and in a terminal, from answers to prompts.
 
-    An answer that is refused is asked for again; where all together are refused, all are, each with what was typed as
-    the usual one.
+    An invalid answer is prompted for again. If the answers do not fit together, all are prompted for again, with the
+    previous answers as defaults.
     """
     # A script has no terminal: it must not wait for answers.
-    if given.model_fields_set or asks_nothing or not sys.stdin.isatty():
-        return text(given)
+    if from_flags.model_fields_set or not prompts or not sys.stdin.isatty():
+        return text(from_flags)
     typed: dict[str, str] = {}
     while True:
-        for key in kind.asked:
+        for key in kind.prompted:
             usual = check(kind, read_typed(kind, typed), "").usual[key]
             if usual is None:
                 continue
@@ -135,25 +142,25 @@ def _answered(given: New, kind: type[New], text: Callable[[New], str], *, asks_n
         try:
             return text(check(kind, read_typed(kind, typed), ""))
         except InputError as error:
-            complain(str(error), BAD_INPUT, "input", as_json=False)
+            print_error(str(error), BAD_INPUT, "input", as_json=False)
 
 
 def _answer(kind: type[New], key: str, typed: dict[str, str], usual: str) -> str:
-    words, unit = kind.model_fields[key].description or key, unit_of(key)
-    asked = words[:1].upper() + words[1:] + f", {unit}" * bool(unit)
+    description, unit = kind.model_fields[key].description or key, unit_of(key)
+    prompt = description[:1].upper() + description[1:] + f", {unit}" * bool(unit)
     while True:
         try:
-            answer = str(typer.prompt(asked, default=usual, err=True)).strip()
-        except typer.Abort:  # Ctrl-C, or the end of what is typed
+            answer = str(typer.prompt(prompt, default=usual, err=True)).strip()
+        except typer.Abort:  # Ctrl-C, or the end of the input
             raise KeyboardInterrupt from None
         try:
             check(kind, read_typed(kind, {**typed, key: answer}), "")
         except InputError as error:
-            complain(str(error), BAD_INPUT, "input", as_json=False)
+            print_error(str(error), BAD_INPUT, "input", as_json=False)
         else:
             return answer
 
 
 def _write(path: Path, text: str, then: str, output: Output) -> None:
     write_text(path, text)
-    present(report(Written(f"tubeopt {then}")), output, written=[path])
+    present(report(WrittenFile(f"tubeopt {then}")), output, written=[path])

@@ -1,8 +1,8 @@
-"""Ctrl-C ends every command within two seconds, with a sentence on what is kept.
+"""Ctrl-C ends every command within two seconds, with a message on what was saved.
 
-Python tells a program of Ctrl-C between two of its own steps. Solvers that are compiled may not come to one for long,
-or, as IPOPT does, end their solve and let the program go on with what they have. So a thread hears of it as well, and
-ends the process where it does not end by itself.
+Python handles Ctrl-C between two bytecodes. Compiled solvers may not return to Python for a long time, or, like IPOPT,
+end the solve and let the program continue. So a thread receives the signal too, and ends the process if the main thread
+does not.
 """
 
 from __future__ import annotations
@@ -18,82 +18,82 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from ..files.files import remove_unfinished
-from .messages import INTERRUPTED, complain
+from .messages import INTERRUPTED, print_error
 
 PATIENCE = 1.2
-"""Seconds that a command has to tell that it ends; Python takes half a second more to leave."""
+"""Time for a command to end by itself, s; Python needs another half second to exit."""
 
-_KEPT: list[Callable[[], str]] = []
-_OWN: list[bool] = []
-_HEARD: list[int] = []
+_SAVED: list[Callable[[], str]] = []
+_HANDLED: list[bool] = []
+_SIGNALS: list[int] = []
 
 
 @contextlib.contextmanager
-def keeping(what: str | Callable[[], str]) -> Iterator[None]:
-    """Say what is kept where the block is interrupted: words, or what tells them then."""
-    tell = what if callable(what) else lambda: what
-    _KEPT.append(tell)
+def reporting_saved(what: str | Callable[[], str]) -> Iterator[None]:
+    """Set the message on saved results for an interruption of the block: text, or a function that returns it."""
+    message = what if callable(what) else lambda: what
+    _SAVED.append(message)
     try:
         yield
-    except Exception:  # an error ends what is kept; KeyboardInterrupt is none, and its words are still needed
-        _KEPT.remove(tell)
+    except Exception:  # not KeyboardInterrupt: its message is still needed
+        _SAVED.remove(message)
         raise
-    _KEPT.remove(tell)
+    _SAVED.remove(message)
 
 
-def kept() -> str:
-    """What is kept of a command that is interrupted, in words."""
-    return _KEPT[-1]() if _KEPT else "nothing was saved"
+def saved_message() -> str:
+    """Message on the saved results of an interrupted command."""
+    return _SAVED[-1]() if _SAVED else "nothing was saved"
 
 
 @contextlib.contextmanager
 def interruptible(as_json: bool) -> Iterator[threading.Lock]:
-    """End the process where Ctrl-C does not end the block by itself; who takes the lock says so, and nobody else."""
-    _KEPT.clear()
-    _HEARD.clear()
-    telling = threading.Lock()
+    """End the process if Ctrl-C does not end the block; only the thread that takes the lock reports it."""
+    _SAVED.clear()
+    _SIGNALS.clear()
+    reporting = threading.Lock()
     if threading.current_thread() is not threading.main_thread():
-        yield telling
+        yield reporting
         return
     # A signal handler of Python waits for the next bytecode. The wakeup descriptor is written by C at once.
-    heard, told = socket.socketpair()
-    # The C handler must not block where the buffer is full.
-    told.setblocking(False)
-    over = threading.Event()
+    receiver, sender = socket.socketpair()
+    # The C handler must not block if the buffer is full.
+    sender.setblocking(False)
+    ended = threading.Event()
 
     def _watch() -> None:
-        while number := heard.recv(1):
-            # `wait` returns True where the block ended by itself in time.
-            if number[0] != signal.SIGINT or _OWN or over.wait(PATIENCE):
+        while number := receiver.recv(1):
+            # `wait` returns True if the block ended in time.
+            if number[0] != signal.SIGINT or _HANDLED or ended.wait(PATIENCE):
                 continue
             # Only one of the two threads reports the interruption.
-            if telling.acquire(blocking=False):
+            if reporting.acquire(blocking=False):
                 _end(as_json)
 
-    # A full buffer means that Ctrl-C was already noted: no warning is needed.
-    before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+    # A full buffer means that Ctrl-C was already received: no warning is needed.
+    before = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
     watcher = threading.Thread(target=_watch, daemon=True)
     watcher.start()
     try:
-        yield telling
+        yield reporting
     finally:
-        over.set()
+        ended.set()
         signal.set_wakeup_fd(before)
-        told.close()
+        sender.close()
         watcher.join()
-        heard.close()
+        receiver.close()
 
 
 @contextlib.contextmanager
 def awake() -> Iterator[None]:
-    """Let Ctrl-C raise KeyboardInterrupt in the block, unless the process was started to ignore it."""
+    """Raise KeyboardInterrupt on Ctrl-C in the block, unless the process was started to ignore it."""
     before = signal.getsignal(signal.SIGINT)
     if before is signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def _interrupt(number: int, frame: FrameType | None) -> None:
-        _HEARD.append(number)
+        _SIGNALS.append(number)
         signal.default_int_handler(number, frame)
 
     signal.signal(signal.SIGINT, _interrupt)
@@ -104,22 +104,22 @@ def awake() -> Iterator[None]:
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C was heard: what a command raises after it may be what compiled code makes of it."""
-    return bool(_HEARD)
+    """True after Ctrl-C: compiled code may turn it into any other error."""
+    return bool(_SIGNALS)
 
 
 @contextlib.contextmanager
-def left_alone() -> Iterator[None]:
-    """Leave Ctrl-C to the block, which ends by it in its own way."""
-    _OWN.append(True)
+def handling_interruption() -> Iterator[None]:
+    """Leave the handling of Ctrl-C to the block."""
+    _HANDLED.append(True)
     try:
         yield
     finally:
-        _OWN.pop()
+        _HANDLED.pop()
 
 
 def stop_workers() -> None:
-    """End the processes that work for this one, which would wait for what they are at when it ends."""
+    """Kill the worker processes: at exit Python would wait for their current tasks."""
     for child in multiprocessing.active_children():
         child.kill()
 
@@ -128,8 +128,8 @@ def _end(as_json: bool) -> None:
     stop_workers()
     remove_unfinished()
     if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[2K\x1b[?25h")  # whatever bar was there, and the cursor that it hid
-    complain(f"interrupted; {kept()}", INTERRUPTED, "interrupted", as_json)
+        sys.stderr.write("\r\x1b[2K\x1b[?25h")  # clear the progress bar and show the cursor
+    print_error(f"interrupted; {saved_message()}", INTERRUPTED, "interrupted", as_json)
     sys.stdout.flush()
     # `sys.exit` would raise in this thread only, and wait for the solver in the other.
     os._exit(INTERRUPTED)

@@ -1,4 +1,4 @@
-"""How an answer leaves the program: a table or a JSON object on stdout, files in a directory."""
+"""Output of answers: a table or a JSON object on stdout, files in a directory."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from ..files.units import TO_MM, parse_number
 from ..show.page import TITLED, WIDTH
 from ..show.report import FORMATS, PICTURE_FORMATS, Report, to_text
 from ..show.reports import formats_of, report
-from .interruption import keeping
+from .interruption import reporting_saved
 from .messages import LOGGER, error_record, failure, warnings
 
 NARROWEST_MM, WIDEST_MM = 50, 300
 
 
 OF_PICTURES = ("plot", "formats", "width_mm", "no_title")
-"""Fields of an output that a command without pictures does not have."""
+"""Fields of `Output` that only commands with plots have."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """What becomes of an answer, as the flags that all commands share say it.
+    """Output options of an answer: the flags that all commands share.
 
     Raises:
-        InputError: a format that is not known, a width that is no number or out of its range.
+        InputError: a width that is no number or out of its range.
     """
 
     plot: Annotated[
@@ -90,35 +90,37 @@ class Output:
                     f"--width-mm is {self.width_mm}; it must be a number from {NARROWEST_MM} to {WIDEST_MM}"
                 )
         if self.out is None and not self.plot:
-            given = (
-                ("--format", self.formats == PICTURE_FORMATS[0]),
-                ("--width-mm", self.width_mm is None),
-                ("--no-title", not self.no_title),
-            )
-            for flag, idle in given:
-                if not idle:
+            flags = {
+                "--format": self.formats != PICTURE_FORMATS[0],
+                "--width-mm": self.width_mm is not None,
+                "--no-title": self.no_title,
+            }
+            for flag, used in flags.items():
+                if used:
                     LOGGER.warning(f"{flag} has no effect without --out or --plot: nothing is saved")
 
     @property
-    def wanted(self) -> tuple[str, ...]:
-        """The formats."""
+    def format_names(self) -> tuple[str, ...]:
+        """Names of the file formats."""
         return tuple(part.strip().lower() for part in self.formats.split(","))
 
     @property
     def pictures(self) -> tuple[str, ...]:
-        """The formats of pictures: the first there is, where none is named."""
-        return tuple(form for form in dict.fromkeys(self.wanted) if form in PICTURE_FORMATS) or PICTURE_FORMATS[:1]
+        """Picture formats among them; by default the first known one."""
+        return (
+            tuple(form for form in dict.fromkeys(self.format_names) if form in PICTURE_FORMATS) or PICTURE_FORMATS[:1]
+        )
 
     @property
     def width(self) -> float | None:
-        """Of pictures, m."""
+        """Width of pictures, m."""
         return None if self.width_mm is None else float(self.width_mm) / TO_MM
 
 
 @contextmanager
 def _saved_as(output: Output, picture: str) -> Iterator[None]:
-    """Let reports write in the formats of an output, pictures in one of them, and as wide as it says."""
-    format_token, width_token = FORMATS.set((picture, *output.wanted)), WIDTH.set(output.width)
+    """Set formats, width and titles for the reports in the block; `picture` is the format of pictures."""
+    format_token, width_token = FORMATS.set((picture, *output.format_names)), WIDTH.set(output.width)
     title_token = TITLED.set(not output.no_title)
     try:
         yield
@@ -129,16 +131,18 @@ def _saved_as(output: Output, picture: str) -> Iterator[None]:
 
 
 def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()) -> None:
-    """Save an answer where that is wanted, print it, and end as it says; files `written` before are named with its own.
+    """Save and print an answer, and raise the error with which it ends.
 
-    With `plot` and no `out` the pictures go into the current directory. Where there is a display they are opened.
-    What cannot be saved is printed all the same.
+    With `plot` and without `out`, pictures are saved in the current directory. They are opened if there is a display.
+    An answer that cannot be saved is still printed. Files `written` before are listed with its own.
     """
     files: list[Path] = [*written]
     pictures: list[Path] = []
     ending: Exception | None = None
     try:
-        with keeping("nothing was saved" if output.out is None else f"{output.out} may hold a part of the answer"):
+        with reporting_saved(
+            "nothing was saved" if output.out is None else f"{output.out} may hold a part of the answer"
+        ):
             _write(answer, output, files, pictures)
         # After saving: a design that misses its goal is still written, and then ends with code 3.
         answer.conclude()
@@ -158,9 +162,9 @@ def present(answer: Report[Any], output: Output, *, written: Iterable[Path] = ()
 
 
 def _write(answer: Report[Any], output: Output, files: list[Path], pictures: list[Path]) -> None:
-    """Save an answer and draw its pictures, and name in `files` and `pictures` what is there."""
+    """Save an answer and draw its pictures; appends their paths to `files` and `pictures`."""
     with _saved_as(output, output.pictures[0]):
-        # Files are named one by one: those before an error are still reported.
+        # Files are appended step by step: those before an error are still reported.
         files += answer.save(output.out) if output.out else []
         files += answer.convert(output.out) if output.out else []
     for form in output.pictures if output.out or output.plot else ():
@@ -168,8 +172,8 @@ def _write(answer: Report[Any], output: Output, files: list[Path], pictures: lis
             pictures += answer.draw(output.out or Path())
 
 
-def told(answer: object, output: Output) -> None:
-    """Print what there is to say about what runs until it is stopped, quiet or not, and save nothing."""
+def print_address(answer: object, output: Output) -> None:
+    """Print the address of a server, also with --quiet."""
     shown = report(answer)
     if output.as_json:
         _print_json(shown, [], None)
@@ -181,7 +185,7 @@ def told(answer: object, output: Output) -> None:
 def _print_table(answer: Report[Any], files: list[Path]) -> None:
     console = Console()
     shown = answer.table()
-    if isinstance(shown, str):  # as it is, for other programs
+    if isinstance(shown, str):  # plain text, for other programs
         print(shown)
     else:
         console.print(shown, crop=False)
@@ -190,24 +194,24 @@ def _print_table(answer: Report[Any], files: list[Path]) -> None:
 
 
 def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None) -> Exception | None:
-    """Print the one object; return what is left to be raised, which says nothing more."""
+    """Print the JSON object with the error; returns an error without a message to raise."""
     record = answer.record()
     record |= {"files": [str(path) for path in files], "warnings": [*record.get("warnings", ()), *warnings()]}
-    told = None if ending is None else failure(ending)
-    if told is not None:
-        record["error"] = error_record(*told)
+    known = None if ending is None else failure(ending)
+    if known is not None:
+        record["error"] = error_record(*known)
         # The object on stdout has the message: stderr stays empty for programs.
-        ending = typer.Exit(told[1])
+        ending = typer.Exit(known[1])
     print(to_text(record), end="")
     return ending
 
 
 def check_formats(output: Output, command: str) -> None:
-    """Raise InputError, before any work is done, for a format in which a command saves nothing."""
+    """Raise InputError for a format in which a command saves nothing."""
     if output.formats == PICTURE_FORMATS[0]:
         return
     known = formats_of(command)
-    for form in output.wanted:
+    for form in output.format_names:
         if form not in known:
             allowed = (
                 f"`tubeopt {command}` saves {', '.join(known)}" if known else f"`tubeopt {command}` has no formats"
@@ -216,26 +220,27 @@ def check_formats(output: Output, command: str) -> None:
 
 
 def can_be_saved(out: Path | None) -> None:
-    """Raise InputError, before any work is done, where nothing can be written into `out`; None passes."""
+    """Raise InputError if nothing can be written into a directory."""
     if out is None:
         return
-    place = out
-    # The directory may be new: its nearest parent decides.
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    why = "it is a file" if place.is_file() else ""
-    if not why:
+    # The directory may be new: its nearest existing parent decides.
+    parent = out
+    while not parent.exists() and parent != parent.parent:
+        parent = parent.parent
+    if parent.is_file():
+        reason = "it is a file" if parent == out else f"{parent} is a file, not a directory"
+    else:
         try:
             # Permissions alone do not show a read-only file system.
-            with tempfile.TemporaryFile(dir=place):
+            with tempfile.TemporaryFile(dir=parent):
                 return
         except OSError as error:
-            why = f"{place}: {error.strerror or error}" if place != out else error.strerror or str(error)
-    elif place != out:
-        why = f"{place} is a file, not a directory"
-    raise InputError(f"{out}: nothing can be saved there: {why}")
+            reason = error.strerror or str(error)
+            if parent != out:
+                reason = f"{parent}: {reason}"
+    raise InputError(f"{out}: nothing can be saved there: {reason}")
 
 
 def has_display() -> bool:
-    """Whether a picture can be opened in a window."""
+    """True if a picture can be opened in a window."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,4 +1,4 @@
-"""`tubeopt run`, `figure`, `sweep` and `heat run`: studies of a file, for a paper, at many values, and on a rig."""
+"""`tubeopt run`, `figure`, `sweep` and `heat run`: study files, figures for papers, sweeps, heating runs."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from ..show.heat_report import with_live_page
 from ..show.page import FONTS
 from ..show.progress import working
 from ..show.reports import report, to_dict
-from .flags import answer, ask, asks, command, files, has_pictures, words
-from .interruption import keeping
+from .flags import answer, ask, command, files, has_pictures, study_command, words
+from .interruption import reporting_saved
 from .output import OF_PICTURES, Output, can_be_saved, check_formats, present
 
 
@@ -143,7 +143,7 @@ def sweep(
             )
 
     if output.out is not None:
-        with keeping(f"finished points are in {output.out}; the same command resumes the run"):
+        with reporting_saved(f"finished points are in {output.out}; the same command resumes the run"):
             present(report(_into(output.out)), output)
         return
     # The journal needs a directory; the table is read before it is removed.
@@ -151,7 +151,7 @@ def sweep(
         present(report(_into(Path(directory)).unkept()), output)
 
 
-@asks(
+@study_command(
     HeatingRunStudy,
     arguments={},
     example="tubeopt heat run --simulate thesis_calcium_silicate --out results",
@@ -166,10 +166,10 @@ def run_heating(study: HeatingRunStudy, output: Output) -> None:
     can_be_saved(output.out)
     log = None if output.out is None else output.out / LOG_FILE
 
-    def _kept() -> str:
+    def _saved() -> str:
         saved = f"{log} has the log up to now" if log is not None and log.exists() else "nothing was saved"
         return f"the rig stops; {saved}"
 
-    with keeping(_kept):
-        found = with_live_page(study, output.out, shown=not output.quiet)
-    present(report(found), output, written=() if found.log is None else (found.log,))
+    with reporting_saved(_saved):
+        run = with_live_page(study, output.out, shown=not output.quiet)
+    present(report(run), output, written=() if run.log is None else (run.log,))

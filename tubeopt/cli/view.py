@@ -22,14 +22,14 @@ from ..show.viewer import View, serve
 from ..show.viewer.host import LOCAL, LOCAL_NAMES
 from ..show.viewer.view import Waypoints, load_waypoints, without_times
 from ..typing import Array
-from .flags import asks
-from .interruption import left_alone
+from .flags import study_command
+from .interruption import handling_interruption
 from .messages import LOGGER
-from .output import OF_PICTURES, Output, can_be_saved, has_display, told
+from .output import OF_PICTURES, Output, can_be_saved, has_display, print_address
 
 
 class ViewEntry(Loaded):
-    """A robot to be shown, with what it begins with."""
+    """Robot in the viewer, with its start."""
 
     robot: RobotPath
     study: Annotated[tuple[str, Study], in_file(load_study, "a study file", named=True)] | None = Field(
@@ -57,7 +57,7 @@ class ViewEntry(Loaded):
     open: bool = Field(True, description="open the page in a browser if there is a display")
 
 
-@asks(
+@study_command(
     ViewEntry,
     example="tubeopt view thesis_ctr --trajectory turn_and_back",
     without=OF_PICTURES,
@@ -68,44 +68,40 @@ def view(study: ViewEntry, output: Output, robot: str) -> None:
     Each browser tab has its own robot. Ctrl-C ends the server. --json prints one object with the address of the page.
     With --out, files saved in the browser are also written to DIR.
     """
-    asked = study
-    # What is typed replaces what the study has.
-    given: dict[str, Any] = {"load": asked.external_load, "waypoints": asked.trajectory}
-    shown = View(asked.robot, out=output.out, obstacles=asked.obstacles)
-    if asked.study is not None:
-        shown = _with_study(shown, robot, *asked.study)
-    shown = replace(shown, **{name: value for name, value in given.items() if value is not None})
+    entry = study
+    shown = View(entry.robot, out=output.out, obstacles=entry.obstacles)
+    if entry.study is not None:
+        path, start = entry.study
+        own = getattr(start, "robot", None)
+        if own is None:
+            raise InputError(f"{path}: a study of kind {start.kind} has no robot to be shown")
+        if own != shown.robot:
+            raise InputError(f"{path}: the robot of the study differs from {robot}")
+        shown = replace(shown, **_start_of(start, path))
+    # Flags replace the keys of the study.
+    flags: dict[str, Any] = {"load": entry.external_load, "waypoints": entry.trajectory}
+    shown = replace(shown, **{name: value for name, value in flags.items() if value is not None})
     can_be_saved(output.out)
-    shown.session()  # what cannot be shown is refused here, in place of in every tab
-    if asked.host not in LOCAL_NAMES:
+    shown.session()  # an invalid start is reported here, not in every browser tab
+    if entry.host not in LOCAL_NAMES:
         LOGGER.warning(
-            f"everyone who can reach {asked.host} can move this robot and see what is shown; there is no password and "
+            f"everyone who can reach {entry.host} can move this robot and see what is shown; there is no password and "
             "no encryption"
         )
 
     def _ready(address: str) -> None:
-        told(Viewed(shown.robot, address, shown.robot.name or robot), output)
-        if asked.open and has_display() and not output.as_json:
+        print_address(Viewed(shown.robot, address, shown.robot.name or robot), output)
+        if entry.open and has_display() and not output.as_json:
             typer.launch(address)
 
-    with left_alone():
-        serve(shown, host=asked.host, port=asked.port, ready=_ready)
+    with handling_interruption():
+        serve(shown, host=entry.host, port=entry.port, ready=_ready)
     if not (output.as_json or output.quiet):
         print("stopped", file=sys.stderr)
 
 
-def _with_study(shown: View, robot: str, path: str, study: Any) -> View:
-    """The view from where a study asks its question."""
-    own = getattr(study, "robot", None)
-    if own is None:
-        raise InputError(f"{path}: a study of kind {study.kind} has no robot to be shown")
-    if own != shown.robot:
-        raise InputError(f"{path}: the robot of the study differs from {robot}")
-    return replace(shown, **_begins(study, path))
-
-
-def _begins(study: Study, path: str) -> dict[str, Any]:
-    """What a study says of the view: joint values to begin with, a path to play, obstacles, margin."""
+def _start_of(study: Study, path: str) -> dict[str, Any]:
+    """Fields of the view from a study: start configuration, path to play, obstacles, margin."""
     if isinstance(study, Posed) and study.kind in ("forward_kinematics", "equilibria"):
         return _joints(study.joints)
     if study.kind == "follow":
@@ -121,7 +117,7 @@ def _begins(study: Study, path: str) -> dict[str, Any]:
 
 
 KINDS = ("forward_kinematics", "equilibria", "follow", "snap", "inverse_kinematics", "plan")
-"""Studies that say where to begin."""
+"""Kinds of studies with a start configuration."""
 
 
 def _joints(joints: tuple[Array, Array] | None) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from ..display import Displayed
 from ..equilibrium.jacobian import jacobian
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, SolveError, finite, undoubted, vector
+from ..errors import InputError, SolveError, finite, vector, without_unit_warnings
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
@@ -194,7 +194,7 @@ class Observer:
         self._time = max(time, self._time)
         return Correction(True, "", float(np.linalg.norm(before)), float(np.linalg.norm(after)))
 
-    @undoubted()
+    @without_unit_warnings()
     def _robot(self, x: Array) -> ConcentricRobot:
         """The robot with the stiffnesses of parameters (2n + 3,)."""
         factors = np.exp(x[self._n : 2 * self._n]).tolist()

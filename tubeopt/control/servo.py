@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arguments import typed
-from ..bodies.obstacles import Lookout, Obstacle, Scene, checked_obstacles, scene_of
+from ..bodies.obstacles import ClearanceMonitor, Obstacle, Scene, checked_obstacles, scene_of
 from ..equilibrium.jacobian import compiled_slopes
 from ..equilibrium.kinematics import one_step
 from ..equilibrium.result import Equilibrium
@@ -46,7 +46,7 @@ class Guard:
         self.options = options
         self.space: JointSpace = joint_space(robot, limits).holding(*shift_of(robot, start))
         self.scene: Scene = scene_of(checked_obstacles(obstacles))
-        self._lookout = Lookout(self.scene)
+        self._lookout = ClearanceMonitor(self.scene)
         self.here = self.before = start_posture(self.space, start)
         """Where the robot is, and where it was before the last step."""
         self.sight = 0.0

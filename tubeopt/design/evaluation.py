@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..block.quantities import Quantity
-from ..errors import InputError, SolveError, undoubted
+from ..errors import InputError, SolveError, without_unit_warnings
 from ..robots.concentric import ConcentricRobot
 from ..solvers.ipopt import Optimum
 from ..solvers.time_limit import check_time
@@ -255,7 +255,7 @@ def state_at(program: Program, x: Array) -> State:
     return known
 
 
-@undoubted()
+@without_unit_warnings()
 def robot_at(program: Program, x: Array) -> ConcentricRobot:
     """The robot at x; raises InputError where its tubes do not fit into one another."""
     task = program.task

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from ..errors import SolveError, undoubted
+from ..errors import SolveError, without_unit_warnings
 from ..physics.strain import surface_strain
 from ..solvers.time_limit import LateError
 from ..stability import snap_free_certificate
@@ -146,7 +146,7 @@ def _certificates(program: Program) -> Iterator[str]:
         return
     least = _least(program, "curvature").tolist()
     tubes = tuple(replace(tube, curvature=bend) for tube, bend in zip(space.robot_tubes, least, strict=True))
-    with undoubted():
+    with without_unit_warnings():
         robot = replace(program.task.robot, tubes=tubes)
     for one in of_kind(program.task.requirements, SnapFree):
         for row in program.layout.certified:

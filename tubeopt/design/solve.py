@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ..errors import InputError, SolveError, undoubted
+from ..errors import InputError, SolveError, without_unit_warnings
 from ..robots.limits import JointLimits
 from ..robots.tubes import Tube
 from ..solvers.ipopt import Optimum, Values, minimise, nowhere
@@ -633,7 +633,7 @@ def start_values(program: Program, seed: int, count: int) -> list[Array]:
     return [with_joints(program, design, np.random.default_rng([seed, k])) for k, design in enumerate(designs[:count])]
 
 
-@undoubted()
+@without_unit_warnings()
 def _makes_robot(program: Program, design: Array) -> bool:
     try:
         replace(program.task.robot, tubes=program.layout.space.tubes(design), joint_limits=None)

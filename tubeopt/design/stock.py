@@ -12,7 +12,15 @@ import numpy as np
 
 from ..arguments import typed
 from ..errors import InputError, SolveError, TimeLimitError, instance, whole
-from ..files.field_metadata import BETWEEN_TUBES, NOT_NEGATIVE, POSITIVE, Typical, check_fields, unit, usual_length
+from ..files.field_metadata import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    TYPICAL_TUBE_CLEARANCE,
+    Typical,
+    check_fields,
+    typical_length,
+    unit,
+)
 from ..robots.concentric import ConcentricRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel import executor, run_all
@@ -146,7 +154,7 @@ def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float
         raise InputError("diameters are free, and the tubes come from stock; use one of both")
     if len(task.objectives) > 1:
         raise InputError("a choice from stock needs one objective; the task has several")
-    usual_length("clearance", clearance, BETWEEN_TUBES, zero=True)
+    typical_length("clearance", clearance, TYPICAL_TUBE_CLEARANCE, zero=True)
     choices = list(combinations(stock, task.robot.n_tubes, clearance))
     if not choices:
         raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")

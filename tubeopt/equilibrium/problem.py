@@ -16,7 +16,7 @@ from ..block.transcription.reduced import ReducedProblem, reduce
 from ..block.transcription.tableau import FAMILIES
 from ..constants import GRAVITY
 from ..display import Displayed
-from ..errors import InputError, choice, implausible, triple, whole
+from ..errors import InputError, choice, triple, warn_implausible, whole
 from ..robots.assembly import Assembly, cut
 from ..robots.limits import MOST_BEND
 from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
@@ -127,10 +127,10 @@ def _check_size(robot: Robot, load: Load, length: float) -> None:
             if size > largest * scale:
                 raise InputError(f"{words} must be at most {largest * scale:.3g} {unit}: was {size:g} m{unit} meant?")
             if size > most * scale:
-                implausible(f"{words} is usually at most {most * scale:.3g} {unit}: was {size:g} m{unit} meant?")
+                warn_implausible(f"{words} is usually at most {most * scale:.3g} {unit}: was {size:g} m{unit} meant?")
     pull = float(np.linalg.norm(load.gravity or 0.0))
     if pull > MOST_GRAVITY:
-        implausible(
+        warn_implausible(
             f"gravity is {pull:.4g} m/s^2, {pull / GRAVITY:.3g} times that of the earth: was {pull:.4g} mm/s^2 meant?"
         )
 
@@ -155,7 +155,9 @@ def _check_places(load: Load, length: float) -> None:
                 f"{length:g} m ({length * 1e3:.6g} mm)"
             )
         if stretch.end > length * (1 + 1e-9):
-            implausible(f"distributed[{k}] of the load ends at {end}, beyond the end of the arm; it is cut at {arm}")
+            warn_implausible(
+                f"distributed[{k}] of the load ends at {end}, beyond the end of the arm; it is cut at {arm}"
+            )
 
 
 @lru_cache(maxsize=KEPT)

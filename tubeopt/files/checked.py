@@ -1,6 +1,6 @@
-"""Data from outside, checked against a model: every problem at once, each in one sentence with its path.
+"""Checks of input data against a model: every problem at once, each in one sentence with its path.
 
-Numbers that were probably meant in another unit are warnings.
+Numbers that are probably in another unit cause warnings.
 """
 
 from __future__ import annotations
@@ -24,44 +24,61 @@ from pydantic import (
     ValidationInfo,
 )
 
-from ..errors import InputError, nearest, undoubted
+from ..errors import InputError, nearest, without_unit_warnings
 from .field_metadata import Typical
-from .shipped import resolved, shipped
-from .units import UNITS, ZERO_CELSIUS, as_typed, decimal, in_words, meant, others, parted, shown, to_si, unit_of
+from .shipped import resolve_file, shipped
+from .units import (
+    UNITS,
+    ZERO_CELSIUS,
+    alternative_units,
+    decimal,
+    in_input_units,
+    shown,
+    split_unit,
+    suggest_key,
+    to_si,
+    unit_of,
+    unit_text,
+)
 
 # --- unusual numbers --------------------------------------------------------------------------------------------------
 
 
-def suspects(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | None = None) -> Iterator[str]:
-    """Sentences on the numbers of an entry, and of those in it, that are unusual by what their fields say.
+def unusual_numbers(entry: BaseModel, path: str = "", *, names: Mapping[str, str] | None = None) -> Iterator[str]:
+    """Sentences on numbers outside their typical range, in an entry and in its parts.
 
-    `names`: what the caller calls keys of the entry.
+    Args:
+        names: names of keys of the entry in messages, if they differ.
     """
-    for key, usual in _looked_at(type(entry)):
+    for key, typical in _typical_ranges(type(entry)):
         value = getattr(entry, key)
         if value is None:
             continue
-        here = f"{path}{(names or {}).get(key, key)}"
-        if usual is not None:
-            yield from unusual(here, unit_of(key), value, usual)
-        for place, part in _parts(value):
-            yield from suspects(part, f"{here}{place}.")
+        name = f"{path}{(names or {}).get(key, key)}"
+        if typical is not None:
+            yield from unusual(name, unit_of(key), value, typical)
+        if isinstance(value, BaseModel):
+            yield from unusual_numbers(value, f"{name}.")
+        elif isinstance(value, list | tuple):
+            for k, part in enumerate(value):
+                if isinstance(part, BaseModel):
+                    yield from unusual_numbers(part, f"{name}[{k}].")
 
 
 @functools.lru_cache(maxsize=256)
-def _looked_at(model: type[BaseModel]) -> tuple[tuple[str, Typical | None], ...]:
-    """Keys whose numbers have a usual range, and keys that may hold entries of their own, for which it is None."""
-    found = []
+def _typical_ranges(model: type[BaseModel]) -> tuple[tuple[str, Typical | None], ...]:
+    """Keys with a typical range, and keys that may contain entries, with None."""
+    ranges = []
     for key, field in model.model_fields.items():
         marks = (*field.metadata, *marks_in(field.annotation))
-        usual = next((mark for mark in marks if isinstance(mark, Typical)), None)
-        if usual is not None or any(True for _ in models(field.annotation)):
-            found.append((key, usual))
-    return tuple(found)
+        typical = next((mark for mark in marks if isinstance(mark, Typical)), None)
+        if typical is not None or any(True for _ in models(field.annotation)):
+            ranges.append((key, typical))
+    return tuple(ranges)
 
 
 def models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models in a type."""
+    """Models in a type annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -69,40 +86,33 @@ def models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def marks_in(annotation: Any) -> Iterator[Any]:
-    """What is said beside the types in an annotation."""
+    """Metadata in an annotation and in its parts."""
     yield from getattr(annotation, "__metadata__", ())
     for part in get_args(annotation):
         yield from marks_in(part)
 
 
-def _parts(value: Any) -> Iterator[tuple[str, BaseModel]]:
-    if isinstance(value, BaseModel):
-        yield "", value
-    elif isinstance(value, list | tuple):
-        yield from ((f"[{k}]", part) for k, part in enumerate(value) if isinstance(part, BaseModel))
-
-
-def unusual(key: str, unit: str, value: Any, usual: Typical) -> Iterator[str]:
-    """A sentence on a number, or on the largest of several: a position has coordinates that are small."""
+def unusual(key: str, unit: str, value: Any, typical: Typical) -> Iterator[str]:
+    """Sentence on a number outside its typical range. Of several, the largest counts: coordinates may be small."""
     numbers: Sequence[Decimal] = value if isinstance(value, list) else [value]
     if not numbers or not all(isinstance(number, Decimal) for number in numbers):
         return
     largest = max(numbers, key=abs)
     size = abs(to_si(largest, UNITS[unit] if unit else Decimal(1)))
     # 0 has no size: it is the same in every unit.
-    if size == 0 or usual.least <= size <= usual.most:
+    if size == 0 or typical.least <= size <= typical.most:
         return
     listed = ", ".join(str(number) for number in numbers)
     sentence = f"{key} is {f'[{listed}]' if isinstance(value, list) else listed}"
     # Kelvin and Celsius differ by an offset; all other units by a factor.
-    alike = [(other, scale, Decimal(0)) for other, scale in others(unit)]
+    alike = [(other, scale, Decimal(0)) for other, scale in alternative_units(unit)]
     for other, scale, zero in [("K", Decimal(1), ZERO_CELSIUS)] if unit == "degC" else alike:
-        if usual.least <= abs(to_si(largest - zero, scale)) <= usual.most:
+        if typical.least <= abs(to_si(largest - zero, scale)) <= typical.most:
             factor = scale / UNITS[unit]
             right = ", ".join(f"{float((number - zero) * factor):.6g}" for number in numbers)
-            yield f"{sentence}; that would be usual in {in_words(other) or 'parts of 1'}: was {right} meant?"
+            yield f"{sentence}; that would be usual in {unit_text(other) or 'parts of 1'}: was {right} meant?"
             return
-    low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (usual.least, usual.most))
+    low, high = (f"{bound / float(UNITS[unit] if unit else 1):.4g}" for bound in (typical.least, typical.most))
     yield f"{sentence}; usual is {low} to {high}"
 
 
@@ -111,7 +121,7 @@ def unusual(key: str, unit: str, value: Any, usual: Typical) -> Iterator[str]:
 LOGGER = logging.getLogger(__name__)
 
 Number = Annotated[Decimal, BeforeValidator(decimal)]
-"""A finite number as it was written; neither text nor true/false."""
+"""Finite number as written in the file; neither text nor true/false."""
 
 Positive = Annotated[Decimal, Field(gt=0), BeforeValidator(decimal)]
 NotNegative = Annotated[Decimal, Field(ge=0), BeforeValidator(decimal)]
@@ -126,30 +136,30 @@ def _whole(value: object) -> int:
 
 
 Whole = Annotated[int, BeforeValidator(_whole)]
-"""A whole number."""
+"""Whole number."""
 
 Count = Annotated[Whole, Field(ge=1)]
-"""A whole number, at least 1."""
+"""Whole number, at least 1."""
 
 
 def as_many(count: int, value: object, what: str = "") -> object:
-    """A list, where it has as many numbers as it must; raises ValueError with words that continue its name."""
+    """Check the number of values in a list; raises ValueError with a message that continues the key's name."""
     if isinstance(value, (list, tuple)) and len(value) != count:
         raise ValueError(f"has {len(value)} number{'' if len(value) == 1 else 's'}; it must have {count}{what}")
     return value
 
 
 def three(value: object) -> object:
-    """A list, where it has three numbers; raises ValueError with words that continue its name."""
+    """Check that a list has three values; raises ValueError with a message that continues the key's name."""
     return as_many(3, value, ": x, y, z")
 
 
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3), BeforeValidator(three)]
-"""x, y and z."""
+"""Coordinates x, y and z."""
 
 
 class Entry(BaseModel):
-    """A mapping in a file. Keys carry their unit as suffix; unknown keys are refused.
+    """Mapping in a file. Keys have their unit as suffix; unknown keys are refused.
 
     Validators raise InputError with a whole sentence, or ValueError with a message that continues the key's name.
     """
@@ -157,21 +167,21 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
     def si(self, key: str) -> Any:
-        """The value of a key, a number in SI, those of a list as a tuple; what is no number is as it was given."""
+        """Value of a key with numbers in SI, lists as tuples."""
         return _in_si(getattr(self, key), unit_of(key))
 
     def in_si(self, *keys: str) -> dict[str, Any]:
-        """The same of several, by the names of the keys without their units."""
-        return {parted(key)[0]: self.si(key) for key in keys}
+        """Values of several keys in SI, by the names of the keys without units."""
+        return {split_unit(key)[0]: self.si(key) for key in keys}
 
 
-def require_one(study: Entry, one: str, other: str) -> None:
-    """Raise ValueError unless a study has one of two keys."""
-    given = {getattr(study, key) is not None for key in (one, other)}
-    if given == {False}:
-        raise ValueError(f"{one} and {other} are missing; one of them must be given")
-    if given == {True}:
-        raise ValueError(f"{one} and {other} are given; it must be one of them")
+def require_one(study: Entry, first: str, second: str) -> None:
+    """Raise ValueError unless a study has exactly one of two keys."""
+    present = {getattr(study, key) is not None for key in (first, second)}
+    if present == {False}:
+        raise ValueError(f"{first} and {second} are missing; one of them must be given")
+    if present == {True}:
+        raise ValueError(f"{first} and {second} are given; it must be one of them")
 
 
 def _in_si(value: Any, unit: str) -> Any:
@@ -187,15 +197,16 @@ def _in_si(value: Any, unit: str) -> Any:
 def in_file(
     read: Callable[..., Any], what: str, *, kind: Any = None, of: str = "", named: bool = False
 ) -> PlainValidator:
-    """Mark a key as the path of a file, relative to the one that it stands in, or as the name of one that comes with
-    tubeopt; its value is what is read from there.
+    """Mark a key as the path of a file, relative to the file with the key, or as the name of a built-in file.
+
+    The value of the key is the content of the file.
 
     Args:
-        read: path -> what the file holds.
-        what: what the path must be of.
-        kind: what may be given as it is, by a sweep, which has read or changed it.
-        of: a key that stands before, whose value `read` takes too.
-        named: whether the value is the path too, before what is read.
+        read: function that reads the file.
+        what: description of the file for messages.
+        kind: type of a value that is accepted in place of a path: a sweep has read the file already.
+        of: earlier key whose value is a second argument of `read`.
+        named: the value is the pair of path and content.
     """
 
     def _load(value: object, info: ValidationInfo) -> Any:
@@ -203,15 +214,15 @@ def in_file(
             return value
         if not isinstance(value, str):
             raise ValueError(f"is {shown(value)}; it must be the path of {what}")
-        path = resolved(value, info.context["directory"]) if info.context else resolved(value)
+        path = resolve_file(value, info.context["directory"]) if info.context else resolve_file(value)
         if info.context:
-            # A built-in file keeps its name, so that a command that repeats the study runs anywhere.
+            # A built-in file is stored by name, so that a command that repeats the study runs anywhere.
             info.context["files"][info.field_name] = value if shipped().get(value) == path else str(path)
-        # Pydantic checks keys in their order: a key with a problem is absent here.
-        if of and of not in info.data:  # it has problems itself; it is None where it was left out
+        # Pydantic checks keys in their order: an invalid earlier key is absent here.
+        if of and of not in info.data:
             return None
-        found = read(path, info.data[of]) if of else read(path)
-        return (str(path), found) if named else found
+        content = read(path, info.data[of]) if of else read(path)
+        return (str(path), content) if named else content
 
     return PlainValidator(_load, json_schema_input_type=str)
 
@@ -226,42 +237,41 @@ def check(
     *,
     names: Mapping[str, str] | None = None,
 ) -> Model:
-    """`data` as an instance of `model`.
+    """Build an instance of `model` from data.
+
+    Numbers outside their typical range are logged as warnings, with the unit that was probably meant.
 
     Args:
-        where: file or other place that the data are from; it begins every message, and what a path in the data is
-            relative to.
-        names: what the caller calls a top-level key that is not from there; "" leaves it out.
-
-    Numbers that no such thing has are logged as warnings, with what was probably meant.
+        where: path of the file with the data; messages begin with it, and paths in the data are relative to it.
+        names: names in messages of top-level keys that are not from this file; "" omits the key.
 
     Raises:
-        InputError: one line for every problem.
+        InputError: one line per problem.
     """
     try:
-        with undoubted():
+        with without_unit_warnings():
             # The library warns in SI units. The sentences below warn once, with key and unit of the file.
             entry = model.model_validate(data, context={"directory": Path(where).parent, "files": {}})
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:
-        for words in suspects(entry, names=names):
-            LOGGER.warning(f"{where}: {words}" if str(where) else words)
+        for sentence in unusual_numbers(entry, names=names):
+            LOGGER.warning(f"{where}: {sentence}" if str(where) else sentence)
         return entry
-    called = names or {}
+    names = names or {}
     kinds = [problem for problem in problems if problem["loc"] == ("kind",)]
-    if kinds and "kind" not in called:  # a file of another kind: what its keys are is no matter
+    if kinds and "kind" not in names:  # in a file of another kind all keys are wrong
         problems = kinds
     sentences = []
     for problem in problems:
         # A flag is in no file: its message begins with the flag.
-        prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in called} else ""
-        sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), called)]
+        prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in names} else ""
+        sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), names)]
     raise InputError("\n".join(sentences))
 
 
-OF_ROBOTS = ("concentric", "eccentric", "segmented_eccentric")
-"""Kinds of robot files, which are often given in place of a file that names one."""
+ROBOT_FILE_KINDS = ("concentric", "eccentric", "segmented_eccentric")
+"""Kinds of robot files, which are often given in place of a study."""
 
 
 def check_kind(
@@ -271,7 +281,7 @@ def check_kind(
     *,
     names: Mapping[str, str] | None = None,
 ) -> Model:
-    """`data` as an instance of the model that its key `kind` names; `names` and InputError as of `check`."""
+    """Build an instance of the model of the key `kind`; `names` and InputError as in `check`."""
     prefix = f"{where}: " if str(where) else ""
     if not isinstance(data, Mapping):
         raise InputError(f"{prefix}the data are {shown(data)}; they must be a mapping of keys to values")
@@ -281,16 +291,16 @@ def check_kind(
     kind = data["kind"]
     if not isinstance(kind, str) or kind not in kinds:
         hint = nearest(kind, kinds)
-        if kind in OF_ROBOTS and any("robot" in model.model_fields for model in kinds.values()):
+        if kind in ROBOT_FILE_KINDS and any("robot" in model.model_fields for model in kinds.values()):
             hint = "; a robot is named by the key robot of such a file"
-        elif kind in OF_ROBOTS:
-            hint = f"; this is a robot file, and a {_either(list(kinds))} file is wanted"
+        elif kind in ROBOT_FILE_KINDS:
+            hint = f"; this is a robot file, and a {_either(list(kinds))} file is required"
         raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{hint}")
     return check(kinds[kind], data, where, names=names)
 
 
 def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
-    """What is wrong, where, and what is allowed: one sentence, or several where a file named in the data has many."""
+    """Sentences on a problem: path, value, and allowed values. A file named in the data may have several."""
     loc: Sequence[int | str] = problem["loc"]
     path, value, context = path_of(loc, names), problem["input"], problem.get("ctx", {})
     match problem["type"]:
@@ -298,14 +308,14 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             return [f"{path} is missing"]
         case "extra_forbidden":
             key = str(loc[-1])
-            known = [one for one in _known_keys(model, loc[:-1]) if one != key]  # another alternative may have it
+            known = [name for name in _known_keys(model, loc[:-1]) if name != key]  # another alternative may have it
             if key == "kind":
                 return [f"this is a file of kind {shown(value)}; another kind is required here"]
-            return [f"{path} is not a known key{meant(key, known)}"]
+            return [f"{path} is not a known key{suggest_key(key, known)}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):
-            return [f"{path}: {line}" if path else line for line in as_typed(str(context["error"])).splitlines()]
+            return [f"{path}: {line}" if path else line for line in in_input_units(str(context["error"])).splitlines()]
         case "value_error":
             return [f"{path} {context['error']}".strip()]
         case "literal_error":
@@ -342,25 +352,24 @@ _NOUNS = {
 
 
 def path_of(loc: Sequence[int | str], names: Mapping[str, str] | None = None) -> str:
-    """`tubes[1].outer_diameter_mm`, with the caller's `names` for the first part; parts in <> only tell pydantic's
-    choices apart."""
+    """Path of a value, such as `tubes[1].outer_diameter_mm`; the first part is replaced by its name in `names`."""
     path = ""
     for part in loc:
         if isinstance(part, int):
             path += f"[{part}]"
-        elif not part.startswith("<"):
+        elif not part.startswith("<"):  # the tag of an alternative
             path += f".{part}" if path else (names or {}).get(part, part)
     return path
 
 
 def _known_keys(model: type[BaseModel], loc: Sequence[int | str]) -> list[str]:
-    """The keys that are known at a place in the data of `model`."""
-    places = [model]
+    """Keys that are allowed at a location in the data of `model`."""
+    alternatives = [model]
     for part in loc:
-        inner = [one.model_fields[part].annotation for one in places if part in one.model_fields]
+        annotations = [each.model_fields[part].annotation for each in alternatives if part in each.model_fields]
         # A list of alternatives has several models: all their keys are proposed.
-        places = [found for annotation in inner for found in models(annotation)] or places
-    return [key for one in places for key in one.model_fields]
+        alternatives = [inner for annotation in annotations for inner in models(annotation)] or alternatives
+    return [key for each in alternatives for key in each.model_fields]
 
 
 def _either(words: Sequence[str]) -> str:

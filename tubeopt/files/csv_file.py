@@ -1,4 +1,4 @@
-"""Tables of text: comments, a header of names with units, rows of cells; every bad cell named with row and column."""
+"""CSV files: comments, a header with units, rows of cells; invalid cells are reported with row and column."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ import numpy as np
 from ..errors import InputError
 from ..typing import Array
 from .files import read_bytes
-from .units import UNITS, ZERO_CELSIUS, decimal, meant, others, parse_number, parted, to_si
+from .units import UNITS, ZERO_CELSIUS, alternative_units, decimal, parse_number, split_unit, suggest_key, to_si
 
 # 60 digits: a number of 17 digits times a unit of 50 is exact before it becomes a float.
 CONTEXT = Context(prec=60)
 
-MOST_PROBLEMS = 20
-"""Problems told at once; the others are counted."""
+MAX_PROBLEMS = 20
+"""Largest number of reported problems; the others are counted."""
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """A table of text."""
+    """Table of text cells."""
 
     path: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     line: tuple[int, ...]
-    """Where each row stands in the file, from 1."""
+    """Line number in the file of each row, from 1."""
     problems: list[str] = field(default_factory=list)
-    """What is wrong with its cells."""
+    """Problems with cells, for `check`."""
 
     def cell(self, row: int, column: str) -> str:
-        """One cell, without blanks around it, empty where there is no such column; row from 0."""
+        """Text of a cell, "" if there is no such column; rows from 0."""
         return self.rows[row][self.columns.index(column)] if column in self.columns else ""
 
     def complain(self, row: int, column: str, problem: str) -> None:
-        """Note a problem with a cell; `problem` continues its name."""
+        """Add a problem with a cell; the text continues the name of the cell."""
         self.problems.append(f"row {row + 1} (line {self.line[row]}), column {column} {problem}")
 
     def number(self, row: int, column: str) -> Decimal:
-        """The number in a cell, as it was written; 0, and a note, where there is none."""
+        """Number in a cell, as written; for other text a problem is added, and the result is 0."""
         text = self.cell(row, column)
         try:
             return decimal(parse_number(text) if text else None)
@@ -57,12 +57,12 @@ class CsvTable:
     def numbers(
         self, columns: Sequence[str], unit: Decimal | Sequence[Decimal], *, gaps: Collection[str] = ()
     ) -> Array:
-        """(rows, columns) numbers in SI, given the unit of all or of each; NaN where a cell is one of `gaps`."""
+        """Numbers in SI, shape (rows, columns), with one unit for all columns or each; NaN for cells of `gaps`."""
         units = [unit] * len(columns) if isinstance(unit, Decimal) else unit
         known = list(zip(columns, units, strict=True))
         return np.array(
             [
-                [math.nan if self.cell(k, c).lower() in gaps else to_si(self.number(k, c), one) for c, one in known]
+                [math.nan if self.cell(k, c).lower() in gaps else to_si(self.number(k, c), size) for c, size in known]
                 for k in range(len(self.rows))
             ]
         )
@@ -70,58 +70,60 @@ class CsvTable:
     def expect(
         self, needed: Sequence[str], optional: Sequence[str] = (), together: Sequence[str] = (), *, shown: str = ""
     ) -> bool:
-        """Whether there are the columns that stand `together`: all of them, or none.
+        """Check the names of the columns; returns True if the columns `together` exist.
 
-        `shown`: how messages list the known columns.
+        Args:
+            together: optional columns that must exist together.
+            shown: list of the known columns in messages.
 
         Raises:
-            InputError: a column that is none of these, or that is missing: one line for each.
+            InputError: unknown or missing columns; one line for each.
         """
         known = (*needed, *optional, *together)
         listed = shown or ", ".join(known)
-        given = [name for name in together if name in self.columns]
+        present = [name for name in together if name in self.columns]
         refuse(
             self.path,
             [
                 *(
-                    f"column {name} is not known; columns are {listed}{meant(name, known)}"
+                    f"column {name} is not known; columns are {listed}{suggest_key(name, known)}"
                     for name in self.columns
                     if name not in known
                 ),
                 *(f"column {name} is missing" for name in needed if name not in self.columns),
                 *(
-                    f"column {name} is missing; it must be there since {given[0]} is"
+                    f"column {name} is missing; it must be there since {present[0]} is"
                     for name in together
-                    if given and name not in given
+                    if present and name not in present
                 ),
             ],
         )
-        return bool(given)
+        return bool(present)
 
     def check(self) -> None:
-        """Raise InputError with one line for every problem noted, if there are any."""
+        """Raise InputError with one line per problem, if there are any."""
         refuse(self.path, self.problems)
 
 
 def refuse(path: str | PathLike[str], problems: Sequence[str]) -> None:
-    """Raise InputError with one line for each of `problems` of a file, if there are any."""
+    """Raise InputError with one line for each problem of a file, if there are any."""
     if not problems:
         return
-    more = len(problems) - MOST_PROBLEMS
-    lines = [*problems[:MOST_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
+    more = len(problems) - MAX_PROBLEMS
+    lines = [*problems[:MAX_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]
     raise InputError("\n".join(f"{path}: {line}" for line in lines))
 
 
 def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable:
-    """The table in a text file: the first line names the columns.
+    """Read the table of a text file, whose first line has the names of the columns.
 
-    Cells are separated by commas, semicolons, tabs or blanks; numbers may have decimal commas where commas separate no
+    Cells are separated by commas, semicolons, tabs or blanks; numbers may have decimal commas unless commas separate
     cells. Text is UTF-8, UTF-16 or Latin-1, with any line ends. Empty lines, lines that begin with #, and empty
-    columns at the end are skipped. Columns of other names and units become those of `known` that they mean.
+    columns at the end are skipped. Columns with other names or units for columns of `known` are renamed and converted.
 
     Raises:
-        InputError: no such file, another kind of file, no header, a column without a name or named twice, no rows, rows
-            with another number of cells than the header, decimal commas beside decimal points.
+        InputError: no such file, another kind of file, no header, a column without a name or with a repeated one, no
+            rows, rows with another number of cells than the header, both decimal commas and decimal points.
     """
     content = read_bytes(path)
     if kind := kind_of(content):
@@ -130,8 +132,8 @@ def read_csv(path: str | PathLike[str], known: Collection[str] = ()) -> CsvTable
     # Line numbers are those of the file, comments and empty lines included.
     numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip(",; \t") and not line.startswith("#")]
     separator = ""
-    if numbered and (said := re.fullmatch(r'"?sep=(.)"?', numbered[0][1])):  # a line that Excel writes and reads
-        separator = said[1]
+    if numbered and (excel := re.fullmatch(r'"?sep=(.)"?', numbered[0][1])):  # a line that Excel writes and reads
+        separator = excel[1]
         numbered = numbered[1:]
     if not numbered:
         raise InputError(f"{path}: the file is empty; its first line must name the columns")
@@ -170,11 +172,11 @@ SIGNATURES = {
     b"{": "a JSON file",
     b"<": "an HTML or XML file",
 }
-"""How files begin that are no tables, and what they are."""
+"""First bytes of files that are no text tables -> their kind."""
 
 
 def kind_of(content: bytes) -> str:
-    """What a file is that is no table of text; "" where it may be one."""
+    """Kind of a file that is no text table; "" for a possible one."""
     start = content.removeprefix(b"\xef\xbb\xbf").lstrip()
     for signature, kind in SIGNATURES.items():
         if start.startswith(signature):
@@ -185,10 +187,10 @@ def kind_of(content: bytes) -> str:
 
 
 def _wide(content: bytes) -> str:
-    """The encoding of text in units of two bytes, with a mark of their order or by its zeros; "" for other text."""
+    """UTF-16 encoding of a text, by its byte order mark or its zeros; "" for other encodings."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
-    # Latin letters and digits in UTF-16 have a zero as one of their two bytes. 0.9 leaves room for a few signs such as
+    # Latin letters and digits in UTF-16 have a zero as one of their two bytes. 0.9 allows a few other signs such as
     # a degree sign or Greek letters; text in UTF-8 has no zeros, and binary files have them in both places.
     even, odd = content[:400:2].count(0), content[1:400:2].count(0)
     half = len(content[:400]) / 2
@@ -196,7 +198,7 @@ def _wide(content: bytes) -> str:
 
 
 def decoded(content: bytes) -> str:
-    """Text in UTF-8 or UTF-16, with or without a mark, else in Latin-1 as Windows has it."""
+    """Decode UTF-8 or UTF-16, with or without a byte order mark, otherwise Windows Latin-1."""
     if wide := _wide(content):
         return content.decode(wide, errors="replace").removeprefix("\N{ZERO WIDTH NO-BREAK SPACE}")
     try:
@@ -206,12 +208,12 @@ def decoded(content: bytes) -> str:
 
 
 def separator_of(header: str) -> str:
-    """What separates the cells of a header: the likeliest of tab, semicolon, comma and blanks."""
+    """Separator of the cells in a header: tab, semicolon, comma or blank."""
     bare = re.sub(r'"[^"]*"', "", header)
     # A comma may be a decimal comma where cells are separated by tabs or semicolons, never the other way round.
-    for one in ("\t", ";", ","):
-        if one in bare:
-            return one
+    for separator in ("\t", ";", ","):
+        if separator in bare:
+            return separator
     names = bare.split()
     return " " if len(names) > 1 and all(re.fullmatch(r"\w+", name) for name in names) else ","
 
@@ -227,7 +229,7 @@ DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
 
 
 def with_points(path: str | PathLike[str], rows: list[list[str]]) -> list[list[str]]:
-    """Rows with decimal points where they have decimal commas."""
+    """Replace decimal commas by decimal points in rows of cells."""
     cells = [cell for row in rows for cell in row]
     if not any(DECIMAL_COMMA.fullmatch(cell) for cell in cells):
         return rows
@@ -252,7 +254,7 @@ NAMES = {
     **{f"{axis}_{word}": axis for word in ("pos", "position", "tip", "target") for axis in "xyz"},
     **{f"{word}{axis}": axis for word in ("p", "t") for axis in "xyz"},
 }
-"""Other names of columns -> those of tubeopt; without unit and number."""
+"""Alternative names of columns -> names in tubeopt, without unit and number."""
 
 SPELLED = {
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
@@ -265,33 +267,33 @@ SPELLED = {
     **{f"1/{length}": f"per_{length}" for length in ("m", "cm", "mm")},
     "%": "percent",
 }
-"""Other spellings of units."""
+"""Alternative spellings of units."""
 
 
 def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
-    """A table whose columns have the names and units of `known` where they mean one of them."""
+    """Rename columns with other names or units for columns of `known`, and convert their numbers."""
     # Columns are compared without their units, which may differ from those of tubeopt.
-    wanted = {parted(name)[0]: name for name in known}
+    known_names = {split_unit(name)[0]: name for name in known}
     columns, problems = list(table.columns), list[str]()
     scales = [AS_IT_IS] * len(columns)
     for k, name in enumerate(table.columns):
         if name in known or not known:
             continue
         word, unit = _read_name(name)
-        target = wanted.get(word, "")
+        target = known_names.get(word, "")
         if not target or target in columns:
             continue
-        own = parted(target)[1]
+        own = split_unit(target)[1]
         if not unit and own:
-            # A number without unit could be in mm or in m, so that nothing is guessed.
+            # A number without unit could be in mm or in m: no guess.
             problems.append(f"column {name} has no unit; call it {target}, or {word} with another unit")
         elif unit == own:
             columns[k] = target
         elif (unit, own) == ("K", "degC"):
-            # The offset is no factor: Kelvin is not among the units of `ALIKE`.
+            # The offset is no factor: Kelvin is not among the units of `CONFUSED_UNITS`.
             columns[k], scales[k] = target, Scale(Decimal(1), ZERO_CELSIUS)
-        elif (size := dict(others(own)).get(unit)) is not None:
-            columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(others(unit))[own]))
+        elif (size := dict(alternative_units(own)).get(unit)) is not None:
+            columns[k], scales[k] = target, Scale(CONTEXT.divide(size, dict(alternative_units(unit))[own]))
     refuse(table.path, problems)
     if tuple(columns) == table.columns:
         return table
@@ -300,9 +302,9 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
 
 
 def _read_name(name: str) -> tuple[str, str]:
-    """The name and unit that a column means: "Rot1 [°]" is rotation_1 in deg."""
-    found = re.fullmatch(r"(.*?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?", name.strip())
-    word, unit = (found[1], found[2]) if found else _with_unit(name)
+    """Name and unit of a column in tubeopt: "Rot1 [°]" is rotation_1 in deg."""
+    match = re.fullmatch(r"(.*?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?", name.strip())
+    word, unit = (match[1], match[2]) if match else _with_unit(name)
     word = re.sub(r"[\s.\-]+", "_", word.strip().lower()).strip("_")
     # Rot1, rot_1 and rotation_1 are the same column.
     numbered = re.fullmatch(r"([a-z_]+?)_?(\d+)", word)
@@ -311,19 +313,19 @@ def _read_name(name: str) -> tuple[str, str]:
 
 
 def _with_unit(name: str) -> tuple[str, str]:
-    """A name and the longest unit at its end, behind a blank or an underscore: u_x and per_m of "u_x_per_m"."""
+    """Split the longest unit from the end of a name, after a blank or underscore: u_x and per_m of "u_x_per_m"."""
     parts = re.split(r"[_\s]+", name.strip())
     # From the longest ending on: "mm_per_s" would otherwise be read as "s".
     for k in range(1, len(parts)):
         unit = "_".join(parts[k:])
         unit = SPELLED.get(unit.lower(), unit)
-        if unit in UNITS or any(True for _ in others(unit)):
+        if unit in UNITS or any(True for _ in alternative_units(unit)):
             return "_".join(parts[:k]), unit
     return name, ""
 
 
 class Scale(NamedTuple):
-    """One unit in another: number times size, minus zero."""
+    """Conversion of units: number times size, minus zero."""
 
     size: Decimal = Decimal(1)
     zero: Decimal = Decimal(0)
@@ -333,7 +335,7 @@ AS_IT_IS = Scale()
 
 
 def _scaled(cell: str, scale: Scale) -> str:
-    """A cell in another unit; as it is where it is no number."""
+    """Convert the number in a cell to another unit; other text is unchanged."""
     value = parse_number(cell) if cell and scale != AS_IT_IS else cell
     if not isinstance(value, Decimal):
         return cell
@@ -341,6 +343,6 @@ def _scaled(cell: str, scale: Scale) -> str:
 
 
 def to_csv(columns: Sequence[str], rows: Iterable[Sequence[object]], comment: str = "") -> str:
-    """A CSV file as text: `comment` behind #, the header, the rows."""
+    """Text of a CSV file: comment lines, header, rows."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + "".join(",".join(map(str, cells)) + "\n" for cells in [columns, *rows])

@@ -1,4 +1,4 @@
-"""Marks on the fields of a dataclass, or on the parameters of a function, and the check of an object by them.
+"""Marks on the fields of a dataclass or the parameters of a function, and checks by these marks.
 
     @dataclass(frozen=True)
     class Clamps:
@@ -7,8 +7,8 @@
         def __post_init__(self) -> None:
             check_fields(self, "the clamps")
 
-The library has `mass` in kg, and a file has the key `mass_g`: `files.fields` makes reader, writer and schema of it. In
-an answer the same marks make an entry of `--json` and of the table, by `show.quantities`:
+The library has `mass` in kg, and a file has the key `mass_g`: `files.fields` builds reader, writer and schema from it.
+In an answer, the same marks give an entry of `--json` and of the table, by `show.quantities`:
 
     tip_jump: Annotated[float, unit("mm"), form(".4f"), "distance that the tip jumps"]
 
@@ -41,54 +41,56 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from ..errors import InputError, choice, finite, implausible, instance, positive, whole
-from .units import in_words, others, plain_unit, unit_of
+from ..errors import InputError, choice, finite, instance, positive, warn_implausible, whole
+from .units import alternative_units, si_unit, unit_of, unit_text
 
 M = TypeVar("M")
 
 
 @dataclass(frozen=True)
 class Key:
-    """How a field is called in a file."""
+    """Name of a field in a file."""
 
     unit: str
-    """Of its number there, a key of `UNITS`."""
+    """Unit of its number in the file, a key of `UNITS`."""
     name: str | None = None
-    """None for the name of the field and its unit."""
+    """Name with unit; None for the name of the field with its unit."""
 
 
 def unit(name: str) -> Key:
-    """The key of a field is its name with this unit, a key of `UNITS`."""
+    """Mark a field: its key is its name with this unit of `UNITS`."""
     return Key(name)
 
 
 def key(name: str) -> Key:
-    """The key of a field where that is not its name with its unit; it ends in the unit all the same."""
+    """Mark a field with the name of its key, which ends in its unit."""
     return Key(unit_of(name), name)
 
 
 @dataclass(frozen=True)
 class Form:
-    """How the numbers of a field are written in a table."""
+    """Format of a field in a table."""
 
     spec: str
     label: str | None = None
-    """Name of the row; None for the description of the field."""
+    """Label of the row; None for the description of the field."""
 
 
 def form(spec: str, *, label: str | None = None) -> Form:
-    """A field is a row of the table, with its numbers in the format `spec` and their unit."""
+    """Mark a field as a row of the table, with its numbers in the format `spec`."""
     return Form(spec, label)
 
 
 @dataclass(frozen=True)
 class Range:
-    """What a number, or each of several, must be (SI)."""
+    """Allowed range of a number, or of each of several numbers, in SI."""
 
     above: float | None = None
     """Exclusive lower bound."""
     least: float | None = None
+    """Lower bound."""
     most: float | None = None
+    """Upper bound."""
     below: float | None = None
     """Exclusive upper bound."""
 
@@ -98,50 +100,49 @@ POSITIVE, NOT_NEGATIVE, MARGIN = Range(above=0.0), Range(least=0.0), Range(least
 
 @dataclass(frozen=True)
 class Typical:
-    """Between which magnitudes (SI) a number other than 0 usually lies: what lies outside is warned of, as it may be in
-    another unit than that of its key."""
+    """Typical magnitude of a number other than 0, in SI; other numbers cause a warning about the unit."""
 
     least: float
     most: float
 
 
-FAR_FROM_BODIES = Typical(1e-5, 0.1)
-"""m, by which an arm keeps clear."""
+TYPICAL_CLEARANCE = Typical(1e-5, 0.1)
+"""Clearance between arm and bodies, m."""
 
-TOLERATED = Typical(1e-9, 0.1)
-"""m, between a tip and where it is wanted."""
+TYPICAL_TIP_ERROR = Typical(1e-9, 0.1)
+"""Position error of a tip, m."""
 
-BETWEEN_TUBES = Typical(1e-6, 5e-3)
-"""m, radial, of a tube in the next one."""
+TYPICAL_TUBE_CLEARANCE = Typical(1e-6, 5e-3)
+"""Radial clearance between nested tubes, m."""
 
-SEEN_WITHIN = Typical(1e-7, 0.02)
-"""m, the noise of a measured coordinate."""
+TYPICAL_NOISE = Typical(1e-7, 0.02)
+"""Noise of a measured coordinate, m."""
 
-REGION = Typical(1e-4, 1.0)
-"""m, the size of a region of the body."""
+TYPICAL_REGION = Typical(1e-4, 1.0)
+"""Size of a region of the body, m."""
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """The words that a field may be."""
+    """Allowed words of a field."""
 
     words: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Absent:
-    """What a key that is left out of a file stands for (SI), where the field has no default."""
+    """Default in SI of a key in a file, in place of the default of the field."""
 
     value: Any
 
 
 REQUIRED = Absent(MISSING)
-"""The key must be there, although the field has a default."""
+"""Mark of a required key whose field has a default."""
 
 
 @dataclass(frozen=True)
 class Named:
-    """Things that may be given by their name, in upper or lower case, in place of their constants."""
+    """Known values of a field, which a file may give by name, in upper or lower case."""
 
     known: Mapping[str, Any]
 
@@ -152,40 +153,40 @@ class Named:
 
 @dataclass(frozen=True)
 class Written:
-    """A field that is read and written in a way of its own."""
+    """Custom reader and writer of a field."""
 
     entry: type[Any]
-    """Reads it."""
+    """Model of the key; its `build` returns the value."""
     write: Callable[[Any], Any]
-    """Writes it."""
+    """Conversion of the value to data of the file."""
 
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """A field or parameter with marks."""
+    """Marked field or parameter."""
 
     name: str
     default: Any
-    """MISSING where there is none."""
+    """Default value; MISSING without one."""
     kind: Any
-    """Type of its value, without None; a tuple of both types where that is a number or several."""
+    """Type of its value, without None; a tuple of both types for one number or several."""
     optional: bool
     marks: tuple[Any, ...]
 
     @property
     def sign(self) -> str:
-        """The unit of its number in SI, after a blank; "" where it has none."""
-        named = self.first(Key)
-        return "" if named is None else f" {in_words(plain_unit(named.unit))}".rstrip()
+        """Unit of its number in SI, after a blank; "" without a unit."""
+        key = self.first(Key)
+        return "" if key is None else f" {unit_text(si_unit(key.unit))}".rstrip()
 
     def first(self, kind: type[M]) -> M | None:
-        """The first mark of a kind."""
+        """First mark of a type; None without one."""
         return next((mark for mark in self.marks if isinstance(mark, kind)), None)
 
 
 @functools.lru_cache(maxsize=256)
 def marked(what: Any, names: tuple[str, ...] = ()) -> tuple[FieldSpec, ...]:
-    """The fields of a dataclass that have marks, or the parameters of a function with these names."""
+    """Marked fields of a dataclass, or parameters of a function with these names."""
     if not dataclasses.is_dataclass(what):
         return tuple(_parameter(what, name) for name in names)
     hints = typing.get_type_hints(what, include_extras=True)
@@ -209,9 +210,10 @@ def _parameter(function: Callable[..., Any], name: str) -> FieldSpec:
 
 
 def argument_docs(function: Callable[..., Any]) -> dict[str, str]:
-    """First sentence, without its full stop, of what a docstring says about each argument in its section Args."""
-    found = re.search(r"^Args:\n(.*?)(?=^\S|\Z)", inspect.getdoc(function) or "", re.MULTILINE | re.DOTALL)
-    entries = re.findall(r"^ {4}(\w[\w, ]*): (.*?)(?=^ {4}\S|\Z)", found[1] if found else "", re.MULTILINE | re.DOTALL)
+    """First sentences of the descriptions in the section Args of a docstring, without full stops, by argument."""
+    section = re.search(r"^Args:\n(.*?)(?=^\S|\Z)", inspect.getdoc(function) or "", re.MULTILINE | re.DOTALL)
+    text = section[1] if section else ""
+    entries = re.findall(r"^ {4}(\w[\w, ]*): (.*?)(?=^ {4}\S|\Z)", text, re.MULTILINE | re.DOTALL)
     sentences = {names: re.split(r"\.(?: |$)", " ".join(text.split()))[0] for names, text in entries}
     return {name: sentence for names, sentence in sentences.items() for name in names.split(", ")}
 
@@ -226,28 +228,28 @@ def _read(name: str, default: Any, hint: Any) -> FieldSpec:
 
 
 class Checked:
-    """A frozen dataclass whose fields are checked by what they say of themselves, and by nothing else."""
+    """Base of a frozen dataclass that is checked by the marks of its fields only."""
 
     _owner: ClassVar[str] = ""
-    """What messages say its fields are of."""
+    """Owner of the fields in messages, such as "the clamps"."""
 
     def __post_init__(self) -> None:
         check_fields(self, self._owner)
 
 
 def check_fields(what: Any, owner: str = "") -> None:
-    """Make the numbers of a frozen dataclass floats, and check what its fields say of themselves.
+    """Convert the numbers of a frozen dataclass to float or int, and check them by the marks of their fields.
 
     Args:
-        owner: what messages say the field is of, as in "mass of the clamps is -1; it must be greater than 0".
+        owner: owner of the fields in messages, as in "mass of the clamps is -1; it must be greater than 0".
 
     Raises:
-        InputError: a number out of its range, a word that is not allowed, a part of another kind.
+        InputError: a number outside its range, a word that is not allowed, a part of another type.
     """
     for field in marked(what.__class__):
         value = getattr(what, field.name)
         label = f"{field.name} of {owner}" if owner else field.name
-        words = field.first(OneOf)
+        allowed = field.first(OneOf)
         if value is None and field.optional:
             continue
         if field.kind is float:
@@ -258,10 +260,10 @@ def check_fields(what: Any, owner: str = "") -> None:
         elif field.kind is bool:
             instance(label, value, bool)
         elif field.kind is str:
-            choice(label, value, words.words) if words is not None else instance(label, value, str)
+            choice(label, value, allowed.words) if allowed is not None else instance(label, value, str)
         elif isinstance(field.kind, type) and dataclasses.is_dataclass(field.kind):
             instance(label, value, field.kind)
-    check_usual(what, owner)
+    check_typical(what, owner)
 
 
 def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
@@ -278,36 +280,36 @@ def _checked(label: str, value: Any, allowed: Range, sign: str) -> float:
 
 
 @functools.lru_cache(maxsize=256)
-def _with_usual(what: Any) -> tuple[tuple[str, str, Typical], ...]:
-    """The fields of a dataclass with a usual range: their names, and the units of their keys."""
-    found = [(one.name, one.first(Key) or Key(""), one.first(Typical)) for one in marked(what)]
-    return tuple((name, named.unit, usual) for name, named, usual in found if usual is not None)
+def _typical_fields(what: Any) -> tuple[tuple[FieldSpec, Typical], ...]:
+    """Fields of a dataclass with a typical range."""
+    return tuple((field, typical) for field in marked(what) if (typical := field.first(Typical)) is not None)
 
 
-def check_usual(what: Any, owner: str = "") -> None:
-    """Warn of numbers of a dataclass that are unusual by what its fields say of themselves.
+def check_typical(what: Any, owner: str = "") -> None:
+    """Warn of numbers of a dataclass outside their typical range.
 
     Args:
-        owner: what messages say the field is of.
+        owner: owner of the fields in messages.
     """
-    for name, file_unit, usual in _with_usual(what.__class__):
-        check_size(f"{name} of {owner}" if owner else name, getattr(what, name), usual, file_unit)
+    for field, typical in _typical_fields(what.__class__):
+        label = f"{field.name} of {owner}" if owner else field.name
+        check_size(label, getattr(what, field.name), typical, (field.first(Key) or Key("")).unit)
 
 
-def usual_length(name: str, value: float, usual: Typical, *, zero: bool = False) -> float:
-    """A length, m, as float where it is above 0 (0 or more with `zero`), with a warning where it is unusual."""
+def typical_length(name: str, value: float, typical: Typical, *, zero: bool = False) -> float:
+    """Convert a length, m, to float; raises InputError unless it is positive, and warns of an untypical one."""
     number = positive(name, value, zero=zero)
-    check_size(name, number, usual, "mm")
+    check_size(name, number, typical, "mm")
     return number
 
 
 def check_size(label: str, value: Any, usual: Typical, file_unit: str) -> None:
-    """Warn of a number (SI), or of the largest of several, that is unusual, with the unit that was probably meant.
+    """Warn of a number in SI, or of the largest of several, outside its typical range, with the probable unit.
 
-    Below the usual range a number may well be meant, unless there is such a unit.
+    A number below the range causes a warning only if another unit explains it.
 
     Args:
-        file_unit: that of the number in a file, a key of `UNITS`; "" for a number without unit.
+        file_unit: unit of the number in a file, a key of `UNITS`; "" for a number without unit.
     """
     several = value if isinstance(value, tuple) and value else (value,)
     if not all(isinstance(each, float | int) for each in several):
@@ -315,14 +317,13 @@ def check_size(label: str, value: Any, usual: Typical, file_unit: str) -> None:
     number = max(several, key=abs)
     if number == 0 or usual.least <= abs(number) <= usual.most:
         return
-    plain = plain_unit(file_unit)
-    sign = f" {in_words(plain)}".rstrip()
+    own_unit = si_unit(file_unit)
+    sign = f" {unit_text(own_unit)}".rstrip()
     # The unit of the file is the likeliest mistake: its number was given without conversion.
-    sizes = sorted(others(plain), key=lambda one: one[0] != file_unit)
-    meant = (other for other, size in sizes if usual.least <= abs(number) * float(size) <= usual.most)
-    right = next(meant, None)
-    # Small numbers are often meant, such as a gap of 1 um. Only a unit that explains them is worth a warning.
-    if right is None and abs(number) < usual.least:
+    sizes = sorted(alternative_units(own_unit), key=lambda alternative: alternative[0] != file_unit)
+    probable = next((other for other, size in sizes if usual.least <= abs(number) * float(size) <= usual.most), None)
+    # Small numbers are often correct, such as a gap of 1 um. Only a unit that explains them is worth a warning.
+    if probable is None and abs(number) < usual.least:
         return
-    words = "" if right is None else f": was {number:g} {in_words(right)} meant?"
-    implausible(f"{label} is {number:g}{sign}; usual is {usual.least:g} to {usual.most:g}{sign}{words}")
+    question = "" if probable is None else f": was {number:g} {unit_text(probable)} meant?"
+    warn_implausible(f"{label} is {number:g}{sign}; usual is {usual.least:g} to {usual.most:g}{sign}{question}")

@@ -1,11 +1,11 @@
-"""Files as dataclasses whose fields describe themselves: readers, writers and schemas follow from their marks.
+"""Readers, writers and schemas of files from dataclasses with marked fields.
 
     @dataclass(frozen=True)
     class Clamps:
-        mass: Annotated[float, unit("g"), POSITIVE, "of one"] = 0.05
+        mass: Annotated[float, unit("g"), POSITIVE, "mass of one clamp"] = 0.05
 
-The library holds `mass` in kg. A file has the key `mass_g`: `entry_of(Clamps)` is the model that reads it, with its
-range and default in g, and `to_data(clamps)` is what is written, so that the same float comes back.
+The library has `mass` in kg. A file has the key `mass_g`: the model `entry_of(Clamps)` reads it, with its range and
+default in g, and `to_data(clamps)` writes it so that the same float is read back.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from typing import (
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, create_model, model_validator
 
-from ..errors import InputError, undoubted
+from ..errors import InputError, without_unit_warnings
 from .checked import Entry, Whole, as_many, three
 from .field_metadata import Absent, FieldSpec, Key, Named, OneOf, Range, Typical, Written, marked
-from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, parted, plainest, to_si
+from .units import UNITS, ZERO_CELSIUS, decimal, in_unit, simplest, split_unit, to_si
 
 E = TypeVar("E", bound=Entry)
 D = TypeVar("D")
@@ -46,14 +46,14 @@ D = TypeVar("D")
 
 
 class Part(Entry):
-    """An entry that describes an object of the library, and is valid where that object can be built."""
+    """Entry that describes an object of the library; it is valid if the object can be built."""
 
     of: ClassVar[type[Any]]
-    """The dataclass whose fields are among its keys."""
+    """Dataclass whose fields are keys of the entry."""
 
     def build(self) -> Any:
-        """The object, in SI: what those fields make."""
-        return made(self.of, self)
+        """Build the object in SI."""
+        return build_from(self.of, self)
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
@@ -62,62 +62,63 @@ class Part(Entry):
 
 
 @dataclass(frozen=True)
-class Described:
-    """A field that is a key."""
+class FileKey:
+    """Key of a file for a marked field or parameter."""
 
     name: str
-    """In the dataclass."""
+    """Name of the field."""
     key: str
-    """In the file."""
+    """Name of the key, with its unit."""
     about: str
+    """Description."""
     annotation: Any
-    """What pydantic checks."""
+    """Type that pydantic checks."""
     default: Any
-    """In the unit of the file; MISSING where the key must be there."""
+    """Default in the unit of the file; MISSING for a required key."""
     read: Callable[[Any], Any]
-    """From the file to SI."""
+    """Conversion from the file to SI."""
     write: Callable[[Any], Any]
-    """And back."""
+    """Conversion from SI to the file."""
 
 
 def entry_of(
     what: Any, *, base: type[Entry] = Part, extra: Mapping[str, Any] | None = None, names: Collection[str] = ()
 ) -> Any:
-    """The model of what a file says about a dataclass whose fields describe themselves.
+    """Model of a file with the marked fields of a dataclass as keys.
 
     Args:
-        names: of the fields; by default all.
-        base: what it derives from; by default an entry whose `build` makes the dataclass. Keys that it has stay.
-        extra: further keys, as `pydantic.create_model` takes them; they stand before the others.
+        base: base class; by default an entry whose `build` returns the dataclass. Its own keys have priority.
+        extra: further keys, as for `pydantic.create_model`, before the others.
+        names: fields to use; by default all.
     """
     # A key that the entry defines itself replaces the one of the dataclass: it may have another form.
     own = {*(extra or {}), *base.model_fields}
     keys = {key: field for key, field in keys_of(what, names).items() if key not in own}
-    told = what if base is Part else base
-    doc = (told.__doc__ or "").partition("\n\n")[0]
-    model = create_model(told.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
+    described = what if base is Part else base
+    doc = (described.__doc__ or "").partition("\n\n")[0]
+    model = create_model(described.__name__, __base__=base, __doc__=doc, **(extra or {}), **keys)
     model.of = what  # type: ignore[attr-defined]
     return model
 
 
 def keys_of(what: Any, names: Collection[str] = ()) -> dict[str, Any]:
-    """The keys of a dataclass, or of the parameters of a function with these names, as `create_model` takes them."""
-    chosen = [field for field in described(what, tuple(names)) if not names or field.name in names]
+    """Keys of a dataclass, or of parameters of a function, for `pydantic.create_model`."""
+    chosen = [field for field in keys_in(what, tuple(names)) if not names or field.name in names]
     return {field.key: (field.annotation, _default(field)) for field in chosen}
 
 
 if TYPE_CHECKING:
 
     class EntryOf(Part, Generic[D]):
-        """The model of what a file says about a dataclass `D` whose fields describe themselves, and nothing besides."""
+        """Model of a file with the marked fields of the dataclass `D` as keys."""
 
         def build(self) -> D:
-            """The object that the keys describe, in SI."""
+            """Build the dataclass in SI."""
 
 else:
 
     class EntryOf:
-        """The same; for one dataclass it is always one model."""
+        """Model of a dataclass, cached so that there is one model for each."""
 
         @classmethod
         @functools.lru_cache(maxsize=256)
@@ -125,55 +126,56 @@ else:
             return entry_of(what)
 
 
-def asking(what: Any, *names: str) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, those of a dataclass, or of its fields or a function's parameters with these
-    names: `values` makes the fields or arguments of them, and `build` of a part the dataclass."""
+def keys_from(what: Any, *names: str) -> Callable[[type[E]], type[E]]:
+    """Class decorator that adds the keys of a dataclass, or of fields or parameters with these names, to an entry.
+
+    `values` converts these keys to fields or arguments; `build` of a part returns the dataclass.
+    """
     return lambda base: entry_of(what, base=base, names=names)
 
 
-def extended(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
-    """Give an entry, besides its own keys, further ones, as `pydantic.create_model` takes them."""
+def with_keys(keys: Mapping[str, Any]) -> Callable[[type[E]], type[E]]:
+    """Class decorator that adds keys to an entry, given as for `pydantic.create_model`."""
     return lambda base: create_model(base.__name__, __base__=base, __doc__=base.__doc__, **keys)
 
 
 def values(what: Any, entry: Any, *names: str) -> dict[str, Any]:
-    """The fields of a dataclass, or the arguments of a function with these names, in SI, from the keys of an entry;
-    those without a key, or with an empty one, are left out."""
-    read = {}
-    for field in described(what, names):
-        given = getattr(entry, field.key, None)
-        if given is not None:
-            read[field.name] = field.read(given)
-    return read
+    """Fields of a dataclass, or arguments of a function with these names, in SI from the keys of an entry.
+
+    Missing and empty keys are omitted.
+    """
+    out = {}
+    for field in keys_in(what, names):
+        value = getattr(entry, field.key, None)
+        if value is not None:
+            out[field.name] = field.read(value)
+    return out
 
 
-def made(what: type[D], entry: Any) -> D:
-    """The dataclass that the keys of an entry describe, in SI; what is wrong is said by these keys.
+def build_from(what: type[D], entry: Any) -> D:
+    """Build a dataclass in SI from the keys of an entry; error messages name these keys.
 
     Raises:
-        InputError: values that it refuses.
+        InputError: invalid values.
     """
     try:
         # The reader of the file warns by key; the dataclass would warn again in SI.
-        with undoubted():
+        with without_unit_warnings():
             return what(**values(what, entry))
     except InputError as error:
-        said, of = str(error), typing.cast("Any", what)
-        for field in described(of):
-            # A name that is a plain word may be one of the sentence.
-            if "_" in field.name and parted(field.key)[0] != field.name:
-                said = re.sub(rf"(?<![\w.]){field.name}(?!\w)", field.key, said)
-        raise InputError(said) from None
+        message = str(error)
+        for field in keys_in(typing.cast("Any", what)):
+            # A name that is a plain word may be a word of the sentence.
+            if "_" in field.name and split_unit(field.key)[0] != field.name:
+                message = re.sub(rf"(?<![\w.]){field.name}(?!\w)", field.key, message)
+        raise InputError(message) from None
 
 
 def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
-    """A dataclass whose fields describe themselves, with the keys and units of a file.
-
-    Fields that are None, or named in `leave_out`, are left out.
-    """
+    """Convert a dataclass with marked fields to keys and units of a file; None and fields `leave_out` are omitted."""
     return {
         field.key: field.write(getattr(what, field.name))
-        for field in described(what.__class__)
+        for field in keys_in(what.__class__)
         if field.name not in leave_out and getattr(what, field.name) is not None
     }
 
@@ -182,31 +184,31 @@ def to_data(what: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=256)
-def described(what: Any, names: tuple[str, ...] = ()) -> tuple[Described, ...]:
-    """The fields of a dataclass that are keys, in order, or the parameters of a function with these names."""
-    return tuple(_described(field) for field in marked(what, names))
+def keys_in(what: Any, names: tuple[str, ...] = ()) -> tuple[FileKey, ...]:
+    """Keys for the marked fields of a dataclass, or for parameters of a function with these names."""
+    return tuple(_file_key(spec) for spec in marked(what, names))
 
 
-def _described(said: FieldSpec) -> Described:
-    kind, absent = said.kind, said.first(Absent)
-    named = said.first(Key) or Key("")
-    annotation, read, write = _kind(kind, said.marks, named.unit)
-    default: Any = said.default if absent is None else absent.value
+def _file_key(spec: FieldSpec) -> FileKey:
+    kind, absent = spec.kind, spec.first(Absent)
+    key = spec.first(Key) or Key("")
+    annotation, read, write = _kind(kind, spec.marks, key.unit)
+    default: Any = spec.default if absent is None else absent.value
     # A list of parts has no default in a file: an empty list and no key mean the same.
     several = get_origin(kind) is tuple and dataclasses.is_dataclass(get_args(kind)[0])
-    if said.optional or several or default is None:
+    if spec.optional or several or default is None:
         annotation = annotation | None
     if default is not MISSING and default is not None and not several:
         default = write(default)
-    name = named.name or (f"{said.name}_{named.unit}" if named.unit else said.name)
-    return Described(said.name, name, said.first(str) or "", annotation, None if several else default, read, write)
+    name = key.name or (f"{spec.name}_{key.unit}" if key.unit else spec.name)
+    return FileKey(spec.name, name, spec.first(str) or "", annotation, None if several else default, read, write)
 
 
-def _default(field: Described) -> Any:
+def _default(field: FileKey) -> Any:
     options: dict[str, Any] = {"description": field.about} if field.about else {}
     if field.default is MISSING:
         return Field(**options)
-    if isinstance(field.default, dict):  # a part: what it is where none of its keys is given
+    if isinstance(field.default, dict):  # a part with defaults for all its keys
         return Field(default_factory=field.annotation, **options)
     # Pydantic does not check defaults: they must have the type that a file would give.
     whole = getattr(field.annotation, "__origin__", None) is int
@@ -214,25 +216,25 @@ def _default(field: Described) -> Any:
 
 
 def _decimals(value: Any) -> Any:
-    """Numbers as the decimals that pydantic would make of them."""
+    """Convert numbers to decimals, as pydantic does for numbers in a file."""
     if isinstance(value, list):
         return [_decimals(each) for each in value]
     return Decimal(str(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 class KeyType(NamedTuple):
-    """How a key is checked and converted."""
+    """Check and conversion of a key."""
 
     annotation: Any
-    """What pydantic checks."""
+    """Type that pydantic checks."""
     read: Callable[[Any], Any]
-    """From the file to SI."""
+    """Conversion from the file to SI."""
     write: Callable[[Any], Any]
-    """And back."""
+    """Conversion from SI to the file."""
 
 
 def _plain_type(annotation: Any) -> KeyType:
-    """The type of a value that is the same in the file and in SI."""
+    """Type of a value that is equal in the file and in SI."""
     return KeyType(annotation, lambda value: value, lambda value: value)
 
 
@@ -259,7 +261,7 @@ def _kind(kind: Any, marks: tuple[Any, ...], suffix: str) -> KeyType:
 
 
 def _bounds(marks: tuple[Any, ...]) -> dict[str, float]:
-    """What pydantic calls the bounds of a number, SI."""
+    """Bounds of a number in SI, by their names in pydantic."""
     allowed = next((mark for mark in marks if isinstance(mark, Range)), Range())
     bounds = {"gt": allowed.above, "ge": allowed.least, "le": allowed.most, "lt": allowed.below}
     return {name: bound for name, bound in bounds.items() if bound is not None}
@@ -274,31 +276,31 @@ def _number(marks: tuple[Any, ...], suffix: str) -> KeyType:
 
     def _write(value: float) -> Any:
         if zero:
-            return plainest(Decimal(repr(value)) - zero)
+            return simplest(Decimal(repr(value)) - zero)
         # Digits are added until the same float comes back.
         return value if scale == 1 else in_unit(value, scale)
 
-    usual = [mark for mark in marks if isinstance(mark, Typical)]
+    typical = [mark for mark in marks if isinstance(mark, Typical)]
     whole: dict[str, Any] = {name: int(limit) if limit == int(limit) else limit for name, limit in limits.items()}
-    annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *usual]
+    annotation: Any = Annotated[Decimal, Field(**whole), BeforeValidator(decimal), *typical]
     return KeyType(annotation, lambda number: to_si(number + zero, scale), _write)
 
 
 def _several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
     inner, read, write = _kind(kinds[0], marks, suffix)
-    most = None if kinds[-1] is ... else len(kinds)
-    least = most or (1 if kinds[0] is float else 0)
-    exact = [] if most is None else [BeforeValidator(three if most == 3 else functools.partial(as_many, most))]
+    size = None if kinds[-1] is ... else len(kinds)
+    min_size = size or (1 if kinds[0] is float else 0)
+    exact = [] if size is None else [BeforeValidator(three if size == 3 else functools.partial(as_many, size))]
     return KeyType(
-        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=least, max_length=most), *exact],
+        Annotated[types.GenericAlias(list, (inner,)), Field(min_length=min_size, max_length=size), *exact],
         lambda listed: tuple(read(each) for each in listed),
         lambda listed: [write(each) for each in listed],
     )
 
 
 def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str) -> KeyType:
-    one, several = (_kind(kind, marks, suffix) for kind in kinds)
-    number: Any = Annotated[one.annotation, Tag("<number>")]
+    single, several = (_kind(kind, marks, suffix) for kind in kinds)
+    number: Any = Annotated[single.annotation, Tag("<number>")]
     listed: Any = Annotated[several.annotation, Tag("<list>")]
     # A discriminator chooses one alternative: without it, messages would list the faults of both.
     either = Annotated[
@@ -306,13 +308,13 @@ def _one_or_several(kinds: tuple[Any, ...], marks: tuple[Any, ...], suffix: str)
     ]
     return KeyType(
         either,
-        lambda written: (several if isinstance(written, list) else one).read(written),
-        lambda value: (several if isinstance(value, tuple) else one).write(value),
+        lambda written: (several if isinstance(written, list) else single).read(written),
+        lambda value: (several if isinstance(value, tuple) else single).write(value),
     )
 
 
 def named_or(entry: Any, known: Mapping[str, Any]) -> Any:
-    """What pydantic checks where a thing is given by its name, in upper or lower case, or by an entry."""
+    """Type of a value that is given by its name, in upper or lower case, or by an entry."""
     named: Any = Annotated[Literal[tuple(known)], BeforeValidator(str.lower), Tag("<name>")]
     mapping: Any = Annotated[entry, Tag("<mapping>")]
     return Annotated[named | mapping, Discriminator(lambda value: "<name>" if isinstance(value, str) else "<mapping>")]
@@ -320,7 +322,7 @@ def named_or(entry: Any, known: Mapping[str, Any]) -> Any:
 
 def _by_name(kind: Any, known: Mapping[str, Any]) -> KeyType:
     def write(thing: Any) -> Any:
-        return next((name for name, one in known.items() if one == thing), None) or to_data(thing)
+        return next((name for name, known_thing in known.items() if known_thing == thing), None) or to_data(thing)
 
     # Names are short in files; own constants need a mapping.
     either = named_or(entry_of(kind), known)

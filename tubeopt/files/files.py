@@ -1,4 +1,4 @@
-"""Files read with one clear sentence where that fails, and written whole or not at all, or by lines in a journal."""
+"""File access: clear errors, atomic writes, and a journal that is written line by line."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from ..errors import InputError, MissingExtraError
-from .shipped import NAME, alike, shipped
+from .shipped import NAME, shipped, suggestion
 
 LOGGER = logging.getLogger(__name__)
 
-MANY = 1000
-"""Files of a directory that are looked at for the one that was meant."""
+MAX_FILES = 1000
+"""Largest number of files of a directory that are compared with a missing one."""
 
-ALIKE = 0.85
-"""Part of a name that must be another one's, for that to be meant."""
+MIN_SIMILARITY = 0.85
+"""Smallest `difflib` ratio of a suggested file name."""
 
 
 _UNFINISHED: set[Path] = set()
 
 
 def remove_unfinished() -> None:
-    """Remove what is being written, for a process that is ended where it is."""
+    """Remove unfinished files, before a process is killed."""
     for temporary in list(_UNFINISHED):
         temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
-    """Yield a name beside `path` to write to; it becomes `path` when the block ends without an error.
+    """Yield a temporary path for writing; the file is renamed to `path` when the block ends without an error.
 
-    Whoever reads `path` meanwhile, and whoever looks after an interruption, sees the old file or the new one.
-    Missing directories are made.
+    Other processes see the old file or the complete new one, also after an interruption. Missing directories are
+    created.
 
     Raises:
-        InputError: the file cannot be written there.
+        InputError: the file cannot be written.
     """
     path = Path(path)
     # In the same directory: `os.replace` is atomic only within one file system.
@@ -67,7 +67,7 @@ def atomic_write(path: str | PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def left_out_where_missing() -> Iterator[None]:
-    """A block that writes one of several files; a warning where what it needs is not installed, and no file."""
+    """Turn a missing package in the block into a warning: one of several files is not written."""
     try:
         yield
     except MissingExtraError as error:
@@ -75,13 +75,13 @@ def left_out_where_missing() -> Iterator[None]:
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
-    """Write `text` to `path` in UTF-8, whole or not at all; raises InputError where that cannot be."""
+    """Write a text file in UTF-8 in one atomic step; raises InputError if that fails."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def save_arrays(path: str | PathLike[str], /, **arrays: Any) -> Path:
-    """Write arrays under their names as npz, whole or not at all; raises InputError where that cannot be."""
+    """Write named arrays as npz in one atomic step; raises InputError if that fails."""
     with atomic_write(path) as temporary:
         plain: dict[str, Any] = {name: np.asarray(array) for name, array in arrays.items()}
         np.savez(temporary, **plain)
@@ -89,24 +89,24 @@ def save_arrays(path: str | PathLike[str], /, **arrays: Any) -> Path:
 
 
 def no_such_file(path: str | PathLike[str]) -> InputError:
-    """That a file is missing, and which is called much the same, beside it or of those that come with tubeopt."""
+    """Error for a missing file, with a similar name in its directory or among the built-in files."""
     file = Path(path)
     try:
-        others = [each.name for each in islice(file.parent.iterdir(), MANY)]
+        names = [sibling.name for sibling in islice(file.parent.iterdir(), MAX_FILES)]
     except OSError:
-        others = []
-    close = difflib.get_close_matches(file.name, others, n=1, cutoff=ALIKE)
-    hint = "".join(f"; did you mean {file.with_name(k)}?" for k in close)
+        names = []
+    close = difflib.get_close_matches(file.name, names, n=1, cutoff=MIN_SIMILARITY)
+    hint = "".join(f"; did you mean {file.with_name(name)}?" for name in close)
     named = shipped().get(file.stem)
     if not hint and named is not None and file.name in (named.stem, named.name):
         hint = f"; use the built-in file by its name, {file.stem}"
     elif not hint and NAME.fullmatch(file.name):
-        hint = alike(path)
+        hint = suggestion(path)
     return InputError(f"{path}: there is no such file{hint}")
 
 
 def read_bytes(path: str | PathLike[str]) -> bytes:
-    """The content of a file; raises InputError naming it where it cannot be read."""
+    """Read a file; raises InputError with its path if that fails."""
     try:
         return Path(path).read_bytes()
     except FileNotFoundError:
@@ -118,23 +118,25 @@ def read_bytes(path: str | PathLike[str]) -> bytes:
 
 
 def read_text(path: str | PathLike[str]) -> str:
-    """The text of a file in UTF-8; raises InputError naming it where it cannot be read."""
+    """Read a text file in UTF-8; raises InputError with its path if that fails."""
     try:
         return read_bytes(path).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not a text file in UTF-8") from None
 
 
-# --- journal of a sweep: a line of JSON for every point, appended as soon as the point is done ------------------------
+# --- journal of a sweep: a line of JSON for every point, appended when the point is finished --------------------------
 
 SYNC_INTERVAL = 0.1
-"""Longest time (s) that a point is on the way to the disk; what a loss of power takes is computed again."""
+"""Longest time between two writes to the disk, s; points lost by a power failure are computed again."""
 
 
 class Journal:
-    """The journal of one sweep, open for appending; one run at a time.
+    """Journal of a sweep, open for appending by one run at a time.
 
-    done: place of the line of every point that has one, by the point's index.   failed: those of them that failed.
+    Attributes:
+        done: index of a point -> position of its line in the file.
+        failed: indices of failed points.
 
     Raises:
         InputError: the file is the journal of another sweep, is damaged, in use by another run, or cannot be written.
@@ -154,7 +156,7 @@ class Journal:
         try:
             lock(self._file, path)
             self._read()
-        except BaseException:  # also where a signal comes: no file stays open and locked
+        except BaseException:  # also for a signal: the file must not stay locked
             self._file.close()
             raise
 
@@ -166,17 +168,17 @@ class Journal:
         self._file.close()
 
     def append(self, index: int, entry: Mapping[str, Any]) -> None:
-        """Write the line of a point; `entry` holds a "record", or a "failure"."""
+        """Write the line of a point; `entry` has a "record" or a "failure"."""
         # Reading entries moves the position: every line is appended at the end.
-        place = self._file.seek(0, os.SEEK_END)
+        position = self._file.seek(0, os.SEEK_END)
         self._write({"index": index, **entry})
-        self._note(index, place, "failure" in entry)
-        # fsync waits for the disk, and points may take less than that: many share one.
+        self._note(index, position, "failure" in entry)
+        # fsync waits for the disk, and a point may take less time: several points share one.
         if time.monotonic() - self._synced > SYNC_INTERVAL:
             self._sync()
 
     def entries(self) -> Iterator[dict[str, Any]]:
-        """The last line of every point, by index."""
+        """Last line of every point, sorted by index."""
         for index in sorted(self.done):
             self._file.seek(self.done[index])
             yield json.loads(self._file.readline())
@@ -192,29 +194,29 @@ class Journal:
         os.fsync(self._file.fileno())
         self._synced = time.monotonic()
 
-    def _note(self, index: int, place: int, failed: bool) -> None:
-        self.done[index] = place
+    def _note(self, index: int, position: int, failed: bool) -> None:
+        self.done[index] = position
         # A point that failed before and was computed again has two lines: the last one counts.
         (self.failed.add if failed else self.failed.discard)(index)
 
     def _read(self) -> None:
-        """Take in what is there, cut off a torn end, and write the head of a new journal."""
-        place, size = 0, self._file.seek(0, os.SEEK_END)
+        """Read an existing journal, cut off an incomplete last line, and write the head of a new journal."""
+        position, size = 0, self._file.seek(0, os.SEEK_END)
         self._file.seek(0)
         for number, line in enumerate(self._file):
             data = _parse(line)
-            if data is None and place + len(line) == size and (number or _line(self._head).startswith(line)):
-                break  # torn by a kill, or nonsense after a loss of power
+            if data is None and position + len(line) == size and (number or _line(self._head).startswith(line)):
+                break  # incomplete after a kill or a power failure
             if data is None:
                 raise InputError(f"{self.path}: line {number + 1} is damaged; this is not the journal of a sweep")
             if number == 0:
                 self._check(data)
             else:
-                self._note(data["index"], place, "failure" in data)
-            place += len(line)
-        # A line without its end would swallow the next one.
-        self._file.truncate(place)
-        if place == 0:
+                self._note(data["index"], position, "failure" in data)
+            position += len(line)
+        # The next line would be appended to an incomplete one.
+        self._file.truncate(position)
+        if position == 0:
             self._write(self._head)
             self._sync()
 
@@ -233,7 +235,7 @@ def _line(data: Mapping[str, Any]) -> bytes:
 
 
 def _parse(line: bytes) -> dict[str, Any] | None:
-    """The head or the entry in a whole line; None where it is damaged."""
+    """Parse a line of the journal; None for a damaged one."""
     try:
         data = json.loads(line)
     except ValueError:
@@ -245,7 +247,7 @@ def _parse(line: bytes) -> dict[str, Any] | None:
 
 
 def lock(file: BinaryIO, path: Path) -> None:
-    """Hold a file for this run, where the system knows locks; raises InputError where another run holds it."""
+    """Lock a file for this run, if the system has locks; raises InputError if another run has locked it."""
     try:
         import fcntl
     except ImportError:

@@ -1,6 +1,6 @@
-"""Robots, rigs, studies and other files that come with tubeopt and are typed by their name: `thesis_ctr`.
+"""Built-in robots, rigs, studies and other files, used by name: `thesis_ctr`.
 
-They are those of `configs/` in a clone, and of `tubeopt/configs/` in an installed package, where the build puts them.
+They are in `configs/` of a clone, and in `tubeopt/configs/` of an installed package.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ FOLDER = PACKAGE / "configs" if (PACKAGE / "configs").is_dir() else PACKAGE.pare
 ENDINGS = ".yaml", ".csv"
 
 NAME = re.compile(r"[A-Za-z0-9_]+")
-"""What is typed of such a file: its name without folder and ending."""
+"""Name of a built-in file, without folder and ending."""
 
-ONE = {"robots": "robot", "rigs": "rig", "ovens": "oven", "studies": "study"}
-"""Folder -> what a file in it is."""
+SINGULAR = {"robots": "robot", "rigs": "rig", "ovens": "oven", "studies": "study"}
+"""Folder -> kind of its files."""
 
-MOST = 3
-"""Names that a message proposes."""
+MAX_SUGGESTIONS = 3
+"""Largest number of names in a suggestion."""
 
-ALIKE = 0.5
-"""Part of a name that must be another one's, for that to be proposed."""
+MIN_SIMILARITY = 0.5
+"""Smallest `difflib` ratio of a suggested name."""
 
 
 @lru_cache(maxsize=16)
 def shipped(folder: str = "*") -> Mapping[str, Path]:
-    """Name -> path of every file that comes with tubeopt, or of those in a folder: "robots", "rigs", "studies", ..."""
+    """Built-in files, or those of a folder such as "robots", "rigs" or "studies": name -> path."""
     files = sorted(path for ending in ENDINGS for path in FOLDER.glob(f"{folder}/*{ending}"))
     return {path.stem: path for path in files}
 
 
-def resolved(path: str | PathLike[str], beside: Path = Path()) -> Path:
-    """The file that `path` means: the one of exactly this path, else the one of this name that comes with tubeopt.
+def resolve_file(path: str | PathLike[str], beside: Path = Path()) -> Path:
+    """Path of a file: the existing file with this path, otherwise the built-in file with this name.
 
-    A path that means neither is returned as it is, for its reader to refuse. `NAME.yaml` is meant only with its ending:
-    a warning says so where there is one.
+    Other paths are returned unchanged, for the reader to refuse. A local file `NAME.yaml` is used only with its ending;
+    a warning reports it.
 
     Args:
-        beside: what a relative path is relative to.
+        beside: directory of relative paths.
     """
     local = beside / path
     named = shipped().get(str(path))
@@ -65,26 +65,28 @@ def resolved(path: str | PathLike[str], beside: Path = Path()) -> Path:
     return named
 
 
-def found(path: str | PathLike[str], folder: str) -> Path:
-    """The file that `path` means, as `resolved`; raises InputError with the nearest names in `folder` for a name of
-    none."""
-    file = resolved(path)
+def find_file(path: str | PathLike[str], folder: str) -> Path:
+    """Path of a file, as `resolve_file`; raises InputError with the nearest names in `folder` for an unknown name."""
+    file = resolve_file(path)
     if os.path.lexists(file) or not NAME.fullmatch(str(path)):
         return file
-    raise InputError(f"{path}: there is no such file, and no built-in {ONE[folder]} has this name{alike(path, folder)}")
+    raise InputError(
+        f"{path}: there is no such file, and no built-in {SINGULAR[folder]} has this name{suggestion(path, folder)}"
+    )
 
 
-def alike(path: str | PathLike[str], folder: str = "*") -> str:
-    """Return "; did you mean ...?" for a name that is not known, or an empty string where nothing is called alike."""
-    own = [f"{path}{ending}" for ending in ENDINGS if Path(f"{path}{ending}").is_file()]
-    near = own or difflib.get_close_matches(Path(path).name, shipped(folder), n=MOST, cutoff=ALIKE)
-    if near:
-        return f"; did you mean {' or '.join(near)}?"
+def suggestion(path: str | PathLike[str], folder: str = "*") -> str:
+    """Hint "; did you mean ...?" for an unknown name; "" without a similar name."""
+    names = [f"{path}{ending}" for ending in ENDINGS if Path(f"{path}{ending}").is_file()]
+    if not names:
+        names = difflib.get_close_matches(Path(path).name, shipped(folder), n=MAX_SUGGESTIONS, cutoff=MIN_SIMILARITY)
+    if names:
+        return f"; did you mean {' or '.join(names)}?"
     return "" if folder == "*" else f"; names are {', '.join(shipped(folder))}"
 
 
-def about(file: Path) -> str:
-    """The first sentence of the comment that a file begins with."""
+def description_of(file: Path) -> str:
+    """First sentence of the comment at the beginning of a file."""
     lines = file.read_text(encoding="utf-8").splitlines()
     comment = [line.lstrip("# ") for line in lines if line.startswith("#") and "yaml-language-server" not in line]
     return re.split(r"(?<=[.?])\s+(?=[A-Z])", " ".join(comment).strip())[0].removesuffix(".")

@@ -1,7 +1,7 @@
-"""Units of files and flags, converted so that no bit is lost either way.
+"""Units of files and flags, converted without loss in both directions.
 
-Dividing a float by 1000 cannot reach every float, so a robot would not survive being saved and loaded. Numbers from
-outside are therefore kept as the decimals that were written, scaled exactly, and rounded to a float once.
+Dividing a float by 1000 cannot reach every float, so that a saved robot would change when loaded. Numbers from
+files are therefore stored as decimals, scaled exactly, and rounded to a float once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DEG = Decimal("0.017453292519943295769236907684886127134428718885417")
 PER_M = RAD = Decimal(1)
 ZERO_CELSIUS = Decimal(str(constants.ZERO_CELSIUS))
 
-# Degrees are known to 50 digits, floats have 17: products are exact long before they are rounded to a float.
+# DEG has 50 digits, floats have 17: products are exact before they are rounded to a float.
 _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
 
@@ -46,9 +46,9 @@ UNITS = {
     "GPa": GPA,
     "Ah": Decimal(3600),
 }
-"""Units that a key may end in -> one of it in SI; degC counts as K, without the offset."""
+"""Units that a key may end in -> size in SI; degC is as K, without the offset."""
 
-ALIKE = (
+CONFUSED_UNITS = (
     {"m": Decimal(1), "cm": Decimal("1e-2"), "mm": Decimal("1e-3"), "um": Decimal("1e-6"), "inch": Decimal("0.0254")},
     {"Pa": Decimal(1), "MPa": Decimal("1e6"), "GPa": Decimal("1e9"), "kPa": Decimal("1e3")},
     {"per_mm": Decimal(1000), "per_m": Decimal(1), "per_cm": Decimal(100)},
@@ -72,7 +72,7 @@ ALIKE = (
     {"W": Decimal(1), "kW": Decimal(1000)},
     {"Ah": Decimal(3600), "mAh": Decimal("3.6")},
 )
-"""Units that are taken for one another, the likeliest first -> each in SI."""
+"""Groups of units that are confused with each other, the likeliest first -> size in SI."""
 
 SIGNS = {
     "percent": "%",
@@ -89,41 +89,41 @@ SIGNS = {
     "mm_per_s": "mm/s",
     "mm_per_N": "mm/N",
 }
-"""How a unit is written in a table, where that is not its suffix."""
+"""Units in tables, if they differ from their suffix."""
 
 TO_MM = TO_MILLI = 1e3
-"""Millimetres per metre, and a thousand of anything: for pictures and sentences."""
+"""Millimetres per metre, and thousandths of any unit, for plots and messages."""
 
 
 @functools.lru_cache(maxsize=1024)
 def unit_of(key: str) -> str:
-    """The unit that `key` ends in, the longest of `UNITS`: "mm_per_s" of "tip_speed_mm_per_s"; "" where it has none."""
+    """Unit at the end of a key, the longest of `UNITS`: "mm_per_s" of "tip_speed_mm_per_s"; "" without a unit."""
     parts = key.split("_")
     # The longest ending goes first: "mm_per_s" ends in "s" too.
     endings = ("_".join(parts[k:]) for k in range(1, len(parts)))
     return next((ending for ending in endings if ending in UNITS), "")
 
 
-def parted(key: str) -> tuple[str, str]:
-    """What a key is called, and its unit."""
+def split_unit(key: str) -> tuple[str, str]:
+    """Split a key into its name and its unit."""
     unit = unit_of(key)
     return (key.removesuffix(f"_{unit}"), unit) if unit else (key, "")
 
 
-def others(unit: str) -> Iterator[tuple[str, Decimal]]:
-    """Units that are taken for one, the likeliest first, and each in SI."""
-    for group in ALIKE:
+def alternative_units(unit: str) -> Iterator[tuple[str, Decimal]]:
+    """Units that are confused with a unit, the likeliest first, with their sizes in SI."""
+    for group in CONFUSED_UNITS:
         if unit in group:
             yield from ((name, size) for name, size in group.items() if name != unit)
 
 
-def plain_unit(unit: str) -> str:
-    """What a number in a unit has in SI, as "m" of "mm"; "" for a number without unit."""
-    return next((name for group in ALIKE if unit in group for name, size in group.items() if size == 1), "")
+def si_unit(unit: str) -> str:
+    """SI unit of a unit, as "m" of "mm"; "" for a number without unit."""
+    return next((name for group in CONFUSED_UNITS if unit in group for name, size in group.items() if size == 1), "")
 
 
-def in_words(unit: str) -> str:
-    """A unit in a sentence, as "mm/s"; "" of a part of 1."""
+def unit_text(unit: str) -> str:
+    """Unit in a sentence, as "mm/s"; "" for a fraction of 1."""
     return (
         ""
         if unit == "fraction"
@@ -131,39 +131,39 @@ def in_words(unit: str) -> str:
     )
 
 
-def meant(key: str, known: Collection[str]) -> str:
-    """Which known key was probably meant, as "; did you mean 'radius_mm'?"; with the factor where units differ."""
-    for right in known:
-        unit = unit_of(right)
-        for other, size in others(unit) if unit else ():
-            if key == f"{right.removesuffix(unit)}{other}":
+def suggest_key(key: str, known: Collection[str]) -> str:
+    """Hint with the probable key, as "; did you mean 'radius_mm'?", and a factor if units differ."""
+    for candidate in known:
+        unit = unit_of(candidate)
+        for other, size in alternative_units(unit) if unit else ():
+            if key == f"{candidate.removesuffix(unit)}{other}":
                 factor = size / UNITS[unit]
-                return f"; did you mean {right!r}, {float(factor):.6g} times the number?"
+                return f"; did you mean {candidate!r}, {float(factor):.6g} times the number?"
     return nearest(key, known)
 
 
 @functools.lru_cache(maxsize=1024)
 def per_si(unit: str) -> float:
-    """How many of a unit (a key of `UNITS`, or "" for a plain number) make one in SI."""
+    """Factor from SI to a unit (a key of `UNITS`, or "" for a plain number)."""
     return float(_CONTEXT.divide(Decimal(1), UNITS[unit])) if unit else 1.0
 
 
-def as_typed(sentence: str) -> str:
-    """A sentence of the library, which is in SI, for those who typed mm, deg, mN and mN m: its numbers in these, and
-    without the question whether they were meant."""
+def in_input_units(sentence: str) -> str:
+    """Convert the numbers of a sentence from SI to mm, deg, mN and mN m.
+
+    A question about the unit is removed: it asks for the unit that the user gave.
+    """
     out = _MEANT.sub("", sentence)
     for pattern, unit, size in _TYPED:
-        scaled = functools.partial(_NUMBER.sub, functools.partial(_scaled, size))
-        out = pattern.sub(functools.partial(_in_unit, scaled, unit), out)
+
+        def _scaled(number: re.Match[str], size: float = size) -> str:
+            return f"{float(number[0]) * size:.6g}"
+
+        def _converted(numbers: re.Match[str], unit: str = unit, scaled: Callable[..., str] = _scaled) -> str:
+            return f"{_NUMBER.sub(scaled, numbers[1])} {unit}"
+
+        out = pattern.sub(_converted, out)
     return _TWICE.sub(r"\1", out)
-
-
-def _in_unit(scaled: Callable[[str], str], unit: str, numbers: re.Match[str]) -> str:
-    return f"{scaled(numbers[1])} {unit}"
-
-
-def _scaled(size: float, number: re.Match[str]) -> str:
-    return f"{float(number[0]) * size:.6g}"
 
 
 _NUMBER = re.compile(r"-?\d[\d.]*(?:e[-+]?\d+)?")
@@ -179,14 +179,14 @@ _TWICE = re.compile(r"(-?[\d.e+]+ mm) \(\1\)")
 
 
 def to_si(number: Decimal, unit: Decimal) -> float:
-    """The float nearest to `number` times `unit`."""
+    """Float nearest to `number` times `unit`."""
     return float(_CONTEXT.multiply(number, unit))
 
 
 def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
-    """`value` (SI) in `unit`, with the fewest digits that `to_si` turns back into exactly `value`.
+    """Convert a value from SI to a unit, with the fewest digits from which `to_si` restores the same float.
 
-    An int or a float where that holds the digits, else a `Decimal`.
+    The result is an int or a float if that has the digits, otherwise a `Decimal`.
     """
     exact = _CONTEXT.divide(Decimal(value), unit)
     # A float has 15 to 17 digits. Units that are no power of ten (deg, rpm) need more to come back.
@@ -194,21 +194,21 @@ def in_unit(value: float, unit: Decimal) -> int | float | Decimal:
         number = Context(prec=digits).plus(exact)
         if to_si(number, unit) == value:
             break
-    return plainest(number)
+    return simplest(number)
 
 
-def plainest(number: Decimal) -> int | float | Decimal:
-    """A decimal as an int or a float where that holds its digits."""
+def simplest(number: Decimal) -> int | float | Decimal:
+    """Convert a decimal to an int or a float, if that has its digits."""
     if number == number.to_integral_value() and abs(number) < 10**15:
         return int(number)
     return float(number) if Decimal(repr(float(number))) == number else number
 
 
 def decimal(value: object) -> Decimal:
-    """The decimal that `value` was written as.
+    """Convert a value to the decimal as it was written.
 
     Raises:
-        ValueError: it is not a number or not finite; the message continues the name of what it was given for.
+        ValueError: no number, or not finite; the message continues the name of the value.
     """
     if not _is_number(value):
         raise ValueError(f"is {shown(value)}; it must be a number")
@@ -219,7 +219,7 @@ def decimal(value: object) -> Decimal:
 
 
 def parse_number(text: str) -> Decimal | str:
-    """The decimal that `text` spells, or `text` itself where it spells none."""
+    """Parse a decimal; text that is no number is returned without blanks."""
     try:
         return Decimal(text.strip())
     except InvalidOperation:
@@ -227,7 +227,7 @@ def parse_number(text: str) -> Decimal | str:
 
 
 def shown(value: object) -> str:
-    """`value` as a message shows it: as it was written, and never long."""
+    """Text of a value in a message: as written, and shortened."""
     if value is None or isinstance(value, bool):
         return {None: "empty", True: "true", False: "false"}[value]
     # A float keeps the digits as written; lists are shortened.

@@ -1,4 +1,4 @@
-"""YAML that holds data and nothing else: strict to read, plain to write, numbers to the last digit."""
+"""YAML files with plain data only: strict to read, plain to write, with exact numbers."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..errors import InputError
 from .checked import models
 from .files import read_text, write_text
 
-LONGEST = 10**6
-"""Characters of a line that is not broken."""
+LINE_WIDTH = 10**6
+"""Line length of the emitter that keeps a value on one line."""
 
 _TAG = "tag:yaml.org,2002:"
 _FLOAT, _SEQUENCE = _TAG + "float", _TAG + "seq"
@@ -27,27 +27,28 @@ _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 
 
 def load_yaml(path: str | PathLike[str], under: str = "") -> dict[str, Any]:
-    """The mapping in a YAML file, numbers with a point or exponent as `Decimal`.
+    """Load the mapping in a YAML file, with `Decimal` for numbers with a point or exponent.
 
-    Nothing but plain data is constructed: the loader is PyYAML's safe one, made stricter.
+    The loader is PyYAML's safe one with further checks: it constructs plain data only.
 
     Args:
-        under: key below which a list is expected, for the message where the file is a list and nothing else.
+        under: key of an expected list, for the message if the file is only a list.
 
     Raises:
-        InputError: no such file, not YAML, a key given twice, a tag such as `!!python/object`, or not a mapping.
+        InputError: no such file, not YAML, a repeated key, a tag such as `!!python/object`, or not a mapping.
     """
     data = _parsed(read_text(path), str(path))
     if data is None:
         raise InputError(f"{path}: the file is empty; it must be a mapping of keys to values")
     if not isinstance(data, dict):
         hint = f"; write the line '{under}:' above the list" if under and isinstance(data, list) else ""
-        raise InputError(f"{path}: the file contains {_noun(data)}; it must be a mapping of keys to values{hint}")
+        noun = {list: "a list", str: "text", bool: "true or false"}.get(type(data), "a single value")
+        raise InputError(f"{path}: the file contains {noun}; it must be a mapping of keys to values{hint}")
     return data
 
 
 def read_flow(text: str) -> Any:
-    """What is written on one line as YAML, as "{tip_force_mN: [10, 0, 0]}", read as `load_yaml` reads a file.
+    """Read YAML on one line, such as "{tip_force_mN: [10, 0, 0]}", as `load_yaml` reads a file.
 
     Raises:
         InputError: it is not YAML.
@@ -56,9 +57,9 @@ def read_flow(text: str) -> Any:
 
 
 def to_flow(value: Any) -> str:
-    """A value on one line, as `read_flow` reads it."""
+    """Write a value as YAML on one line, for `read_flow`."""
     text = yaml.dump(
-        value, Dumper=_OneLine, sort_keys=False, default_flow_style=True, allow_unicode=True, width=LONGEST
+        value, Dumper=_OneLine, sort_keys=False, default_flow_style=True, allow_unicode=True, width=LINE_WIDTH
     )
     return text.removesuffix("...\n").strip()
 
@@ -81,36 +82,32 @@ def _parsed(text: str, path: str) -> Any:
 
 
 def save_yaml(path: str | PathLike[str], data: Mapping[str, Any], header: str) -> None:
-    """Write `data` as YAML below the comment `header`, whole or not at all; raises InputError where that cannot be."""
+    """Write data as YAML below the comment `header`, in one atomic step; raises InputError if that fails."""
     write_text(path, to_yaml(data, header))
 
 
 def to_yaml(data: Mapping[str, Any], header: str) -> str:
-    """The text of such a file."""
+    """Text of a YAML file: the comment `header`, then the data."""
     comment = "".join(f"# {line}\n" for line in header.splitlines())
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
     if len(text.splitlines()) != text.count("\n"):
-        # Some text holds a line break that is not a newline, which YAML would fold into a space: escape it.
+        # Some text has a line break that is not a newline. YAML would turn it into a space: escape it.
         text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=120)
     return comment + text
 
 
-def _noun(data: object) -> str:
-    return {list: "a list", str: "text", bool: "true or false"}.get(type(data), "a single value")
-
-
 class _Loader(yaml.SafeLoader):
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """The node of a mapping; raises ConstructorError for a key that is given twice."""
+        """Node of a mapping; raises ConstructorError for a repeated key."""
         node: yaml.MappingNode = super().compose_mapping_node(anchor)
-        seen = set()
+        names = set()
         for key, _ in node.value:
             name = (key.tag, key.value) if isinstance(key, yaml.ScalarNode) else id(key)
-            if name in seen:
+            if name in names:
                 raise yaml.constructor.ConstructorError(
                     problem=f"the key {key.value!r} is given twice", problem_mark=key.start_mark
                 )
-            seen.add(name)
+            names.add(name)
         return node
 
     def exact_float(self, node: yaml.ScalarNode) -> Decimal:
@@ -154,47 +151,47 @@ for _class in (_Loader, _Dumper):
     _class.add_implicit_resolver(_FLOAT, _EXPONENT, list("-+.0123456789"))
 
 
-# --- files to begin with: what every key is behind it, and below them the keys that may follow, as comments -----------
+# --- template files: a comment for every key, and the optional keys as comments ---------------------------------------
 
 INDENT = "  "
 
 
 def commented(model: type[BaseModel], data: Mapping[str, Any], header: str) -> str:
-    """The text of a YAML file that holds `data`, whose keys are those of `model`, below the comment `header`."""
+    """Text of a YAML file with data of a model, descriptions of the keys, and optional keys as comments."""
     head = "".join(f"# {line}\n" for line in header.splitlines())
     return head + "".join(f"{line}\n" for line in _mapping([model], data))
 
 
-def _mapping(alternatives: Sequence[type[BaseModel]], data: Mapping[str, Any], *, told: bool = False) -> Iterator[str]:
-    """Lines of a mapping; without comments where they were `told` before."""
-    # Of several models the one that has all the keys: a load or a robot has several forms.
-    fields = next((known for one in alternatives if data.keys() <= (known := _keys(one)).keys()), {})
+def _mapping(
+    alternatives: Sequence[type[BaseModel]], data: Mapping[str, Any], *, comments: bool = True
+) -> Iterator[str]:
+    """Lines of a mapping with data of one of several models."""
+    # The model that has all keys: a load or a robot has several forms.
+    fields: dict[str, FieldInfo] = {}
+    for model in alternatives:
+        known = {field.alias or name: field for name, field in model.model_fields.items()}
+        if data.keys() <= known.keys():
+            fields = known
+            break
     for key, value in data.items():
         field = fields.get(key)
-        note = "" if told or field is None else _note(field)
-        yield from _entry(key, value, note, () if field is None else tuple(models(field.annotation)), told)
+        note = "" if field is None or not comments else _note(field)
+        inner = () if field is None else tuple(models(field.annotation))
+        if isinstance(value, Mapping) and inner:
+            yield f"{key}:{note}"
+            yield from (INDENT + line for line in _mapping(inner, value, comments=comments))
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping) and inner:
+            yield f"{key}:{note}"
+            for k, part in enumerate(value):
+                # Only the first part has comments: the others have the same keys.
+                first, *following = _mapping(inner, part, comments=comments and k == 0)
+                yield f"{INDENT}- {first}"
+                yield from (2 * INDENT + line for line in following)
+        else:
+            yield f"{key}: {to_flow(value)}{note}"
     for key, field in fields.items():
-        if not told and key not in data and not field.is_required():
+        if comments and key not in data and not field.is_required():
             yield f"# {key}:{_default(field)}{_note(field)}"
-
-
-def _keys(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """What a file calls the fields of a model -> the fields."""
-    return {field.alias or name: field for name, field in model.model_fields.items()}
-
-
-def _entry(key: str, value: Any, note: str, inner: Sequence[type[BaseModel]], told: bool) -> Iterator[str]:
-    if isinstance(value, Mapping) and inner:
-        yield f"{key}:{note}"
-        yield from (INDENT + line for line in _mapping(inner, value, told=told))
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping) and inner:
-        yield f"{key}:{note}"
-        for k, each in enumerate(value):
-            first, *rest = _mapping(inner, each, told=told or k > 0)
-            yield f"{INDENT}- {first}"
-            yield from (2 * INDENT + line for line in rest)
-    else:
-        yield f"{key}: {to_flow(value)}{note}"
 
 
 def _note(field: FieldInfo) -> str:
@@ -202,6 +199,6 @@ def _note(field: FieldInfo) -> str:
 
 
 def _default(field: FieldInfo) -> str:
-    """What stands for a key that is left out, where it is a number or a word."""
+    """Default of an optional key, if it is a number or a word."""
     value = field.get_default(call_default_factory=True)
     return "" if value is None or isinstance(value, BaseModel | tuple) or value == [] else f" {to_flow(value)}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bodies.obstacles import Lookout, Scene
+from ..bodies.obstacles import ClearanceMonitor, Scene
 from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
@@ -256,7 +256,7 @@ class ArmSurface:
             known = self._known[scene] = self._near(scene, within, fewest, also)
         return known.contacts.chosen(known.contacts.distance <= within) if len(known.contacts.body) else NOWHERE
 
-    def look_around(self, lookout: Lookout, within: float) -> None:
+    def look_around(self, lookout: ClearanceMonitor, within: float) -> None:
         """Look for contacts within a distance, m, unless a lookout knows that there are none."""
         if lookout.far(*self._sparse(within)):
             self._known[lookout.scene] = _Near(within, NOWHERE, NONE, np.zeros(0), frozenset())

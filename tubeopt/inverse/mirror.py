@@ -21,7 +21,7 @@ from ..arguments import typed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, positive, vector
-from ..files.field_metadata import TOLERATED, usual_length
+from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..robots.eccentric import EccentricRobot
 from ..robots.robot import shifts
 from ..typing import Array
@@ -170,7 +170,7 @@ def mirror_to_tip(
         SolveError: forward kinematics failed on the path.
     """
     arm, target = _aimed(robot, position, translations, assignment)
-    usual_length("tolerance", tolerance, TOLERATED)
+    typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     above = target - [0.0, 0.0, arm.plate]
     length = arm.length
     square = max(float(above @ above), 1e-6 * length**2)

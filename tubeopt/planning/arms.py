@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..bodies.anatomy import seen_from
+from ..bodies.anatomy import bodies_in_frame
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles, scene_of
 from ..display import Displayed
@@ -524,7 +524,7 @@ def verify_arms(
                     motion.time,
                     *joints,
                     start=first,
-                    obstacles=seen_from(arm.base, [*bodies, *others]),
+                    obstacles=bodies_in_frame(arm.base, [*bodies, *others]),
                     min_margin=min_margin,
                     clearance=clearance,
                     rate_limits=rate_limits,

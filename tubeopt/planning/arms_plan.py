@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..bodies.anatomy import seen_from
+from ..bodies.anatomy import bodies_in_frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
@@ -187,7 +187,7 @@ def plan_arms(
             if j != k:
                 others += [plate_of(known[j]), *at_rest(end, known[j].base, REST_CHORD)]
         arguments: dict[str, Any] = {
-            "obstacles": seen_from(arm.base, [*bodies, *others]),
+            "obstacles": bodies_in_frame(arm.base, [*bodies, *others]),
             "min_margin": min_margin,
             "rate_limits": rate_limits,
             "options": replace(options, time_limit=limit),
@@ -209,7 +209,7 @@ def plan_arms(
             break
     twice = tuple(k for k in order if sum(move.arm == k for move in moves) > 1)
     for k in twice:
-        own = replace(motions[k], proof=proof.proofs[k], obstacles=seen_from(known[k].base, bodies))
+        own = replace(motions[k], proof=proof.proofs[k], obstacles=bodies_in_frame(known[k].base, bodies))
         motions = (*motions[:k], own, *motions[k + 1 :])
     return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from ..display import Displayed
-from ..errors import InputError, numbers, positive, undoubted
-from ..files.field_metadata import POSITIVE, Typical, check_usual, key
+from ..errors import InputError, numbers, positive, without_unit_warnings
+from ..files.field_metadata import POSITIVE, Typical, check_typical, key
 from ..files.units import TO_MM
 from ..inverse.joints import JointSpace, joint_space
 from ..robots.limits import MOST_TURN, JointLimits, default_limits
@@ -77,7 +77,7 @@ class RateLimits(Displayed):
             limit, label = getattr(self, name), f"{name} of the rate limits"
             values = tuple(positive(label, each) for each in numbers(label, limit))
             object.__setattr__(self, name, values if np.ndim(limit) else values[0])
-        check_usual(self, "the rate limits")
+        check_typical(self, "the rate limits")
 
     def of(self, space: JointSpace) -> tuple[Array, Array]:
         """(m,) rates and (m,) accelerations of independent joints; raises InputError for another number of tubes."""
@@ -96,7 +96,7 @@ class RateLimits(Displayed):
 
 DEFAULT_RATES = RateLimits()
 
-with undoubted():
+with without_unit_warnings():
     ANY_RATES = RateLimits(*(1e12,) * 4)
 """Limits that no motion reaches."""
 

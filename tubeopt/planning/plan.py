@@ -17,14 +17,14 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..bodies.anatomy import seen_from
+from ..bodies.anatomy import bodies_in_frame
 from ..bodies.distance_field import DistanceField
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, nearest_distance
 from ..display import Displayed
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
-from ..files.field_metadata import REGION, usual_length
+from ..files.field_metadata import TYPICAL_REGION, typical_length
 from ..inverse.clock import Clock, LateError
 from ..inverse.search import Way, find_way, shorten, without_corners
 from ..robots.limits import JointLimits
@@ -497,9 +497,9 @@ class EntryRegion(Displayed):
     """Half angle of the cone about z, rad, below a right one."""
 
     def __post_init__(self) -> None:
-        usual_length("radius of the entry", self.radius, REGION, zero=True)
+        typical_length("radius of the entry", self.radius, TYPICAL_REGION, zero=True)
         for size in vector("box of the entry", self.box, 3, "along x, y and z"):
-            usual_length("box of the entry", size, REGION, zero=True)
+            typical_length("box of the entry", size, TYPICAL_REGION, zero=True)
         if self.places is not None:
             object.__setattr__(self, "places", checked_places(self.places, "places of the entry"))
         positive("cone of the entry", self.cone, zero=True)
@@ -602,7 +602,7 @@ def plan_from_region(
 
     def planned(frame: Frame, left: int) -> Trajectory:
         limit = max(task.clock.left / min(left, SPLIT), 1e-3)
-        bodies, own = seen_from(frame, obstacles), replace(options, time_limit=limit)
+        bodies, own = bodies_in_frame(frame, obstacles), replace(options, time_limit=limit)
         return plan_trajectory(robot, start, goal_seen(goal, frame), obstacles=bodies, options=own, **given)
 
     why, unproved, tried = "", None, 0

@@ -33,7 +33,7 @@ from ..equilibrium.problem import TOLERANCE, check_load
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.verification import verifications
 from ..errors import InputError, SolveError, finite, instance, positive
-from ..files.field_metadata import FAR_FROM_BODIES, form, key, unit, usual_length
+from ..files.field_metadata import TYPICAL_CLEARANCE, form, key, typical_length, unit
 from ..inverse.clock import Clock
 from ..inverse.joints import JointSpace
 from ..robots.assembly import ROUND_OFF
@@ -486,7 +486,7 @@ def verify_trajectory(  # noqa: PLR0913
     t = _times(time, len(alpha))
     if finite("min_margin", min_margin) >= 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be less than 1")
-    usual_length("clearance", clearance, FAR_FROM_BODIES, zero=True)
+    typical_length("clearance", clearance, TYPICAL_CLEARANCE, zero=True)
     positive("max_force", max_force, zero=True)
     first = _first(robot, start, (alpha[0], shift[0]), load)
     kept = Kept(bodies, min_margin, clearance, rate_limits, limits, max_force)

@@ -17,14 +17,14 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..bodies.anatomy import seen_from
+from ..bodies.anatomy import bodies_in_frame
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
-from ..files.field_metadata import TOLERATED, usual_length
+from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import LateError
 from ..robots.limits import check_target
@@ -137,7 +137,7 @@ def evaluate_reach(
     """
     places = checked_places(targets)
     check_target(robot.tubes, "targets", places)
-    tolerance = usual_length("tolerance", tolerance, TOLERATED)
+    tolerance = typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     task = plan_task(robot, obstacles, min_margin, DEFAULT_RATES, None, options, places=(start,))
     first = start_equilibrium(task.chart.space, start)
     check_start(task, first)
@@ -212,7 +212,7 @@ def _approach(task: PlanTask, start: Array, place: Array, enough: float) -> tupl
 
 def check_asked(tolerance: float, min_margin: float, options: PlanOptions, count: int) -> None:
     """Raise InputError for arguments that `evaluate_reach` does not accept."""
-    usual_length("tolerance", tolerance, TOLERATED)
+    typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     if not 0 <= finite("min_margin", min_margin) < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
     instance("options", options, PlanOptions)
@@ -285,7 +285,7 @@ class RegionReach(Displayed):
             self.start,
             frame.seen(self.targets),
             tolerance=self.tolerance,
-            obstacles=seen_from(frame, self.obstacles),
+            obstacles=bodies_in_frame(frame, self.obstacles),
             min_margin=self.min_margin,
             options=self.options,
             count=self.count,
@@ -299,7 +299,7 @@ class RegionReach(Displayed):
     def plans_proved(self, robot: Robot, own: Array, found: ReachShare, most: int) -> tuple[int, int]:
         """Numbers of proved and of tried plans to the first reached targets, at most `most`."""
         some, proved = np.flatnonzero(found.reached)[:most], 0
-        bodies, options = seen_from(self.base(own), self.obstacles), replace(self.options, objective="none")
+        bodies, options = bodies_in_frame(self.base(own), self.obstacles), replace(self.options, objective="none")
         arguments: dict[str, Any] = {"obstacles": bodies, "min_margin": self.min_margin, "options": options}
         for k in some.tolist():
             goal = found.arm(robot, k)
@@ -397,7 +397,7 @@ class PairReach(Displayed):
         """Goals of the two robots alone, in the frames of their plates."""
         numbers = self.tolerance, self.min_margin, self.options, self.count, self.shift, self.tilt
         one, other = (
-            RegionReach(start, base.seen(self.targets), seen_from(base, self.obstacles), *numbers)
+            RegionReach(start, base.seen(self.targets), bodies_in_frame(base, self.obstacles), *numbers)
             for start, base in zip(self.starts, self.bases, strict=True)
         )
         return one, other

@@ -23,7 +23,7 @@ from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite
-from ..files.field_metadata import TOLERATED, usual_length
+from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..inverse import IkSession, inverse_kinematics
 from ..robots.limits import JointLimits, check_target
 from ..robots.order import last_tube
@@ -105,7 +105,7 @@ def follow_tip_path(  # noqa: PLR0913
         >>> motion.proof.holds, bool(motion.deviation.max() <= 5e-4)
         (True, True)
     """
-    usual_length("tolerance", tolerance, TOLERATED)
+    typical_length("tolerance", tolerance, TYPICAL_TIP_ERROR)
     task = plan_task(robot, obstacles, min_margin, rate_limits, limits, options, places=(start,))
     clock = task.clock
     curve = _curve(path, spline)

@@ -20,7 +20,7 @@ from ..equilibrium.result import Equilibrium
 from ..errors import InputError
 from ..files.csv_file import decoded, read_csv, to_csv
 from ..files.files import read_bytes, write_text
-from ..files.shipped import resolved
+from ..files.shipped import resolve_file
 from ..files.units import DEG, MM, RAD, in_unit
 from ..inverse.arm_surface import ArmSurface
 from ..inverse.joints import joint_space
@@ -289,7 +289,7 @@ def load_trajectory(path: str | PathLike[str], robot: Robot | None = None) -> Ti
     read_csv(path)  # first: an empty file names no robot, either
     if robot is None and not named:
         raise InputError(f"{path}: the file has no robot; give --robot ROBOT.yaml")
-    own = robot if robot is not None else load_robot(resolved(named[0], Path(path).parent))
+    own = robot if robot is not None else load_robot(resolve_file(named[0], Path(path).parent))
     turns, shifts = joint_columns(own.n_tubes)
     table = read_csv(path, (TIME, *turns, *shifts))
     moved = table.expect([TIME, *turns], together=shifts)

@@ -10,7 +10,7 @@ from typing import Annotated
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, items, numbers, positive
-from ..files.field_metadata import BETWEEN_TUBES, NOT_NEGATIVE, Range, Typical, check_size, check_usual, unit
+from ..files.field_metadata import NOT_NEGATIVE, TYPICAL_TUBE_CLEARANCE, Range, Typical, check_size, check_typical, unit
 from ..typing import Array
 from .assembly import Assembly, assemble
 from .calibration import Calibration
@@ -79,7 +79,7 @@ class Friction(Displayed):
             if not values:
                 raise InputError(f"{name} of friction is empty; it must be one number, or one for every pair of tubes")
             object.__setattr__(self, name, values)
-        check_usual(self, "friction")
+        check_typical(self, "friction")
         lengths = {len(self.of(name)) for name in PAIRWISE} - {1}
         if len(lengths) > 1:
             raise InputError(
@@ -118,7 +118,7 @@ def per_pair(name: str, given: Sequence[float] | float, n_tubes: int) -> tuple[f
 def clearances(given: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
     """(n - 1,) the radial room, m, of every tube in the next one, of one for each or one for all; raises InputError."""
     room = per_pair("clearance", given, n_tubes)
-    check_size("clearance", room, BETWEEN_TUBES, "mm")
+    check_size("clearance", room, TYPICAL_TUBE_CLEARANCE, "mm")
     return room
 
 

@@ -17,13 +17,13 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from ..arguments import typed
-from ..errors import InputError, undoubted
+from ..errors import InputError, without_unit_warnings
 from ..files.checked import Entry, NotNegative, Number, Positive, check_kind, in_file, unusual
 from ..files.csv_file import CsvTable, read_csv, to_csv
 from ..files.field_metadata import Typical
-from ..files.fields import EntryOf, Part, asking, named_or, to_data, values
+from ..files.fields import EntryOf, Part, keys_from, named_or, to_data, values
 from ..files.files import write_text
-from ..files.shipped import found
+from ..files.shipped import find_file
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, parse_number, to_si
 from ..files.yaml_file import load_yaml, to_yaml
 from ..typing import Array
@@ -272,7 +272,7 @@ def _one_of(key: str, other: str, *, both: bool) -> str:
     return f"gives {f'both {key} and' if both else f'neither {key} nor'} {other}; it must give one of them"
 
 
-@asking(Material)
+@keys_from(Material)
 class MaterialEntry(Part):
     """An isotropic, linear-elastic material: Young's modulus, and either the shear modulus or Poisson's ratio."""
 
@@ -303,7 +303,7 @@ def material_of(choice: MaterialChoice) -> Material:
     return MATERIALS[choice] if isinstance(choice, str) else choice.build()
 
 
-@asking(Tube)
+@keys_from(Tube)
 class TubeEntry(Part):
     """A tube: a straight part, then a curved part with a curvature or radius, or pieces."""
 
@@ -377,7 +377,7 @@ Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 """Least and greatest value."""
 
 
-@asking(Calibration)
+@keys_from(Calibration)
 class CalibrationEntry(Part):
     """Conversion of joint readings to joint values: gain times reading plus offset, one number per tube."""
 
@@ -425,7 +425,7 @@ class ConcentricEntry(RobotEntry):
         return ConcentricRobot(tubes, **self.common(), friction=friction, clearance=self.si("clearance_mm"))
 
 
-@asking(EccentricRobot)
+@keys_from(EccentricRobot)
 class EccentricEntry(RobotEntry):
     """A one-segment eccentric tube robot: three equal tubes side by side in a sheath."""
 
@@ -437,7 +437,7 @@ class EccentricEntry(RobotEntry):
         return EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
 
 
-@asking(SegmentedEccentricRobot)
+@keys_from(SegmentedEccentricRobot)
 class SegmentedEccentricEntry(RobotEntry):
     """An eccentric tube robot of telescoping segments, inner to outer."""
 
@@ -476,7 +476,7 @@ def load_robot(path: str | PathLike[str]) -> AnyRobot:
         >>> robot.n_tubes
         2
     """
-    path = found(path, "robots")
+    path = find_file(path, "robots")
     return robot_from_dict(load_yaml(path), path)
 
 
@@ -513,7 +513,7 @@ def robot_from_dict(data: object, where: str | PathLike[str] = "") -> AnyRobot:
     Raises:
         InputError: one line for every problem.
     """
-    with undoubted():
+    with without_unit_warnings():
         robot: AnyRobot = check_kind(ROBOT_KINDS, data, where).build()
     # In SI units; what the reader says is of single keys, whatever the material is.
     for words in dict.fromkeys(words for tube in robot.tubes for words in material_doubts(tube)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arguments import typed
 from ..display import Displayed
-from ..errors import InputError, implausible
+from ..errors import InputError, warn_implausible
 from ..files.field_metadata import unit
 from ..files.units import TO_MM
 from ..typing import Array
@@ -96,7 +96,7 @@ def _warn_of_degrees(rotations: Array) -> None:
     if turn > USUAL_TURN:
         most = float(rotations.ravel()[int(np.argmax(np.abs(rotations)))])
         turns = turn / (2 * np.pi)
-        implausible(
+        warn_implausible(
             f"rotations has {most:g} rad, and winds tubes up by {turns:.3g} turns; rotations are in rad: was {most:g} "
             "deg meant?"
         )
@@ -141,7 +141,9 @@ def check_force(tubes: Sequence[Tube], name: str, force: float, length: float) -
         return
     usual = MOST_BEND * sum(float(tube.bending_stiffness) for tube in tubes) / length**2
     if force > usual:
-        implausible(f"{name} is {force:g} N; on this arm it is usually at most {usual:.3g} N: was {force:g} mN meant?")
+        warn_implausible(
+            f"{name} is {force:g} N; on this arm it is usually at most {usual:.3g} N: was {force:g} mN meant?"
+        )
 
 
 def check_target(tubes: Sequence[Tube], name: str, places: Array) -> None:

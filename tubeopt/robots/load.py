@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, called, choice, finite, items, positive, triple, vector
+from ..errors import InputError, call_user_function, choice, finite, items, positive, triple, vector
 from ..files.field_metadata import NOT_NEGATIVE, OneOf, key, unit
 from ..typing import Array
 from .tubes import Tube, mass_per_length
@@ -160,7 +160,7 @@ class Load(Displayed):
             size = 6 if _has_moment(along) else 3
             for index in np.ndindex(arc_length.shape):
                 s = float(arc_length[index])
-                value = called("distributed", along, s)
+                value = call_user_function("distributed", along, s)
                 out[index][:size] = vector(f"distributed at {s:g} m", value, size, "as many as at 0 m")
         elif _stretches(along):
             for part in along:
@@ -235,7 +235,7 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
 def _has_moment(along: Any) -> bool:
     """Whether a distributed load has moments, as a function has that returns six numbers."""
     if callable(along):
-        return bool(np.size(called("distributed", along, 0.0)) == 6)
+        return bool(np.size(call_user_function("distributed", along, 0.0)) == 6)
     return _stretches(along) and any(any(part.moment) for part in along)
 
 

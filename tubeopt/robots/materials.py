@@ -9,7 +9,7 @@ from typing import Annotated
 
 from ..constants import ZERO_CELSIUS
 from ..display import Displayed
-from ..errors import InputError, instance, undoubted
+from ..errors import InputError, instance, without_unit_warnings
 from ..files.field_metadata import POSITIVE, Named, Range, Typical, check_fields, check_size, key, unit
 
 
@@ -119,7 +119,7 @@ class Material(Displayed):
     def __post_init__(self) -> None:
         instance("name of a material", self.name, str)
         label = f"material {self.name!r}"
-        with undoubted():  # of moduli a robot warns, by the name of the metal: those of a model may be any
+        with without_unit_warnings():  # of moduli a robot warns, by the name of the metal: those of a model may be any
             check_fields(self, label)
         for name in ("working_strain", "superelastic_strain"):
             check_size(f"{name} of {label}", getattr(self, name), STRAIN, "percent")

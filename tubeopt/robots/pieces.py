@@ -21,7 +21,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, called, finite, instance, positive
+from ..errors import InputError, call_user_function, finite, instance, positive
 from ..files.field_metadata import POSITIVE, REQUIRED, Typical
 from ..physics.strain import slotted_strain_ratio
 from ..typing import Array
@@ -281,7 +281,9 @@ def expand(function: Callable[[float], ArrayLike], length: float, name: str, siz
 
 
 def _values(function: Callable[[float], ArrayLike], s: float, name: str, size: int) -> Array:
-    values: Array = called(f"{name} of a piece", lambda s: np.asarray(function(s), dtype=float).reshape(-1), float(s))
+    values: Array = call_user_function(
+        f"{name} of a piece", lambda s: np.asarray(function(s), dtype=float).reshape(-1), float(s)
+    )
     if values.shape != (size,) or not np.isfinite(values).all():
         wanted = "a finite number" if size == 1 else f"{size} finite numbers"
         raise InputError(f"{name} at {s * 1e3:.4g} mm of its piece is {values.tolist()}; it must be {wanted}")

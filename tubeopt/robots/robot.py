@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, undoubted, vector
+from ..errors import InputError, vector, without_unit_warnings
 from ..files.units import TO_MM
 from ..typing import Array, lazy_import
 from .assembly import Assembly
@@ -218,7 +218,7 @@ def keeps_hash(cls: type[Kept]) -> type[Kept]:
     return cls
 
 
-@undoubted()
+@without_unit_warnings()
 def resized(robot: Robot, tube: int, name: str, value: float) -> Any:
     """The robot with another dimension of a tube, SI; see `Tube.resized`."""
     tubes = [one.resized(name, value) if i == tube else one for i, one in enumerate(robot.tubes)]

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..display import Displayed
-from ..errors import InputError, finite, implausible, instance, items, positive
-from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_size, check_usual, unit
+from ..errors import InputError, finite, instance, items, positive, warn_implausible
+from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_size, check_typical, unit
 from ..physics.strain import surface_strain
 from .materials import NITINOL, Material, modulus_doubts
 from .pieces import TWIST, Piece, Quantity, Series, extremes
@@ -280,11 +280,11 @@ def warn_of_units(tube: Tube) -> None:
     what `material_doubts` says. Where stiffnesses are given, or the modulus is a model's, so may the rest be.
     """
     if not _given(tube):
-        check_usual(tube)
+        check_typical(tube)
         for k, piece in enumerate(tube.pieces, start=1):
             check_size(f"twist of piece {k}", extremes([piece.precurvature[2]], piece.length), TWIST, "rad_per_m")
     for words in material_doubts(tube):
-        implausible(words)
+        warn_implausible(words)
 
 
 def _given(tube: Tube) -> bool:

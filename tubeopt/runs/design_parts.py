@@ -44,7 +44,7 @@ from ..display import Displayed
 from ..errors import InputError
 from ..files.checked import Count, Entry, NotNegative, Number, Positive, Whole, check_kind
 from ..files.field_metadata import Typical
-from ..files.fields import EntryOf, Part, asking, described, extended, values
+from ..files.fields import EntryOf, Part, keys_from, keys_in, values, with_keys
 from ..files.units import unit_of
 from ..files.yaml_file import load_yaml
 from ..planning import PairReach, PlanOptions, ReachShare, RegionReach
@@ -88,7 +88,7 @@ SCALED = ("curvature", "straight_length", "curved_length")
 RANGES = {
     **{
         field.key: Ranged(field.name, unit_of(field.key), "range of this dimension")
-        for field in described(Tube)
+        for field in keys_in(Tube)
         if field.name in TUBE_FIELDS
     },
     **{f"{name}_factor": Ranged(name, "", "range of one factor for all these tubes", scaled=True) for name in SCALED},
@@ -97,7 +97,7 @@ RANGES = {
 """Keys for the range of a free dimension."""
 
 
-@extended({key: (Range | None, Field(None, description=free.about or None)) for key, free in RANGES.items()})
+@with_keys({key: (Range | None, Field(None, description=free.about or None)) for key, free in RANGES.items()})
 class FreeEntry(Part):
     """One free dimension of some tubes; the value of its key is the allowed range."""
 
@@ -166,7 +166,7 @@ class PoseEntry(Entry):
 DEPLOYED = "also for the arm during deployment to each pose, with its tubes retracted straight"
 
 
-@asking(Corridor)
+@keys_from(Corridor)
 class CorridorRequirementEntry(Part):
     """A tube around a polyline in which the whole arm must stay."""
 
@@ -189,11 +189,11 @@ class AvoidEntry(Part):
         return Avoid(self.obstacles, self.si("clearance_mm"), self.deployed)
 
 
-NUMBERS = [(kind, field) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for field in described(kind)]
+NUMBERS = [(kind, field) for kind in (Nesting, Wall, Stroke, Deployment, StrokeForce) for field in keys_in(kind)]
 """Requirements of one number each, with its field."""
 
 
-@extended({field.key: (field.annotation | None, Field(None, description=field.about)) for _, field in NUMBERS})
+@with_keys({field.key: (field.annotation | None, Field(None, description=field.about)) for _, field in NUMBERS})
 class Requirements(Part):
     """Requirements of a design."""
 
@@ -248,7 +248,7 @@ class DesignedRobot(Entry):
 MULTISTART = ("starts", "seed", "turns")
 
 
-@asking(optimize_design, *MULTISTART)
+@keys_from(optimize_design, *MULTISTART)
 class Multistart(Entry):
     """Number of start designs, and their random seed."""
 
@@ -258,8 +258,8 @@ class Multistart(Entry):
         return values(optimize_design, self, *MULTISTART)
 
 
-@asking(Tolerances)
-@asking(tolerance_analysis, "samples")
+@keys_from(Tolerances)
+@keys_from(tolerance_analysis, "samples")
 class TolerancesEntry(Part):
     """Manufacturing errors: standard deviations, or half widths of uniform distributions."""
 
@@ -267,7 +267,7 @@ class TolerancesEntry(Part):
 # --- tubes from stock -------------------------------------------------------------------------------------------------
 
 
-@asking(StockTube)
+@keys_from(StockTube)
 class StockEntry(Part):
     """Size of a tube in stock."""
 

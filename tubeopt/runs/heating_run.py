@@ -1,4 +1,4 @@
-"""A heating on a rig, led by its board or simulated: start it, follow what it reports, log every row as it comes."""
+"""Run of a heating on a rig or in a simulation: start it, read its reports, log every row immediately."""
 
 from __future__ import annotations
 
@@ -35,45 +35,45 @@ LOG_FILE = "log.csv"
 """Name of the log in the directory of a run."""
 
 Show = Callable[[dict[str, Any], dict[str, Any]], object]
-"""Gets what a rig said of itself, and a report of it."""
+"""Callback with the greeting of the rig and its latest report."""
 
 REPORTED = {"state", "time_s", "temperature_degC", "reference_degC", "count", "place", "voltage_V", "current_A"} | {
     "reason",
     "dry",
 }
-"""Keys of every report on the state; one without all of them is passed over, as noise on the line is."""
+"""Keys of a status report; a message without all of them is ignored as noise on the line."""
 
-SILENCE = 5
-"""Seconds without a word from the rig after which it counts as lost."""
+MAX_SILENCE = 5
+"""Number of reads of one second without a message after which the rig counts as lost."""
 
 
 @dataclass(frozen=True)
 class HeatingRun(Displayed):
-    """A heating that was run."""
+    """Log of a finished heating."""
 
     rows: tuple[dict[str, Any], ...]
-    """What the rig reported, slot by slot."""
+    """Reports of the rig, one per slot."""
     reason: Annotated[str, "reason for the end"]
     log: Path | None = None
-    """Where it was written."""
+    """Path of the log file; None without one."""
     name: str = "rig"
-    """Of the rig."""
+    """Name of the rig."""
     window: Annotated[tuple[float, float] | None, unit("degC"), "temperature window of the hold"] = None
-    """None where the rig has none."""
+    """None if the rig has no window."""
 
     @property
     def done(self) -> bool:
-        """Whether the whole schedule was run through."""
+        """True if the schedule was completed."""
         return self.reason == "done"
 
     @property
     def hottest(self) -> float:
-        """Greatest reading, degC."""
+        """Highest reading, degC."""
         return float(max((row["temperature_degC"] for row in self.rows), default=np.nan))
 
     @property
     def held(self) -> tuple[float, float] | None:
-        """Least and greatest reading from the hold's first slot on, degC; None where nothing was heated so far."""
+        """Lowest and highest reading during the hold time, degC; None before it."""
         read = [row["temperature_degC"] for row in self.rows if row["state"] == "holding" and not row["dry"]]
         return (float(min(read)), float(max(read))) if read else None
 
@@ -86,7 +86,7 @@ class HeatingRun(Displayed):
 
     @property
     def time(self) -> float:
-        """How long it took, s."""
+        """Duration, s."""
         return float(self.rows[-1]["time_s"]) if self.rows else 0.0
 
 
@@ -124,43 +124,45 @@ class HeatingRunStudy(Study):
         return self
 
     def open(self) -> tuple[Line, Leader | None]:
-        """The line to the board, or to the simulated rig, and what plans the rest anew where that is asked for; raises
-        InputError where the port cannot be opened."""
-        rig, planned = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
-        # The board has its own law: this computer needs one only to simulate or to replan.
-        law = feedback_of(rig) if rig is not None and planned else None
-        leader = None if law is None or self.replan_s is None else Leader(planner_for(*law), self.si("replan_s"))
+        """Open the line to the board or the simulated rig, and prepare replanning if requested.
+
+        Raises:
+            InputError: the port cannot be opened.
+        """
+        rig, needs_plan = self.simulate or self.rig, self.simulate is not None or self.replan_s is not None
+        # The board has its own controller: this computer needs one only to simulate or to replan.
+        design = default_feedback(rig) if rig is not None and needs_plan else None
+        leader = None if design is None or self.replan_s is None else Leader(planner_for(*design), self.si("replan_s"))
         if self.port is not None:
             return SerialLine(self.port), leader
-        assert law is not None
-        plan, known, sensor = law
+        assert design is not None
+        plan, law, sensor = design
         simulated = SimulatedRig(thermal_model(plan.tube, plan.rig, FINE), sensor)
         # The board switches off at the same temperature.
         limit = plan.spec.limit + OVERSHOOT
-        return SimulatedLine(simulated, known, limit, self.si("speed"), plan.spec.window_degC), leader
+        return SimulatedLine(simulated, law, limit, self.si("speed"), plan.spec.window_degC), leader
 
     def run_in(self, out: Path | None, progress: Progress | None = None) -> HeatingRun:
-        """Run it, and log into `out` where that is given."""
-        tell = progress or (lambda done, total: None)
-        return self.led(out, *self.open(), lambda hello, row: tell(row["place"], int(hello.get("slots", 0))))
+        """Run the heating, with a log in `out`."""
+        bar = progress or (lambda done, total: None)
+        return self.run_on(out, *self.open(), lambda hello, row: bar(row["place"], int(hello.get("slots", 0))))
 
-    def led(self, out: Path | None, line: Line, leader: Leader | None, show: Show) -> HeatingRun:
-        """Run it over what `open` gave, as `run_heating`, and log into `out` where that is given."""
+    def run_on(self, out: Path | None, line: Line, leader: Leader | None, show: Show) -> HeatingRun:
+        """Run the heating over a line from `open`, with a log in `out`."""
         log = None if out is None else out / LOG_FILE
         return run_heating(line, dry=self.dry, log=log, show=show, leader=leader)
 
 
 class FeedbackDesign(NamedTuple):
-    """A schedule with the law that corrects it from a sensor."""
+    """Heating plan with its feedback controller."""
 
     plan: HeatingPlan
     law: HeatingLaw
     sensor: Sensor
 
 
-def feedback_of(rig: Rig) -> FeedbackDesign:
-    """A rig's schedule as `tubeopt heat firmware` makes it by default, and the law of a thermocouple; the file must
-    name the tube."""
+def default_feedback(rig: Rig) -> FeedbackDesign:
+    """Default plan and controller of `tubeopt heat firmware` for the tube of a rig, with a thermocouple."""
     assert rig.tube is not None
     plan, sensor = plan_heating(rig.tube, rig, HeatingSpec(objective="margin")), Thermocouple()
     return FeedbackDesign(plan, design_feedback(plan, sensor, samples=20).law, sensor)
@@ -174,15 +176,18 @@ def run_heating(
     show: Show | None = None,
     leader: Leader | None = None,
 ) -> HeatingRun:
-    """Start a rig and follow it to its end; where this is interrupted, the rig is stopped first.
+    """Start a heating and read its reports to the end; an interruption stops the rig.
 
     Args:
-        line: to it. dry: everything but the current. log: CSV, written row by row. show: gets what the rig said of
-            itself and every report. leader: plans the rest anew, and tells the rig.
+        line: line to the rig.
+        dry: run without current.
+        log: CSV file, written row by row.
+        show: called with the greeting of the rig and every report.
+        leader: plans the remaining heating again and sends it to the rig.
 
     Raises:
         SolveError: the rig does not answer.
-        InputError: the rig refuses to start, and why.
+        InputError: the rig refuses to start; the message has its reason.
     """
     rows: list[dict[str, Any]] = []
     if log is not None:
@@ -194,25 +199,25 @@ def run_heating(
         hello = _next(line, "hello")
         line.send("start", **({"dry": True} if dry else {}))
         while True:
-            found = _next(line, "status", "error")
-            if found["event"] == "error":
-                raise InputError(f"the rig does not start: {found.get('text', '')}")
+            row = _next(line, "status", "error")
+            if row["event"] == "error":
+                raise InputError(f"the rig does not start: {row.get('text', '')}")
             # Reports from before the start command are still on the line.
-            if found["state"] == "idle":
+            if row["state"] == "idle":
                 continue
             if log is not None:
                 # Logged before anything else: a crash below loses no measurement.
-                _append(log, found, rows[-1]["count"] if rows else 0)
-            rows.append(found)
-            if leader is not None and (lead := leader.advise(found)) is not None:
-                line.send("lead", **lead)
+                _append(log, row, rows[-1]["count"] if rows else 0)
+            rows.append(row)
+            if leader is not None and (advice := leader.advise(row)) is not None:
+                line.send("lead", **advice)
             if show is not None:
-                show(hello, found)
-            if found["state"] == "stopped":
+                show(hello, row)
+            if row["state"] == "stopped":
                 window = hello.get("window_degC")
-                return HeatingRun(tuple(rows), str(found["reason"]), log, window=window and (window[0], window[1]))
+                return HeatingRun(tuple(rows), str(row["reason"]), log, window=window and (window[0], window[1]))
     except BaseException:
-        # Whatever happens here, nothing stays hot there; a line that is gone can carry no word.
+        # The rig must never stay hot, whatever failed here; a broken line cannot be written to.
         with contextlib.suppress(SolveError):
             line.send("stop")
         raise
@@ -221,21 +226,21 @@ def run_heating(
 
 
 def _next(line: Line, *events: str) -> dict[str, Any]:
-    """The next report of one of these kinds."""
+    """Read the next report of one of these kinds."""
     silent = 0
-    while silent < SILENCE:
-        found = line.receive()
+    while silent < MAX_SILENCE:
+        report = line.receive()
         # Only silence is a fault: any report shows that the board runs.
-        silent = silent + 1 if found is None else 0
-        if found and found.get("event") in events and (found["event"] != "status" or found.keys() >= REPORTED):
-            return found
-    raise SolveError(f"the rig has not answered for {SILENCE} s; its watchdog stops it if the board hangs")
+        silent = silent + 1 if report is None else 0
+        if report and report.get("event") in events and (report["event"] != "status" or report.keys() >= REPORTED):
+            return report
+    raise SolveError(f"the rig has not answered for {MAX_SILENCE} s; its watchdog stops it if the board hangs")
 
 
 def _append(log: Path, row: dict[str, Any], before: int) -> None:
-    """Write one row, and let it reach the disk.   before: count of the slot that has ended."""
+    """Append a row to the log; `before` is the count of the slot that has ended."""
     volt, ampere = row["voltage_V"], row["current_A"]
-    # What is reported as a slot begins was measured in the one before, and pulses of one count may be too short for it.
+    # A report at the start of a slot was measured in the previous one, where pulses of one count may be too short.
     on = min(before, row["count"]) > 1 and not row["dry"]
     cells = (
         f"{row['time_s']:g}",

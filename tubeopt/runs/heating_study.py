@@ -1,4 +1,4 @@
-"""Studies of heatings: the schedule, its feedback control, the calibration of the rig, and all tubes of a robot."""
+"""Studies of heating: schedule, feedback control, calibration of the rig, and all tubes of a robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..errors import InputError, choice
 from ..files.checked import NotNegative, Number, Positive, Whole, in_file
 from ..files.field_metadata import key
-from ..files.fields import asking, made
+from ..files.fields import build_from, keys_from
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
@@ -33,61 +33,61 @@ from ..shaping.mold.heat import heating_for
 from ..shaping.mold.mold import RobotMold, chosen_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
-from ..typing import Array, Progress
+from ..typing import Progress
 from .mold_study import MoldPath
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Arguments, Options, Timed, question
-from .workshop_file import load_camera, load_heating_log, load_oven, load_rig
+from .workshop_file import CameraRecording, load_camera, load_heating_log, load_oven, load_rig
 
 
 @dataclass(frozen=True)
 class Success:
-    """How likely a heating keeps window and limit on rigs that are not quite as filed."""
+    """Success probability of a heating: window and limit are kept on rigs with uncertain parameters."""
 
     probability: float
-    """Share of uncertain rigs that do."""
+    """Fraction of the random rigs that succeed."""
     samples: int
-    """Uncertain rigs."""
-    led_by: str = ""
-    """The sensor that closes the loop; "" where the schedule runs alone."""
+    """Number of random rigs."""
+    sensor: str = ""
+    """Sensor of the feedback control; "" in open loop."""
     open_loop: float | None = None
-    """The same without that sensor."""
+    """Success probability without the sensor."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the probability, 95 % (Wilson's)."""
+        """Wilson's 95 % confidence interval of the probability."""
         return wilson(round(self.probability * self.samples), self.samples)
 
     @property
     def likely(self) -> bool:
-        """Whether it is at least one half."""
+        """True if the probability is at least one half."""
         return self.probability >= 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Heating(Displayed):
-    """A plan, and what becomes of it."""
+    """Heating plan with its tables and its results on random rigs."""
 
     plan: HeatingPlan
     tables: Annotated[tuple[HeatingPlan, ...], "the same for other states of charge"] = ()
     band: Band | None = None
-    """Over uncertain rigs; None where that was not asked for."""
+    """Temperatures on random rigs; None unless requested."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty.of_a_workshop)
-    """What the band is over."""
+    """Distribution of the random rigs."""
     scale: Annotated[float, key("duty_scale"), "factor on the duties"] = 1.0
-    """For the most likely success."""
+    """Scaled for the highest success probability with `robust`."""
 
     @property
     def success(self) -> Success | None:
-        """How likely it is: led by the sensor of the plan's `feedback`, or alone; None where no rigs were sampled."""
-        led = self.plan.feedback
-        if led is not None:
-            return Success(led.probability, led.samples, led.sensor.name, led.open_loop)
+        """Success probability with the plan's `feedback`, or in open loop; None if no rigs were sampled."""
+        feedback = self.plan.feedback
+        if feedback is not None:
+            return Success(feedback.probability, feedback.samples, feedback.sensor.name, feedback.open_loop)
         return None if self.band is None else Success(self.band.probability, len(self.band.lowest))
 
 
-def heating_of(
-    planned: HeatingPlan,
+def evaluate_heating(
+    plan: HeatingPlan,
     charges: tuple[float, ...] = (),
     progress: Progress | None = None,
     *,
@@ -96,49 +96,56 @@ def heating_of(
     scaled: bool = False,
     sensor: Sensor | None = None,
 ) -> Heating:
-    """A plan with tables for other states of charge, and with what becomes of it on uncertain rigs: `samples` of them,
-    for none of which there is no band; with `scaled` its duties are scaled to the most likely success, with a `sensor`
-    its `feedback` is the law that leads it."""
-    enough(samples, sensor)
+    """Evaluate a plan on random rigs, with tables for other states of charge.
+
+    Args:
+        samples: number of random rigs; with 0 there is no band.
+        scaled: scale the duty cycle for the highest success probability.
+        sensor: sensor of the feedback control that is designed for the plan.
+    """
+    check_sample_count(samples, sensor)
     uncertainty = uncertainty or Uncertainty.of_a_workshop()
     steps = 1 + len(charges) + (samples > 0)
-    tell = progress or (lambda done, total: None)
-    tell(1, steps)
+    show = progress or (lambda done, total: None)
+    show(1, steps)
     band, scale = None, 1.0
     if samples and scaled:
-        # Scaled duties move the temperatures of uncertain rigs within the window.
-        better = most_likely(planned, uncertainty, samples=samples)
-        planned, band, scale = better.plan, better.band, better.scale
+        # Scaled duties move the temperatures of random rigs within the window.
+        best = most_likely(plan, uncertainty, samples=samples)
+        plan, band, scale = best.plan, best.band, best.scale
     elif samples:
-        band = assess(planned, uncertainty, samples=samples)
+        band = assess(plan, uncertainty, samples=samples)
     tables: list[HeatingPlan] = []
     for k, charge in enumerate(charges):
-        tables += charge_tables(planned, [charge])
-        tell(2 + k, steps)
-    tell(steps, steps)
+        tables += charge_tables(plan, [charge])
+        show(2 + k, steps)
+    show(steps, steps)
     if sensor is not None:
-        planned = replace(planned, feedback=design_feedback(planned, sensor, uncertainty, samples=samples))
-    return Heating(planned, tuple(tables), band, uncertainty, scale)
+        plan = replace(plan, feedback=design_feedback(plan, sensor, uncertainty, samples=samples))
+    return Heating(plan, tuple(tables), band, uncertainty, scale)
 
 
-LEAST_LED = 20
-"""Uncertain rigs on which a law is tried at least."""
+MIN_FEEDBACK_SAMPLES = 20
+"""Smallest number of random rigs to test a controller on."""
 
 
-def enough(samples: int, sensor: object) -> None:
-    """Refuse to try the law of a sensor on too few rigs."""
-    if sensor is not None and samples < LEAST_LED:
-        raise InputError(f"samples is {samples}; with a sensor it must be at least {LEAST_LED}")
+def check_sample_count(samples: int, sensor: object) -> None:
+    """Raise InputError for too few random rigs to test the controller of a sensor on."""
+    if sensor is not None and samples < MIN_FEEDBACK_SAMPLES:
+        raise InputError(f"samples is {samples}; with a sensor it must be at least {MIN_FEEDBACK_SAMPLES}")
 
 
 Charge = Annotated[Positive, Field(le=100)]
-"""A state of charge, percent."""
+"""State of charge, percent."""
 
 SensorName = Annotated[str, AfterValidator(lambda name: choice("sensor", name, SENSORS))]
-"""What is felt of the tube, by its name."""
+"""Name of a sensor."""
 
-SAMPLES = f"number of random rigs to estimate the success probability; 0 to skip; at least {LEAST_LED} with a sensor"
-"""What the key `samples` says."""
+SAMPLES = (
+    f"number of random rigs to estimate the success probability; 0 to skip; at least {MIN_FEEDBACK_SAMPLES} with a "
+    "sensor"
+)
+"""Description of the key `samples`."""
 
 SENSOR = Field(
     None,
@@ -148,7 +155,7 @@ SENSOR = Field(
 
 
 def sensor_of(name: str | None) -> Sensor | None:
-    """The sensor of that name, with the error that is usual for its kind."""
+    """Sensor of that name, with the typical error of its kind; None for None."""
     return None if name is None else SENSORS[name]()
 
 
@@ -157,11 +164,11 @@ RigPath = Annotated[
     in_file(load_rig, "a rig file", kind=Rig),
     Field(description="path of the rig file, relative to this file"),
 ]
-"""A rig, given as the path of its file."""
+"""Rig, given as the path of its file or the name of a built-in rig."""
 
 
 class TubeOnRig(Timed):
-    """What studies of heatings share: a rig, and the tube on it."""
+    """Rig with the tube that is heated on it."""
 
     rig: RigPath
     robot: RobotPath | None = Field(
@@ -170,14 +177,14 @@ class TubeOnRig(Timed):
     tube: TubeNumber = 1
 
     @model_validator(mode="after")
-    def _has_a_tube(self) -> Self:
+    def _has_tube(self) -> Self:
         if self.robot is None and self.tube > 1:
             raise ValueError(f"tube is {self.tube}; without a robot it must be 1, the rig file's own")
-        self.heated()
+        self.heated_tube()
         return self
 
-    def heated(self) -> Tube:
-        """The tube that is heated; raises ValueError where neither rig nor robot has it."""
+    def heated_tube(self) -> Tube:
+        """Heated tube, of the robot or of the rig file; raises ValueError if there is none."""
         if self.robot is None:
             if self.rig.tube is None:
                 raise ValueError("robot is missing; the rig file has no tube")
@@ -186,7 +193,7 @@ class TubeOnRig(Timed):
 
 
 class HeatedTube(TubeOnRig):
-    """What studies of plans share: a rig as it is set up; what is asked of the heating comes with `asking`."""
+    """Rig with mold material and battery voltage for a plan."""
 
     material: str | None = Field(None, description="mold material, instead of that of the rig file")
     battery_V: Positive | None = Field(
@@ -195,12 +202,12 @@ class HeatedTube(TubeOnRig):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        self.set_up()
+        self.configured_rig()
         slot_milliseconds(self.spec().slot)
         return self
 
-    def set_up(self) -> Rig:
-        """The rig with the material and the voltage that are given."""
+    def configured_rig(self) -> Rig:
+        """Rig with the given mold material and battery voltage."""
         rig = self.rig
         if self.material is not None:
             rig = replace(rig, mold=replace(rig.mold, material=mold_material(self.material)))
@@ -209,11 +216,11 @@ class HeatedTube(TubeOnRig):
         return rig
 
     def spec(self) -> HeatingSpec:
-        """What is asked of the heating."""
-        return made(HeatingSpec, self)
+        """Requirements on the heating, SI."""
+        return build_from(HeatingSpec, self)
 
 
-@asking(HeatingSpec)
+@keys_from(HeatingSpec)
 class HeatingStudy(HeatedTube):
     """Schedule that keeps the curved part of a tube within a temperature window."""
 
@@ -235,27 +242,22 @@ class HeatingStudy(HeatedTube):
     sensor: SensorName | None = SENSOR
 
     @model_validator(mode="after")
-    def _tried_enough(self) -> Self:
-        enough(self.samples, self.sensor)
+    def _enough_samples(self) -> Self:
+        check_sample_count(self.samples, self.sensor)
         return self
 
-    def uncertainty(self) -> Uncertainty:
-        """What is not known of the rig: all that a workshop does not know, or what a calibration leaves."""
-        if self.loss_percent is None:
-            return Uncertainty.of_a_workshop()
-        return Uncertainty(**self.in_si("loss_percent"))
-
     def run(self, progress: Progress | None = None) -> Heating:
-        """The plan; where it cannot hold the window, its `feasible` is false and it says by how much."""
+        """Plan the heating; if it misses the window, `feasible` of the plan is false."""
         charges = self.si("charges_percent")
         if progress is not None:
             progress(0, 1 + len(charges) + (self.samples > 0))
-        planned = plan_heating(self.heated(), self.set_up(), self.spec())
-        return heating_of(
-            planned,
+        # Without a calibration all parameters are uncertain.
+        loss = self.in_si("loss_percent")
+        return evaluate_heating(
+            plan_heating(self.heated_tube(), self.configured_rig(), self.spec()),
             charges,
             progress,
-            uncertainty=self.uncertainty(),
+            uncertainty=Uncertainty.of_a_workshop() if self.loss_percent is None else Uncertainty(**loss),
             samples=self.samples,
             scaled=self.robust,
             sensor=sensor_of(self.sensor),
@@ -295,23 +297,23 @@ def plan_soak(
 
 
 @dataclass(frozen=True, eq=False)
-class LedHeating(Displayed):
-    """A heating that a sensor leads, and the board that runs it."""
+class ClosedLoopHeating(Displayed):
+    """Heating with feedback control, and the board that runs it."""
 
     plan: HeatingPlan
-    """The schedule."""
+    """Planned duty cycle."""
     feedback: Feedback
-    """The law that leads it, and what it keeps."""
+    """Controller and its success probability."""
     wiring: Wiring
     """Board, pins and parts."""
     frequency: Annotated[float, key("pwm_Hz"), "PWM frequency"]
 
 
-@asking(HeatingSpec)
-class LedHeatingStudy(HeatedTube):
-    """Feedback control of a heating: gains, success probability on uncertain rigs, and firmware."""
+@keys_from(HeatingSpec)
+class ClosedLoopStudy(HeatedTube):
+    """Feedback control of a heating: gains, success probability on random rigs, and firmware."""
 
-    doing = "planning the heating and its law"
+    doing = "planning the heating and its controller"
 
     kind: Literal["led_heating"]
     sensor: str = Field("thermocouple", description=f"temperature sensor: {', '.join(READS)}")
@@ -335,7 +337,7 @@ class LedHeatingStudy(HeatedTube):
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self._sensor()
-        rig = self.set_up()
+        rig = self.configured_rig()
         pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
         hall_slope(self._wiring(), rig.circuit)
         return self
@@ -347,25 +349,22 @@ class LedHeatingStudy(HeatedTube):
     def _wiring(self) -> Wiring:
         return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
 
-    def run(self, progress: Progress | None = None) -> LedHeating:
-        """The plan for the board's pulses, the law, and what becomes of it on uncertain rigs."""
-        tell = progress or (lambda done, total: None)
-        tell(0, 2)
-        rig, wiring = self.set_up(), self._wiring()
+    def run(self, progress: Progress | None = None) -> ClosedLoopHeating:
+        """Plan the heating for the board's PWM frequency, and design its controller."""
+        show = progress or (lambda done, total: None)
+        show(0, 2)
+        rig, wiring = self.configured_rig(), self._wiring()
         frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         # Before planning: switching losses depend on the frequency.
         rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
-        plan = plan_heating(self.heated(), rig, self.spec())
-        tell(1, 2)
+        plan = plan_heating(self.heated_tube(), rig, self.spec())
+        show(1, 2)
         feedback = design_feedback(plan, self._sensor(), samples=self.samples)
-        tell(2, 2)
-        return LedHeating(plan, feedback, wiring, frequency)
+        show(2, 2)
+        return ClosedLoopHeating(plan, feedback, wiring, frequency)
 
 
 # --- calibration of a rig ---------------------------------------------------------------------------------------------
-
-CameraView = tuple[Array, Array, Array]
-"""Times, places and temperatures that a camera saw."""
 
 
 class HeatingCalibrationStudy(TubeOnRig):
@@ -382,7 +381,7 @@ class HeatingCalibrationStudy(TubeOnRig):
         description=f"parameters to estimate, from {', '.join((*FACTORS, BIAS))}",
         examples=["NAME,.."],
     )
-    camera: Annotated[CameraView, in_file(load_camera, "a CSV file")] | None = Field(
+    camera: Annotated[CameraRecording, in_file(load_camera, "a CSV file")] | None = Field(
         None,
         description="CSV file of a thermal camera, recorded with the log: time_s, and "
         "temperatures in degC at points of the tube. The name of a column is "
@@ -400,21 +399,21 @@ class HeatingCalibrationStudy(TubeOnRig):
     lag_s: NotNegative = Field(Decimal(0), description="time constant of the thermometers")
 
     @functools.cached_property
-    def _read(self) -> HeatingLog:
+    def _recording(self) -> HeatingLog:
         log = load_heating_log(self.log, **self.in_si("position_mm", "lag_s"))
         return log if self.camera is None else log.with_camera(*self.camera)
 
     @model_validator(mode="after")
-    def _can_be_read(self) -> Self:
-        _ = self._read
+    def _readable(self) -> Self:
+        _ = self._recording
         return self
 
     def run(self, progress: Progress | None = None) -> RigFit:
-        """The calibrated rig; raises InputError for a factor that is not known."""
-        # Without a stated noise the fit estimates it.
-        stated = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
-        noise = {name: float(value) for name, value in stated.items() if value is not None}
-        return calibrate(self.heated(), self.rig, self._read, self.fit, noise=noise)
+        """Calibrate the rig; raises InputError for an unknown parameter."""
+        # Without a known noise the fit estimates it.
+        known = {"temperature": self.noise_K, "voltage": self.noise_V, "current": self.noise_A}
+        noise = {name: float(value) for name, value in known.items() if value is not None}
+        return calibrate(self.heated_tube(), self.rig, self._recording, self.fit, noise=noise)
 
 
 # --- molds and heatings of all tubes of a robot -----------------------------------------------------------------------
@@ -422,18 +421,18 @@ class HeatingCalibrationStudy(TubeOnRig):
 
 @dataclass(frozen=True, eq=False)
 class TubeParts:
-    """Mold and schedules of one tube."""
+    """Mold and heating of one tube."""
 
     number: Annotated[int, key("tube"), "number of the tube, from 1"]
-    made: TubeFabrication
-    """The two as planned together."""
+    fabrication: TubeFabrication
+    """Mold and heating as planned together, with their remarks."""
     mold: Annotated[RobotMold, "its mold"]
     heating: Annotated[Heating, "its heating"]
 
 
 @dataclass(frozen=True, eq=False)
 class Fabrication(Displayed):
-    """Everything that it takes to make a robot's tubes."""
+    """Molds and heatings for all tubes of a robot."""
 
     robot: Robot
     parts: Annotated[tuple[TubeParts, ...], key("tubes"), "mold and heating of every tube"]
@@ -441,11 +440,11 @@ class Fabrication(Displayed):
 
     @property
     def success(self) -> Success | None:
-        """That of the least likely tube; None where it is not known of one."""
-        found = [part.heating.success for part in self.parts]
-        known = [one for one in found if one is not None]
+        """Lowest success probability of all tubes; None if it is unknown for one of them."""
+        every = [part.heating.success for part in self.parts]
+        known = [success for success in every if success is not None]
         # All tubes must succeed: the robot is at most as likely as its least likely tube.
-        return min(known, key=lambda one: one.probability) if len(known) == len(found) else None
+        return min(known, key=lambda success: success.probability) if len(known) == len(every) else None
 
 
 class FabricationStudy(Timed):
@@ -471,19 +470,19 @@ class FabricationStudy(Timed):
     sensor: SensorName | None = SENSOR
 
     @model_validator(mode="after")
-    def _tried_enough(self) -> Self:
-        enough(self.samples, self.sensor)
+    def _enough_samples(self) -> Self:
+        check_sample_count(self.samples, self.sensor)
         return self
 
     def run(self, progress: Progress | None = None) -> Fabrication:
-        """Each tube's mold drawn for the rig, and its heating planned on the rig with the mold as drawn.
+        """Plan every tube: its mold for the rig, and its heating on the rig with this mold.
 
         Raises:
             InputError: no tube of the robot is curved, or as `plan_tube`.
         """
-        asked = self.mold or MoldSpec()
-        spec = replace(heating_for(asked.heat), objective=self.objective)
-        # A flag goes before the mold file.
+        mold_spec = self.mold or MoldSpec()
+        spec = replace(heating_for(mold_spec.heat), objective=self.objective)
+        # The key of the study has priority over the mold file.
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
         charges = self.si("charges_percent")
         chosen, left_out = chosen_tubes(self.robot)
@@ -492,8 +491,10 @@ class FabricationStudy(Timed):
             if progress is not None:
                 progress(k, len(chosen))
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            made = plan_tube(self.robot.tubes[number - 1], self.rig, asked, spec, number=number)
-            drawn = RobotMold(made.mold, self.robot.name, ())
-            heating = heating_of(made.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor))
-            parts.append(TubeParts(number, made, drawn, heating))
+            fabrication = plan_tube(self.robot.tubes[number - 1], self.rig, mold_spec, spec, number=number)
+            mold = RobotMold(fabrication.mold, self.robot.name, ())
+            heating = evaluate_heating(
+                fabrication.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor)
+            )
+            parts.append(TubeParts(number, fabrication, mold, heating))
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

@@ -16,7 +16,7 @@ from ..errors import SolveError
 from ..files.checked import Entry, NotNegative, Number, Positive, Triple, check, in_file, require_one
 from ..files.csv_file import read_csv, refuse
 from ..files.field_metadata import key
-from ..files.fields import asking, values
+from ..files.fields import keys_from, values
 from ..files.units import MM, RAD
 from ..files.yaml_file import load_yaml
 from ..inverse import IkSession, InverseOptions, InverseSolution, inverse_kinematics
@@ -107,6 +107,7 @@ class Postures(Displayed):
     """Inverse solutions for one target."""
 
     robot: Robot
+    """Robot of the solutions."""
     solutions: Annotated[tuple[InverseSolution, ...], "the solutions, best first"]
     timed_out: Annotated[bool, "true if the time limit ended the search for all solutions or for their paths"] = False
 
@@ -136,12 +137,13 @@ class TargetTable(Displayed):
     """Inverse solutions for a table of targets."""
 
     robot: Robot
+    """Robot of the solutions."""
     rows: Annotated[tuple[Row, ...], key("solutions"), "the solutions, one per target"]
     followed: bool = False
     """True if each target was solved from the previous one, on the same branch."""
 
 
-@asking(InverseOptions)
+@keys_from(InverseOptions)
 class InverseStudy(Surrounded, Loaded, Study):
     """Joint values that bring the tip to a target in a stable equilibrium, for one target or a table."""
 

@@ -1,7 +1,6 @@
-"""Measurements in files: CSV with columns of tubeopt, tables of other programs that a YAML file maps, published tables.
+"""Files of measurements: CSV with columns of tubeopt, tables of other programs mapped by a YAML file, published tables.
 
-Whether the numbers can be what their columns say is checked too: angles that were wrapped are unwrapped, and units
-that cannot be right are reported.
+Wrapped angles are unwrapped, and implausible units are reported.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from ..errors import InputError, nearest
 from ..files.checked import Entry, NotNegative, Positive, check
 from ..files.csv_file import CsvTable, read_csv, refuse, to_csv
 from ..files.files import write_text
-from ..files.shipped import resolved
+from ..files.shipped import resolve_file
 from ..files.units import DEG, MM, RAD, in_unit, shown, to_si
 from ..files.yaml_file import load_yaml
 from ..inverse.mirror import ASSIGNMENTS, mirror_rotations
@@ -36,34 +35,33 @@ from ..validation.comparison import ErrorTable
 from ..validation.measurements import SAME_PLACE, JointLog, Measurements, Timeline, runs_of
 from .recorded_table import QUATERNION, Columns, Recorded, columns_of, read_recorded
 
-# --- tables that a YAML file maps -------------------------------------------------------------------------------------
+# --- tables mapped by a YAML file -------------------------------------------------------------------------------------
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 
-# A wrapped angle jumps by a turn less the step of the path. At pi, the default of NumPy, a drive that moves by half a
-# turn between rows would be unwrapped; at two turns no jump would be found.
-A_TURN = 1.5 * math.pi
-"""rad: between rows on end, a larger step of a rotation is a turn that was counted away."""
+# A wrapped angle jumps by a full turn minus the step of the path. At pi, the default of NumPy, a drive that moves by
+# half a turn between rows would be unwrapped; at two turns no jump would be found.
+WRAP_JUMP = 1.5 * math.pi
+"""Step of a rotation between consecutive rows above which the angle was wrapped, rad."""
 
 # Tips of an arm of length L spread by at most 2 sqrt(3) L. Metres taken for millimetres change that by 1000, so half or
 # twice these bounds separate the two as well.
 SMALL, LARGE = 0.02, 8.0
-"""Parts of the arm's length between which the spread of tips that move must lie."""
+"""Smallest and largest plausible spread of moving tips, as a fraction of the arm's length."""
 
-MOVES = 0.3
-"""rad: a robot whose tubes turn by more against each other moves its tip."""
+MOVING_ROTATION = 0.3
+"""Range of a rotation above which the tip must move, rad."""
 
-STEADY = 2e-3
-"""m, of the noise of trackers: two sensors on one piece of the arm stay so close to its thickness, or their distance
-changes by no more."""
+TRACKER_NOISE = 2e-3
+"""Tolerance on the distance of two sensors on one piece of the arm, m."""
 
-# Trackers record 10 to 1000 rows a second. Times in ms that are taken for s are 1 to 100 s apart.
-SLOW = 1.0
-"""s: recorders of a moving arm are faster."""
+# Trackers record 10 to 1000 rows a second. Times in ms that are read as s are 1 to 100 s apart.
+MAX_PERIOD = 1.0
+"""Longest plausible time between two rows of a moving arm, s."""
 
-# A path shares out its range over its rows; configurations in random order step by a third of it on average.
-PATH, ROWS = 0.1, 20
-"""Rows that are at least so many are a path where the joints usually move by less than this part of their range."""
+# On a path, a step is a small fraction of the range; in random order it is a third of it on average.
+PATH_STEP, PATH_ROWS = 0.1, 20
+"""Rows are a path if there are at least PATH_ROWS and the median step is below PATH_STEP of the range."""
 
 
 def _number_or_name(value: object) -> object:
@@ -73,7 +71,7 @@ def _number_or_name(value: object) -> object:
 
 
 class MeasurementMap(Entry):
-    """Tables of measured positions and of joint readings, and what their columns mean."""
+    """Tables of measured positions and joint readings, with the meaning of their columns."""
 
     kind: Literal["measurements"]
     tips: str = Field(description="file of measured positions: CSV, or export of NDI or OptiTrack")
@@ -97,12 +95,12 @@ class MeasurementMap(Entry):
 
 
 def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
-    """The measurements of `robot` that a YAML file of the kind `measurements` describes.
+    """Load measurements of a robot from a YAML file of kind `measurements`.
 
-    Rows in which nothing was seen, or for which there are no joint readings, are left out and counted in the remarks.
+    Rows without a visible sensor or without joint readings are omitted and counted in the remarks.
 
     Raises:
-        InputError: a file, column or unit that is not there or unknown, or cells that are not what they must be.
+        InputError: a missing file or column, an unknown column or unit, or invalid cells.
     """
     entry = check(MeasurementMap, load_yaml(path), path)
     folder = Path(path).parent
@@ -112,7 +110,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
             f"{path}: joints is missing; the tracker export {entry.tips} has no joint "
             "readings; give them in a separate CSV file"
         )
-    # A column that is of the other file alone says nothing of this one.
+    # Columns that only the other file has do not belong to this one.
     mine = {k: v for k, v in entry.columns.items() if k in recorded.table.columns or entry.joints is None}
     meanings = {**recorded.meaning, **mine}
     tips = columns_of(recorded.table, meanings, str(path), robot.n_tubes)
@@ -125,7 +123,7 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         own = entry.joint_columns or {k: v for k, v in entry.columns.items() if k in table.columns}
         joints = columns_of(table, own, str(path), robot.n_tubes)
     _complete(path, entry, tips, joints, robot)
-    found = measured(
+    measurements = measured(
         tips,
         joints,
         robot,
@@ -133,36 +131,37 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
         behind=None if entry.behind_mm is None else np.array(entry.si("behind_mm")),
         axis=None if entry.axis is None else np.array(AXES[entry.axis], dtype=float),
     )
-    return replace(found, remarks=(*recorded.remarks, *found.remarks))
+    return replace(measurements, remarks=(*recorded.remarks, *measurements.remarks))
 
 
-def _reference(path: str | PathLike[str], wanted: int | str, tips: Columns, recorded: Recorded) -> int:
-    """The number of the reference tool; raises InputError for one that is not there, is one of two, or has no pose."""
+def _reference(path: str | PathLike[str], reference: int | str, tips: Columns, recorded: Recorded) -> int:
+    """Number of the reference tool; raises InputError if it is unknown, ambiguous or has no pose."""
     sensors, tools = tips.sensors(), recorded.tools
     # A number may be the number of one tool and the name of another: then the user must decide.
-    named_so = [k for k, name in enumerate(tools, start=1) if name == str(wanted)]
-    number = wanted if wanted in sensors else named_so[0] if len(named_so) == 1 else None
-    if isinstance(wanted, int) and named_so not in ([], [wanted]):
+    with_name = [k for k, name in enumerate(tools, start=1) if name == str(reference)]
+    number = reference if reference in sensors else with_name[0] if len(with_name) == 1 else None
+    if isinstance(reference, int) and with_name not in ([], [reference]):
+        name = tools[reference - 1] if reference <= len(tools) else ""
         raise InputError(
-            f"{path}: reference is {wanted}, and tool {named_so[0]} has that name; it must be '{wanted}' in quotes for "
-            f"the name, or the name '{tools[wanted - 1] if wanted <= len(tools) else ''}' for tool {wanted}"
+            f"{path}: reference is {reference}, and tool {with_name[0]} has that name; it must be '{reference}' in "
+            f"quotes for the name, or the name '{name}' for tool {reference}"
         )
     if number not in sensors:
         named = f", or the names {', '.join(tools)}" if any(tools) else ""
         known = f"the tools of {tips.table.path} are {', '.join(map(str, sensors)) or 'none'}{named}"
-        raise InputError(f"{path}: reference is {wanted!r}; {known}")
-    if not all(tips.has(f"{axis}_{number}") for axis in "xyz") or not tips.turns(number):
+        raise InputError(f"{path}: reference is {reference!r}; {known}")
+    if not all(tips.has(f"{axis}_{number}") for axis in "xyz") or not tips.has_orientation(number):
         raise InputError(
-            f"{path}: reference is {wanted!r}, which has no pose; it must have position and orientation"
+            f"{path}: reference is {reference!r}, which has no pose; it must have position and orientation"
             + "".join(f" ({remark})" for remark in recorded.remarks)
         )
     if len(sensors) < 2:
-        raise InputError(f"{path}: reference is {wanted!r}, the only tool; there must be another one, at the tip")
+        raise InputError(f"{path}: reference is {reference!r}, the only tool; there must be another one, at the tip")
     return number
 
 
 def _complete(path: str | PathLike[str], entry: MeasurementMap, tips: Columns, joints: Columns, robot: Robot) -> None:
-    """Raise InputError naming every quantity that is needed and has no column."""
+    """Raise InputError with every required quantity that has no column."""
     missing = [f"rotation_{i + 1}" for i in range(robot.n_tubes) if not joints.has(f"rotation_{i + 1}")]
     sensors = tips.sensors() or [1]
     missing += [f"{axis}_{k}" for k in sensors for axis in "xyz" if not tips.has(f"{axis}_{k}")]
@@ -185,18 +184,20 @@ def measured(
     behind: Array | None = None,
     axis: Array | None = None,
 ) -> Measurements:
-    """The measurements that columns hold, with joints at the times of their rows, and what was noticed.
+    """Build measurements from columns, with joint readings interpolated at the times of the positions.
 
     Args:
-        joints: columns of the joint readings; the same as `tips` where they stand beside the positions.
-        where: what messages call the two tables.
-        turned: (rows, n) rotations, rad, where no columns hold them.   labels: further fields of `Measurements`.
-        behind, axis: `behind` and `sensor_axis` of `Measurements`.
+        joints: columns of the joint readings; `tips` if they are in the same table.
+        where: names of the two tables in messages.
+        turned: rotations (rows, n), rad, if no columns contain them.
+        labels: further fields of `Measurements`.
+        behind: `behind` of `Measurements`.
+        axis: `sensor_axis` of `Measurements`.
 
     Raises:
-        InputError: cells that are not what they must be, no row with a position, no time in common.
+        InputError: invalid cells, no row with a position, no common times.
     """
-    words: list[str] = []
+    remarks: list[str] = []
     time = tips.time()
     stamps = joints.time() if joints is not tips else None
     rotations = joints.numbers([f"rotation_{i + 1}" for i in range(robot.n_tubes)]) if turned is None else turned
@@ -207,26 +208,26 @@ def measured(
     for columns in (tips, joints):
         columns.table.check()
     # A row with one visible sensor is still a measurement.
-    kept, lost = np.asarray(np.isfinite(positions[..., 0]).any(1)), tips.unseen_reference()
-    if not kept.any():
+    used, lost = np.asarray(np.isfinite(positions[..., 0]).any(1)), tips.unseen_reference()
+    if not used.any():
         raise InputError(
             f"{where[0]}: no row has a measured position{' and a pose of the reference' if lost.any() else ''}"
         )
-    _count(words, lost, "have no pose of the reference tool and were left out")
-    _count(words, ~kept & ~lost, "have no measured position and were left out")
-    # Turns are counted on the clock of the joints: between tips they would be missed.
-    turning = time if stamps is None else stamps
+    _count(remarks, lost, "have no pose of the reference tool and were left out")
+    _count(remarks, ~used & ~lost, "have no measured position and were left out")
+    # Rotations are unwrapped at the times of the joint readings: between tips full turns would be missed.
+    clock = time if stamps is None else stamps
     wrapped: tuple[bool, ...] = ()
-    if turning is not None:
-        rotations, wrapped = _unwrapped(turning, rotations, words)
+    if clock is not None:
+        rotations, wrapped = _unwrapped(clock, rotations, remarks)
     log = None
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
         # Readings are interpolated, never extrapolated.
         covered = (time >= stamps[0]) & (time <= stamps[-1])
-        _count(words, kept & ~covered, "lie before or after all joint readings and were left out")
-        kept &= covered
-        if not kept.any():
+        _count(remarks, used & ~covered, "lie before or after all joint readings and were left out")
+        used &= covered
+        if not used.any():
             raise InputError(
                 f"{' and '.join(where)} have no time in common: tips from {time[0]:g} to "
                 f"{time[-1]:g} s, joints from {stamps[0]:g} to {stamps[-1]:g} s; both must "
@@ -235,11 +236,11 @@ def measured(
         # Placeholders: the timeline below needs the measurements to find the readings at their times.
         rotations = translations = np.zeros((len(time), robot.n_tubes))
     rows = {"time": time, "orientation": frames, **(labels or {})}
-    picked: dict[str, Any] = {name: None if value is None else value[kept] for name, value in rows.items()}
-    found = Measurements(
-        rotations[kept],
-        translations[kept],
-        positions[kept],
+    picked: dict[str, Any] = {name: None if value is None else value[used] for name, value in rows.items()}
+    measurements = Measurements(
+        rotations[used],
+        translations[used],
+        positions[used],
         source=Path(where[0]).name,
         behind=behind,
         sensor_axis=axis,
@@ -248,132 +249,150 @@ def measured(
         **picked,
     )
     if log is not None:
-        rotations, translations = Timeline.of(found).readings(0.0)
-        found = replace(found, rotations=rotations, translations=translations)
-    for k in range(found.sensors.shape[1]):
-        _count(words, np.isnan(found.sensors[:, k, 0]), f"have no position of sensor {k + 1}")
-    return replace(found, remarks=(*words, *_doubts_of(found, robot)))
+        rotations, translations = Timeline.of(measurements).readings(0.0)
+        measurements = replace(measurements, rotations=rotations, translations=translations)
+    for k in range(measurements.sensors.shape[1]):
+        _count(remarks, np.isnan(measurements.sensors[:, k, 0]), f"have no position of sensor {k + 1}")
+    return replace(measurements, remarks=(*remarks, *_doubts_of(measurements, robot)))
 
 
-def _count(words: list[str], mask: Mask, what: str) -> None:
+def _count(remarks: list[str], mask: Mask, what: str) -> None:
     if mask.any():
-        words.append(f"{int(mask.sum())} of {len(mask)} rows {what}")
+        remarks.append(f"{int(mask.sum())} of {len(mask)} rows {what}")
 
 
-def _unwrapped(time: Array, rotations: Array, words: list[str]) -> tuple[Array, tuple[bool, ...]]:
-    """Rotations (N, n) without the jumps by full turns between rows of a run, and which tubes had any; adds remarks.
+def _unwrapped(time: Array, rotations: Array, remarks: list[str]) -> tuple[Array, tuple[bool, ...]]:
+    """Unwrap rotations (N, n) within each run, add remarks, and return which tubes were wrapped.
 
-    A run of an angle that was wrapped begins in the turn in which the run before it ended.
+    A run of a wrapped angle starts in the turn in which the previous run ended.
     """
     out, runs = rotations.copy(), runs_of(time)
     for rows in runs:
-        out[rows] = np.unwrap(rotations[rows], discont=A_TURN, axis=0)
+        out[rows] = np.unwrap(rotations[rows], discont=WRAP_JUMP, axis=0)
     # Corrections are multiples of 2 pi, so that 1 rad separates them from round-off.
     jumps = np.diff(rotations - out, axis=0)
     wrapped = np.any([np.abs(jumps[rows[:-1]]).max(0, initial=0.0) > 1.0 for rows in runs], axis=0)
     for before, rows in pairwise(runs):
-        # A gap in time hides how far the drive turned: the nearest turn is assumed, for wrapped tubes only.
+        # The rotation during a gap in time is unknown: the nearest turn is assumed, for wrapped tubes only.
         turns = np.round((out[before[-1]] - out[rows[0]]) / (2 * math.pi))
         out[rows] += np.where(wrapped, 2 * math.pi * turns, 0.0)
     steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
     for tube in np.flatnonzero(steps.any(0)).tolist():
         count = int(steps[:, tube].sum())
         often = "once" if count == 1 else f"{count} times"
-        words.append(
+        remarks.append(
             f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
         )
     return out, tuple(wrapped.tolist())
 
 
-def _doubts_of(found: Measurements, robot: Robot) -> list[str]:
-    """Remarks on units that the numbers speak against."""
-    words = []
-    turned = np.abs(found.rotations).max()
-    # A whole turn in rad that is read in deg is 57 times too small.
+def _doubts_of(measurements: Measurements, robot: Robot) -> list[str]:
+    """Remarks on implausible units."""
+    remarks = []
+    turned = np.abs(measurements.rotations).max()
+    # A full turn in rad that is read in deg is 57 times too small.
     if 0 < turned <= 2 * math.pi / 57:
-        words.append(
+        remarks.append(
             f"no rotation is beyond {math.degrees(turned):.2g} deg: are they in rad, in a column that says deg?"
         )
     # Ten turns: one turn in deg that is read in rad is 57 turns.
     if turned > 20 * math.pi:
-        words.append(f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?")
+        remarks.append(
+            f"rotations reach {turned / (2 * math.pi):.0f} turns: are they in deg, in a column that says rad?"
+        )
     length = max(tube.length for tube in robot.tubes)
-    tips = found.tip_position[np.isfinite(found.tip_position[:, 0])]
+    tips = measurements.tip_position[np.isfinite(measurements.tip_position[:, 0])]
     # Diagonal of the box around all tips.
     spread = float(np.linalg.norm(np.ptp(tips, axis=0))) if len(tips) else 0.0
-    moving = np.ptp(found.rotations, axis=0).max() > MOVES or np.ptp(found.translations, axis=0).max() > 0.1 * length
+    moving = (
+        np.ptp(measurements.rotations, axis=0).max() > MOVING_ROTATION
+        or np.ptp(measurements.translations, axis=0).max() > 0.1 * length
+    )
     if len(tips) > 1 and moving and spread < SMALL * length:
-        words.append(
+        remarks.append(
             f"the tips lie within {1e3 * spread:.2g} mm of each other, and the tubes are up to {1e3 * length:.0f} mm "
             "long. Are positions in m in columns for mm, or was the sensor not on the tip?"
         )
     if spread > LARGE * length:
-        words.append(
+        remarks.append(
             f"the tips lie up to {1e3 * spread:.0f} mm apart, and the tubes are up to {1e3 * length:.0f} mm long. Are "
             "positions in mm in columns for m?"
         )
-    reach = np.abs(found.translations).max()
-    if 0 < reach < 1e-3 * length and np.ptp(found.translations) > 0:
-        words.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
-    return words + _doubts_of_sensors(found, robot) + _doubts_of_clock(found) + _doubts_of_time(found)
+    reach = np.abs(measurements.translations).max()
+    if 0 < reach < 1e-3 * length and np.ptp(measurements.translations) > 0:
+        remarks.append(f"no translation is beyond {1e3 * reach:.2g} mm: are they in m, in columns that say mm?")
+    return (
+        remarks
+        + _doubts_of_sensors(measurements, robot)
+        + _doubts_of_clock(measurements)
+        + _doubts_of_time(measurements)
+    )
 
 
-def _doubts_of_sensors(found: Measurements, robot: Robot) -> list[str]:
-    """Remarks on sensors at one station that cannot be on one piece of the arm."""
-    thick = max(tube.outer_diameter for tube in robot.tubes)
+def _doubts_of_sensors(measurements: Measurements, robot: Robot) -> list[str]:
+    """Remarks on sensors at one position along the arm that cannot be on one piece of it."""
+    thickness = max(tube.outer_diameter for tube in robot.tubes)
     if isinstance(robot, SheathedRobot):
-        thick = sheath_inner_diameter(thick)
-    behind, words = found.behind if found.behind is not None else np.zeros(found.sensors.shape[1]), []
+        thickness = sheath_inner_diameter(thickness)
+    sensors, behind, remarks = measurements.sensors, measurements.behind, list[str]()
+    if behind is None:
+        behind = np.zeros(sensors.shape[1])
     for i, j in combinations(range(len(behind)), 2):
-        apart = np.linalg.norm(found.sensors[:, i] - found.sensors[:, j], axis=1)
-        apart = apart[np.isfinite(apart)]
+        distance = np.linalg.norm(sensors[:, i] - sensors[:, j], axis=1)
+        distance = distance[np.isfinite(distance)]
         if abs(behind[i] - behind[j]) > SAME_PLACE:
             continue
-        if not len(apart):
-            words.append(
+        if not len(distance):
+            remarks.append(
                 f"sensors {i + 1} and {j + 1} of the tip never appear in one row, so their distance is unknown. Each "
                 "is used as the tip. If one is a reference tool, name it by reference in a file of kind measurements"
             )
             continue
         # Quantiles, since single outliers of a tracker are no evidence.
-        low, middle, high = np.quantile(apart, (0.05, 0.5, 0.95)).tolist()
-        faults = [f"are {1e3 * middle:.3g} mm apart, and the arm is {1e3 * thick:.3g} mm thick"] * (middle > thick)
-        if high - low > STEADY and high > thick + STEADY:
+        low, middle, high = np.quantile(distance, (0.05, 0.5, 0.95)).tolist()
+        faults = [f"are {1e3 * middle:.3g} mm apart, and the arm is {1e3 * thickness:.3g} mm thick"] * (
+            middle > thickness
+        )
+        if high - low > TRACKER_NOISE and high > thickness + TRACKER_NOISE:
             faults.append(f"have distances from {1e3 * low:.3g} to {1e3 * high:.3g} mm")
         if faults:
-            words.append(
+            remarks.append(
                 f"sensors {i + 1} and {j + 1} of the tip {' and '.join(faults)}: they are averaged anyway; if "
                 "one is a reference tool, name it by reference in a file of kind measurements"
             )
-    return words
+    return remarks
 
 
-def _doubts_of_clock(found: Measurements) -> list[str]:
-    """Remarks on times that stand still, or that go back where joint readings are found by them."""
-    if found.time is None:
+def _doubts_of_clock(measurements: Measurements) -> list[str]:
+    """Remarks on repeated times, and on decreasing ones if joint readings are interpolated by them."""
+    if measurements.time is None:
         return []
-    steps, words = np.diff(found.time), []
-    still, back = int((steps == 0).sum()), np.flatnonzero(steps < 0)
-    if still:
-        rows = "row has" if still == 1 else "rows have"
-        words.append(f"{still} {rows} the time of the row before: was it recorded twice, or is the clock too coarse?")
-    if found.log is not None and len(back):
-        words.append(
-            f"the time of the positions goes back from {found.time[back[0]]:.3f} to {found.time[back[0] + 1]:.3f} s: "
+    time, remarks = measurements.time, []
+    steps = np.diff(time)
+    repeated, back = int((steps == 0).sum()), np.flatnonzero(steps < 0)
+    if repeated:
+        rows = "row has" if repeated == 1 else "rows have"
+        remarks.append(
+            f"{repeated} {rows} the time of the row before: was it recorded twice, or is the clock too coarse?"
+        )
+    if measurements.log is not None and len(back):
+        remarks.append(
+            f"the time of the positions goes back from {time[back[0]]:.3f} to {time[back[0] + 1]:.3f} s: "
             "did the clock restart? Joint readings are searched at these times"
         )
-    return words
+    return remarks
 
 
-def _doubts_of_time(found: Measurements) -> list[str]:
-    if found.time is None or len(found) < ROWS:
+def _doubts_of_time(measurements: Measurements) -> list[str]:
+    """Remark on times that are probably in ms."""
+    if measurements.time is None or len(measurements) < PATH_ROWS:
         return []
     # The median ignores pauses between runs.
-    step = float(np.median(np.abs(np.diff(found.time))))
-    joints = np.hstack([found.rotations, found.translations])
+    step = float(np.median(np.abs(np.diff(measurements.time))))
+    joints = np.hstack([measurements.rotations, measurements.translations])
     extent = np.ptp(joints, axis=0)
     moved = np.abs(np.diff(joints, axis=0))[:, extent > 0] / extent[extent > 0]
-    if step <= SLOW or not moved.size or np.median(moved.max(1)) > PATH:
+    if step <= MAX_PERIOD or not moved.size or np.median(moved.max(1)) > PATH_STEP:
         return []
     return [f"rows follow each other after {step:.3g} s on a path of the joints: are times in ms, taken for s?"]
 
@@ -387,22 +406,22 @@ POSITION = ("x_mm", "y_mm", "z_mm")
 
 @typed
 def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
-    """The measurements of `robot` in a CSV file, or those that a YAML file describes (see `load_mapped`).
+    """Load measurements of a robot from a CSV file, or from a YAML file as `load_mapped`.
 
     Columns:
 
     - `rotation_1_deg` to `rotation_n_deg`: rotations. For the mirror actuation of a one-segment eccentric robot
       `direction_deg`, `separation_deg` and optionally `assignment` replace them, or label the rows next to them.
     - `translation_1_mm` and so on: translations; home if absent.
-    - `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`, `x2_mm`, ... for several sensors; empty where a sensor was
-      not seen.
+    - `x_mm`, `y_mm`, `z_mm`, or `x1_mm`, `y1_mm`, `z1_mm`, `x2_mm`, ... for several sensors; empty if a sensor was
+      not visible.
     - `time_s`; `qw`, `qx`, `qy`, `qz` of the (first) sensor; `note` for any text.
 
     An assignment "132" turns tube 1 by the direction, tube 3 by direction plus separation and tube 2 by direction minus
-    separation; the default is "123". Rows without any sensor are left out and counted in the remarks.
+    separation; the default is "123". Rows without any sensor are omitted and counted in the remarks.
 
     Raises:
-        InputError: no such file, columns that are unknown or missing, or invalid cells: one line per problem, with row
+        InputError: no such file, unknown or missing columns, or invalid cells; one line per problem, with row
             and column.
 
     Examples:
@@ -411,7 +430,7 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
         >>> tubeopt.load_measurements("synthetic_etr", robot).rotations.shape
         (48, 3)
     """
-    path = resolved(path)
+    path = resolve_file(path)
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         return load_mapped(path, robot)
     joints = (name for columns in joint_columns(robot.n_tubes) for name in columns)
@@ -425,7 +444,7 @@ def load_measurements(path: str | PathLike[str], robot: Robot) -> Measurements:
 
 
 def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[Columns, bool]:
-    """What the columns mean, and whether the rotations come from mirror actuation."""
+    """Meaning of the columns, and True if the rotations come from mirror actuation."""
     n = robot.n_tubes
     rotations = [f"rotation_{i + 1}_deg" for i in range(n)]
     translations = [f"translation_{i + 1}_mm" for i in range(n)]
@@ -453,17 +472,17 @@ def _columns(path: str | PathLike[str], table: CsvTable, robot: Robot) -> tuple[
 
 
 def _sensors(columns: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Names of the position columns of every sensor that the header speaks of."""
-    found = sorted({int(match[1]) for c in columns if (match := re.fullmatch(r"[xyz]([1-9]\d*)_mm", c))})
-    several = [(f"x{k}_mm", f"y{k}_mm", f"z{k}_mm") for k in found]
+    """Names of the position columns of every sensor in the header."""
+    numbers = sorted({int(match[1]) for c in columns if (match := re.fullmatch(r"[xyz]([1-9]\d*)_mm", c))})
+    several = [(f"x{k}_mm", f"y{k}_mm", f"z{k}_mm") for k in numbers]
     plain = ("x_mm", "y_mm", "z_mm")
     return [plain, *several] if not several or any(c in columns for c in plain) else several
 
 
 def _mirrored(table: CsvTable, direction: Array, separation: Array) -> Array:
-    """(N, 3) rotations of the mirror actuation; bad assignments are noted in the table."""
-    rows = zip(direction, separation, strict=True)
-    return np.array([mirror_rotations(d, apart, _assignment(table, k)) for k, (d, apart) in enumerate(rows)])
+    """Rotations (N, 3) of mirror actuation, rad; invalid assignments are added to the problems of the table."""
+    rows = enumerate(zip(direction, separation, strict=True))
+    return np.array([mirror_rotations(phi, gamma, _assignment(table, k)) for k, (phi, gamma) in rows])
 
 
 def _assignment(table: CsvTable, row: int) -> tuple[int, ...]:
@@ -478,9 +497,9 @@ def _assignment(table: CsvTable, row: int) -> tuple[int, ...]:
 
 
 def save_measurements(measurements: Measurements, path: str | PathLike[str], comment: str = "") -> None:
-    """Write measurements as CSV that `load_measurements` reads back, to the last bit but for orientations.
+    """Write measurements as CSV that `load_measurements` reads back, bit for bit except orientations.
 
-    Distances of sensors behind the tip, the sensor's axis and a log of the joints have no place in it.
+    The file has no sensor offsets behind the tip, no sensor axis and no log of the joints.
 
     Raises:
         InputError: the file cannot be written.
@@ -513,9 +532,9 @@ def save_measurements(measurements: Measurements, path: str | PathLike[str], com
 
 
 def load_error_table(path: str | PathLike[str]) -> ErrorTable:
-    """A published table of tip errors: columns `separation_deg`, `error_at_D_deg_mm` for every direction D, `mean_mm`.
+    """Load a published table of tip errors: `separation_deg`, `error_at_D_deg_mm` for every direction D, `mean_mm`.
 
-    A row for every separation, and a last one, `mean`, with the means over the separations.
+    The table has one row per separation, and a last row `mean` with the means over the separations.
 
     Raises:
         InputError: no such file, other columns, no last row of means, or cells that are not numbers.

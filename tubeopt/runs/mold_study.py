@@ -1,4 +1,4 @@
-"""Studies of molds: grooves or mandrel that set the shape of tubes, their material, and spring-back."""
+"""Studies of molds: grooves or mandrel, mold materials, and spring-back."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from .workshop_file import Trials, load_mold_spec, load_rig, load_springback, lo
 
 @dataclass(frozen=True, eq=False)
 class Ranking(Displayed):
-    """Mold materials for a tube."""
+    """Ranking of mold materials for a tube."""
 
     ratings: Annotated[tuple[MaterialRating, ...], key("materials"), "the materials, best first"]
     tube: Tube
     heat: HeatSpec
-    """The heating that they are for."""
+    """Heating conditions of the ranking."""
 
 
 MOLD = in_file(load_mold_spec, "a mold file", kind=MoldSpec)
@@ -45,7 +45,7 @@ MoldPath = Annotated[
         examples=["MOLD.yaml"],
     ),
 ]
-"""Specification of a mold, given as the path of its file."""
+"""Mold specification, given as the path of its file."""
 
 MandrelMold = Annotated[
     Annotated[MoldSpec, MOLD] | None,
@@ -89,20 +89,19 @@ class MoldStudy(Study):
         return self
 
     def _spec(self) -> MoldSpec:
-        """What is asked of the mold, with what is given in its place."""
+        """Specification of the mold file, with the keys of the study in place of its own."""
         material = None if self.material is None else mold_material(self.material)
-        # None is no value: the mold file keeps its own.
-        given = {"material": material, **self.in_si("springback", "cold_length_mm")}
-        return replace(self.mold or MoldSpec(), **{name: value for name, value in given.items() if value is not None})
+        own = {"material": material, **self.in_si("springback", "cold_length_mm")}
+        return replace(self.mold or MoldSpec(), **{name: value for name, value in own.items() if value is not None})
 
     def run(self, progress: Progress | None = None) -> RobotMold:
-        """The mold; raises InputError where none can be made."""
+        """Plan the mold; raises InputError if none is possible."""
         return plan_robot_mold(self.robot, self._spec(), self.tubes)
 
 
 @question("planning the mandrel", timed=False)
 def mandrel(robot: RobotPath, tube: TubeNumber = 1, mold: MandrelMold = None) -> Mandrel:
-    """The mandrel for a tube that is a helix or another space curve."""
+    """Mandrel for a tube that is a helix or another space curve."""
     return plan_mandrel(robot.tubes[tube - 1], mold, number=tube)
 
 
@@ -149,7 +148,7 @@ class MaterialsStudy(Timed):
         return HeatSpec(set_temperature=self.si("set_degC"), hold_time=self.si("hold_s"))
 
     def run(self, progress: Progress | None = None) -> Ranking:
-        """The materials, best first."""
+        """Rank the materials, best first."""
         rig = self.rig or Rig()
         return Ranking(rank_mold_materials(self._tube(), self._heat(), rig=rig), self._tube(), self._heat())
 

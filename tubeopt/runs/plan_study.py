@@ -14,10 +14,10 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle
 from ..display import Displayed
-from ..errors import undoubted
+from ..errors import without_unit_warnings
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file
 from ..files.field_metadata import Typical
-from ..files.fields import EntryOf, asking, values
+from ..files.fields import EntryOf, keys_from, values
 from ..files.yaml_file import load_yaml
 from ..planning import (
     ArmsPlan,
@@ -138,7 +138,7 @@ class Aimed(Started):
         return TipGoal(position, None if self.tip_direction is None else np.array(self.si("tip_direction")))
 
 
-@asking(PlanOptions)
+@keys_from(PlanOptions)
 class PlanStudy(Aimed, Surrounded, Loaded, Study):
     """A snap-free motion: to joint values, to a pose of the tip, along a curve, or follow-the-leader."""
 
@@ -274,7 +274,7 @@ class ArmPart(Aimed, PlacedPart):
         return self
 
 
-@asking(PlanOptions, "objective", "seed")
+@keys_from(PlanOptions, "objective", "seed")
 class ArmsStudy(Surrounded, Study):
     """Motions of several robots on one plate or endoscope, without snap and without contact between them."""
 
@@ -399,7 +399,7 @@ class VerifyStudy(Surrounded, Loaded, Timed):
         file, joints = self.trajectory
         rates, tip_speed = None if required.rates is None else required.rates.build(), self.si("tip_mm_per_s")
         if tip_speed is not None:
-            with undoubted():
+            with without_unit_warnings():
                 rates = replace(rates or ANY_RATES, tip=tip_speed)
         proof = verify_trajectory(
             joints.robot,

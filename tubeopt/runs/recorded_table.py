@@ -1,13 +1,13 @@
-"""Tables of measured positions as trackers and laboratories write them, and the meaning of their columns.
+"""Tables of measured positions from trackers and laboratories, and the meaning of their columns.
 
-An export becomes a table whose columns have meanings of their own: `time`, `x_1`, `qw_1`, ... for the first tool or
-rigid body, and so on, in the order of the file.
+An export becomes a table with the columns `time`, `x_1`, `qw_1`, ... for the first tool or rigid body, and so on, in
+the order of the file.
 
 - NDI (Track, ToolBox, the recorders of the CAPI samples): one header line in which every tool has the columns Frame,
-  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, between commas or tabs; positions in mm. With Euler angles, Rz, Ry and Rx stand in
-  place of the quaternion: degrees, R = Rz Ry Rx. Not seen is what has a state other than OK or Enabled, the word
-  MISSING or NDI's number for it, or a quaternion of zeros. Spreadsheets write semicolons, decimal commas and units in
-  the names of columns: `Tx (mm)`, `Rz [deg]`.
+  State, Q0, Qx, Qy, Qz, Tx, Ty, Tz, separated by commas or tabs; positions in mm. Euler angles Rz, Ry and Rx may
+  replace the quaternion: degrees, R = Rz Ry Rx. A tool is not visible if its state is not OK or Enabled, with the word
+  MISSING or NDI's number for it, or with a quaternion of zeros. Spreadsheets write semicolons, decimal commas and units
+  in the names of columns: `Tx (mm)`, `Rz [deg]`.
 - OptiTrack Motive: "Format Version" in the first line with the units of length and the kind of rotation, then lines
   that name type, body and quantity of every column.
 """
@@ -21,10 +21,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from os import PathLike
-from typing import Any
 
 import numpy as np
-import scipy
 from scipy.spatial.transform import Rotation
 
 from ..errors import InputError, nearest
@@ -41,36 +39,36 @@ QUATERNIONS, EULER = ("q0", "qx", "qy", "qz"), ("rz", "ry", "rx")
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Positions in mm are below 1e5 and quaternions below 1, so any bound up to 1e28 tells them apart.
 BAD_FLOAT = 1e20
-"""NDI writes -3.697314e28 for a number that there is not."""
+"""NDI writes -3.697314e28 for a missing number."""
 
-SEEN = ("ok", "enabled", "valid", "")
-"""States in which an NDI tool is seen."""
+VISIBLE = ("ok", "enabled", "valid", "")
+"""States of a visible NDI tool."""
 
 LENGTHS = {"meters": "m", "metres": "m", "centimeters": "cm", "millimeters": "mm"}
-"""Units of length that Motive names."""
+"""Names of units of length in exports of Motive."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A table as it was recorded."""
+    """Recorded table with the meaning of its columns."""
 
     table: CsvTable
     meaning: dict[str, str]
-    """Name of a column -> "meaning, unit": the header says it, or nothing does."""
+    """Name of a column -> "meaning, unit", as far as the header states it."""
     remarks: tuple[str, ...] = ()
-    """What was noticed when it was read."""
+    """Remarks on the content."""
     tools: tuple[str, ...] = ()
-    """Names of the tools or rigid bodies, in the order of their numbers from 1; empty where the file has none."""
+    """Names of the tools or rigid bodies, numbered from 1; empty if the file has none."""
 
 
 def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) -> Recorded:
-    """The table in a CSV file or an export.
+    """Read the table of a CSV file or of a tracker export.
 
     Args:
-        frame_rate: Hz, for exports that count frames and give no time.
+        frame_rate: frame rate of an export without times, Hz.
 
     Raises:
-        InputError: no such file, or a file that is none of these.
+        InputError: no such file, or a file of another format.
     """
     lines = decoded(read_bytes(path)).splitlines()
     separator = separator_of(lines[0]) if lines else ","
@@ -88,9 +86,9 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
 
 
 def _ndi_column(title: str) -> tuple[str, str]:
-    """What NDI calls a column, in small letters, and the unit that its title names: tx and mm of "Tx (mm)"."""
-    found = re.fullmatch(r"\s*(.*?)\s*[\[(](.*?)[\])]\s*", title)
-    name, unit = (found[1], found[2].strip()) if found else (title.strip(), "")
+    """Split the title of an NDI column into its name in lower case and its unit: "Tx (mm)" is tx, mm."""
+    match = re.fullmatch(r"\s*(.*?)\s*[\[(](.*?)[\])]\s*", title)
+    name, unit = (match[1], match[2].strip()) if match else (title.strip(), "")
     return name.lower().rstrip("# "), unit
 
 
@@ -118,20 +116,20 @@ def _ndi(path: str | PathLike[str], cells: list[list[str]], frame_rate: float | 
             pose = padded[k : k + width + 3]
             if angles:
                 pose = [*_quaternion_of(dict(zip(header[k : k + 3], pose, strict=False)), degrees), *pose[3:]]
-            seen = (state is None or padded[state].lower() in SEEN) and _is_pose(pose)
-            # A tool that is not seen has no pose, whatever its cells hold.
-            rows[-1] += pose if seen else [""] * 7
+            visible = (state is None or padded[state].lower() in VISIBLE) and _is_pose(pose)
+            # A tool that is not visible has no pose, whatever its cells contain.
+            rows[-1] += pose if visible else [""] * 7
     names = ["time", *(f"{name}_{i + 1}" for i in range(len(tools)) for name in (*QUATERNION, "x", "y", "z"))]
-    if not rows or not rows[0][0]:  # nothing to tell the time by
+    if not rows or not rows[0][0]:  # the file has no times
         rows, names = [row[1:] for row in rows], names[1:]
-    found = _recorded(path, names, rows, lines, {"time": "s", **dict.fromkeys("xyz", length)})
-    return replace(found, tools=tuple(_ndi_name(cells[0], cells[1:], header, k) for k in tools))
+    recorded = _recorded(path, names, rows, lines, {"time": "s", **dict.fromkeys("xyz", length)})
+    return replace(recorded, tools=tuple(_ndi_name(cells[0], cells[1:], header, k) for k in tools))
 
 
 def _ndi_unit(
     path: str | PathLike[str], columns: Sequence[tuple[str, str]], names: Sequence[str], known: Sequence[str]
 ) -> str:
-    """The unit that the titles of columns with these names state, the first that is known where they state none."""
+    """Unit in the titles of columns with these names; the first of `known` if they have none."""
     stated = dict.fromkeys(unit for name, unit in columns if name in names)
     if len(stated) > 1 or not {*stated} <= {"", *known}:
         shown = ", ".join(
@@ -142,25 +140,24 @@ def _ndi_unit(
 
 
 def _ndi_name(titles: Sequence[str], rows: Sequence[Sequence[str]], header: Sequence[str], k: int) -> str:
-    """What the columns of a tool before its quaternion call it: text in the column that begins them, or its title."""
+    """Name of a tool: text in its column before Frame, or the title of that column."""
     frame = _before(header, k, ("frame",))
     if not frame:
         return ""
-    # The column before Frame holds the name of the tool, in its cells or as its title.
+
     cell = next((row[frame - 1].strip() for row in rows if len(row) >= frame), "")
     return cell or titles[frame - 1].strip()
 
 
 def _quaternion_of(angles: dict[str, str], degrees: bool) -> list[str]:
-    """The quaternion of Euler angles; words in place of a number are left to the table."""
+    """Convert Euler angles to a quaternion; a cell that is no number is returned in its place."""
     try:
-        # Capital letters are turns about moving axes: R = Rz Ry Rx.
-        turn = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=degrees)
+        # Capital letters are rotations about moving axes: R = Rz Ry Rx.
+        rotation = Rotation.from_euler("ZYX", [float(angles[name]) for name in EULER], degrees=degrees)
     except ValueError:
-        # The word goes on as it is: the table complains of it, with row and column.
+        # The table reports this cell later, with row and column.
         return next(([cell] * 4 for cell in angles.values() if not _is_number(cell)), [""] * 4)
-    x, y, z, w = turn.as_quat().tolist()
-    return [repr(each) for each in (w, x, y, z)]
+    return [repr(part) for part in rotation.as_quat(scalar_first=True).tolist()]
 
 
 def _is_number(cell: str) -> bool:
@@ -171,7 +168,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _is_pose(cells: Sequence[str]) -> bool:
-    """Whether quaternion and position are ones that NDI writes for a tool that it sees; words are left to the table."""
+    """True unless the cells mark an invisible tool; cells that are no numbers are left to the table."""
     try:
         values = [float(cell) for cell in cells]
     except ValueError:
@@ -181,8 +178,8 @@ def _is_pose(cells: Sequence[str]) -> bool:
 
 
 def _before(header: Sequence[str], k: int, names: Sequence[str]) -> int | None:
-    """The nearest column with one of these names before column k, of the same tool."""
-    # A tool has at most nine columns, so that the search does not reach the tool before.
+    """Nearest column with one of these names before column k, of the same tool."""
+    # A tool has at most nine columns, so that the search does not reach the previous tool.
     return next((j for j in range(k - 1, max(k - 9, -1), -1) if header[j] in names), None)
 
 
@@ -198,7 +195,7 @@ def _ndi_time(where: str, row: Sequence[str], header: Sequence[str], k: int, fra
 
 
 def _whole(where: str, name: str, cell: str) -> int:
-    """A whole number of a cell, also one that a spreadsheet wrote as 12.0."""
+    """Whole number in a cell, also as 12.0 from a spreadsheet."""
     try:
         value = float(cell)
     except ValueError:
@@ -219,10 +216,11 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
     if start is None or start < 3:
         raise InputError(f"{path}: this export of OptiTrack has no line that names the columns Frame and Time")
     quantity, names = cells[start - 1], cells[start]
-    # Lines of type and name are found by their words, not by their place.
+    # Lines of type and name are recognised by their words, not by their line number.
     kind = next((row for row in cells[1:start] if any("rigid body" in cell.lower() for cell in row)), [])
     body = next((row for row in cells[1:start] if row and len(row) > 1 and row[1].strip().lower() == "name"), kind)
-    wanted, tools = [(1, "time")], list[str]()
+    # Number and meaning of the columns that are read.
+    selected, tools = [(1, "time")], list[str]()
     for k in range(2, len(names)):
         if k >= len(kind) or kind[k].strip().lower() != "rigid body" or k >= len(quantity):
             continue
@@ -230,23 +228,23 @@ def _optitrack(path: str | PathLike[str], cells: list[list[str]]) -> Recorded:
             tools.append(body[k])
         number, axis = tools.index(body[k]) + 1, names[k].strip().lower()
         if quantity[k].strip().lower() == "position" and axis in ("x", "y", "z"):
-            wanted.append((k, f"{axis}_{number}"))
+            selected.append((k, f"{axis}_{number}"))
         elif quantity[k].strip().lower() == "rotation" and facts.get("rotation type", "").lower() == "quaternion":
-            wanted.append((k, f"q{axis}_{number}"))
+            selected.append((k, f"q{axis}_{number}"))
     if not tools:
         raise InputError(f"{path}: this export of OptiTrack has no rigid body; export the positions of rigid bodies")
-    # Numbers are lines of the file, for messages.
-    kept = [(number, row) for number, row in enumerate(cells[start + 1 :], start=start + 2) if any(map(str.strip, row))]
-    rows = [[row[k].strip() if k < len(row) else "" for k, _ in wanted] for _, row in kept]
-    lines = [number for number, _ in kept]
-    found = _recorded(path, [name for _, name in wanted], rows, lines, {"time": "s", "x": unit, "y": unit, "z": unit})
-    found = replace(found, tools=tuple(tools))
-    turned = any(cell.strip().lower() == "rotation" for cell in quantity)
-    if not turned or any(name.startswith("q") for _, name in wanted):
-        return found
+    # Line numbers of the file, for messages.
+    full = [(number, row) for number, row in enumerate(cells[start + 1 :], start=start + 2) if any(map(str.strip, row))]
+    rows = [[row[k].strip() if k < len(row) else "" for k, _ in selected] for _, row in full]
+    lines = [number for number, _ in full]
+    recorded = _recorded(path, [name for _, name in selected], rows, lines, {"time": "s", **dict.fromkeys("xyz", unit)})
+    recorded = replace(recorded, tools=tuple(tools))
+    has_rotation = any(cell.strip().lower() == "rotation" for cell in quantity)
+    if not has_rotation or any(name.startswith("q") for _, name in selected):
+        return recorded
     kind_of_rotation = facts.get("rotation type", "") or "not named"
-    told = f"orientations are left out: Rotation Type is {kind_of_rotation}; export it as Quaternion to use them"
-    return replace(found, remarks=(told,))
+    remark = f"orientations are left out: Rotation Type is {kind_of_rotation}; export it as Quaternion to use them"
+    return replace(recorded, remarks=(remark,))
 
 
 def _recorded(
@@ -261,7 +259,7 @@ def _recorded(
 # --- columns: times, joints, positions, orientations ------------------------------------------------------------------
 
 NOTHING = ("", "nan", "na", "null")
-"""What a cell says where nothing was measured."""
+"""Cells of missing measurements."""
 
 ONE = Decimal(1)
 TIME = {"s": ONE, "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9")}
@@ -280,80 +278,82 @@ MEANINGS = {
     **{f"r{i}{j}_I": NO_UNIT for i in "123" for j in "123"},
     **{f"{axis}axis_{k}_I": NO_UNIT for axis in "zx" for k in "xyz"},
 }
-"""What a column may hold, and its units, the first where none is given: joint values of tube I; of sensor I (without a
-number, of sensor 1) position, quaternion, rotation vector, rotation matrix by rows, or its z and x axes."""
+"""Meanings of columns -> allowed units, the default first. I is the number of a tube for joint values, otherwise of a
+sensor (default 1): position, quaternion, rotation vector, rotation matrix by rows, or z and x axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """A table with the meaning of its columns."""
+    """Table with the meaning of its columns."""
 
     table: CsvTable
     known: Mapping[str, tuple[str, Decimal]]
-    """Meaning -> column, and what one of its unit is in SI, sign included."""
+    """Meaning -> name of the column, and its unit in SI, negative for a reversed sign."""
     reference: int | None = None
-    """Number of the sensor in whose frame all others are, row by row; None for that of the device."""
+    """Number of the reference sensor, whose frame is used in every row; None for the device frame."""
 
     def has(self, *meanings: str) -> bool:
-        """Whether there is a column for each of these."""
+        """True if there is a column for each of these meanings."""
         return all(meaning in self.known for meaning in meanings)
 
     def numbers(self, meanings: Sequence[str], *, missing: bool = False) -> Array:
-        """(rows, M) numbers in SI; with `missing`, NaN where a cell is empty or NaN."""
+        """Numbers in SI, shape (rows, M); with `missing`, NaN for cells of `NOTHING`."""
         columns, units = zip(*(self.known[meaning] for meaning in meanings), strict=True)
         return self.table.numbers(columns, units, gaps=NOTHING if missing else ())
 
     def time(self) -> Array | None:
-        """(rows,) s; None where no column has it."""
+        """Times (rows,), s; None without such a column."""
         return self.numbers(["time"])[:, 0] if self.has("time") else None
 
     def translations(self, home: Array) -> Array:
-        """(rows, n) m; those of `home` (n,) where there is no column."""
-        found = np.tile(home, (len(self.table.rows), 1))
+        """Translations (rows, n), m; those of `home` (n,) for tubes without a column."""
+        translations = np.tile(home, (len(self.table.rows), 1))
         for i in range(len(home)):
             if self.has(f"translation_{i + 1}"):
-                found[:, i] = self.numbers([f"translation_{i + 1}"])[:, 0]
-        return found
+                translations[:, i] = self.numbers([f"translation_{i + 1}"])[:, 0]
+        return translations
 
     def sensors(self) -> list[int]:
-        """Numbers of the sensors that have a position, the reference left out."""
-        found = {int(m[1]) for meaning in self.known if (m := re.fullmatch(r"[xyz]_(\d+)", meaning))}
-        return sorted(found - {self.reference})
+        """Numbers of the sensors with a position, except the reference."""
+        numbers = {int(m[1]) for meaning in self.known if (m := re.fullmatch(r"[xyz]_(\d+)", meaning))}
+        return sorted(numbers - {self.reference})
 
     def positions(self) -> Array:
-        """(rows, S, 3) positions, m; NaN where a sensor was not seen, which takes all three cells, or the reference."""
-        found = self._positions(self.sensors())
+        """Positions of the sensors (rows, S, 3), m; NaN if the sensor or the reference was not visible."""
+        x = self._positions(self.sensors())
         if self.reference is None:
-            return found
-        turn, place = self._orientation(self.reference), self._positions([self.reference])
-        assert turn is not None
+            return x
+        R, o = self._reference_pose(self.reference)
         # p = R^T (x - o) in the frame of the reference, row by row.
-        return np.asarray(np.einsum("rji,rsj->rsi", turn, found - place))
+        return np.asarray(np.einsum("rji,rsj->rsi", R, x - o))
 
     def unseen_reference(self) -> Mask:
-        """(rows,) where there is no pose of the reference."""
+        """Rows (rows,) without a pose of the reference."""
         if self.reference is None:
             return np.zeros(len(self.table.rows), dtype=bool)
-        turn, place = self._orientation(self.reference), self._positions([self.reference])
-        assert turn is not None
-        return np.isnan(turn[:, 0, 0]) | np.isnan(place[:, 0, 0])
+        R, o = self._reference_pose(self.reference)
+        return np.isnan(R[:, 0, 0]) | np.isnan(o[:, 0, 0])
 
     def orientation(self, sensor: int) -> Array | None:
-        """(rows, 3, 3) frames of a sensor, NaN where it or the reference was not seen; None where no columns tell."""
-        turn = self._orientation(sensor)
-        if turn is None or self.reference is None:
-            return turn
-        base = self._orientation(self.reference)
-        assert base is not None
-        # R_reference^T R_sensor.
-        return np.asarray(np.swapaxes(base, 1, 2) @ turn)
+        """Frames of a sensor (rows, 3, 3), NaN if it or the reference was not visible; None without such columns."""
+        R_sensor = self._orientation(sensor)
+        if R_sensor is None or self.reference is None:
+            return R_sensor
+        R, _ = self._reference_pose(self.reference)
+        return np.asarray(np.swapaxes(R, 1, 2) @ R_sensor)
 
-    def turns(self, sensor: int) -> bool:
-        """Whether columns tell the orientation of a sensor."""
+    def has_orientation(self, sensor: int) -> bool:
+        """True if there are columns for the orientation of a sensor."""
         return self._orientation(sensor) is not None
 
+    def _reference_pose(self, reference: int) -> tuple[Array, Array]:
+        """Frames (rows, 3, 3) and positions (rows, 1, 3), m, of the reference in the device frame."""
+        R = self._orientation(reference)
+        assert R is not None
+        return R, self._positions([reference])
+
     def _positions(self, sensors: Sequence[int]) -> Array:
-        """(rows, S, 3) positions of sensors in the frame of the device, m."""
+        """Positions (rows, S, 3) of sensors in the device frame, m."""
         parts = [self.numbers([f"{axis}_{k}" for axis in "xyz"], missing=True) for k in sensors]
         for k, part in zip(sensors, parts, strict=True):
             for row in np.flatnonzero(np.isnan(part).any(1) & ~np.isnan(part).all(1)).tolist():
@@ -364,34 +364,35 @@ class Columns:
         return np.stack(parts, axis=1)
 
     def _orientation(self, sensor: int) -> Array | None:
-        """(rows, 3, 3) frames of a sensor in that of the device, NaN where it was not seen; None for no columns."""
+        """Frames (rows, 3, 3) of a sensor in the device frame, NaN if it was not visible; None without such columns."""
         q = [f"{name}_{sensor}" for name in ("qx", "qy", "qz", "qw")]
         v = [f"{name}_{sensor}" for name in ("rx", "ry", "rz")]
         m = [f"r{i}{j}_{sensor}" for i in "123" for j in "123"]
         z, x = ([f"{axis}axis_{k}_{sensor}" for k in "xyz"] for axis in "zx")
-        turn = scipy.spatial.transform.Rotation
-        # One description suffices; quaternions go first, since trackers write them.
-        for names, read in ((q, turn.from_quat), (v, turn.from_rotvec), (m, _from_rows)):
+        # Quaternions first, since trackers write them.
+        for names, read in ((q, Rotation.from_quat), (v, Rotation.from_rotvec), (m, _from_rows)):
             if self.has(*names):
                 return _matrices(self.numbers(names, missing=True), read)
         if self.has(*z):
             across = self.numbers(x, missing=True) if self.has(*x) else None
-            return _of_axes(self.numbers(z, missing=True), across)
+            return _frames_of_axes(self.numbers(z, missing=True), across)
         return None
 
 
 def columns_of(table: CsvTable, meanings: Mapping[str, str], where: str, tubes: int) -> Columns:
-    """The columns that `meanings` ("rotation_1, deg") speak of; a leading minus turns the sign.
+    """Assign meanings such as "rotation_1, deg" to the columns of a table; a leading minus reverses the sign.
 
     Raises:
-        InputError: a column that is not there, a meaning or unit that is unknown, one that is given twice.
+        InputError: a missing column, an unknown meaning or unit, a meaning given twice.
     """
     problems, known = [], dict[str, tuple[str, Decimal]]()
     for column, text in meanings.items():
         meaning, _, unit = (part.strip() for part in text.partition(","))
         # Some devices count turns in the opposite direction.
         sign = -1 if meaning.startswith("-") else 1
-        meaning = _numbered(meaning.lstrip("-").strip())
+        meaning = meaning.lstrip("-").strip()
+        if meaning != "time" and not re.search(r"_\d+$", meaning):
+            meaning = f"{meaning}_1"  # the first sensor
         units = MEANINGS.get(re.sub(r"_\d+$", "_I", meaning))
         if column not in table.columns:
             problems.append(f"columns: {table.path} has no column {column}{nearest(column, table.columns)}")
@@ -413,42 +414,38 @@ def columns_of(table: CsvTable, meanings: Mapping[str, str], where: str, tubes: 
     return Columns(table, known)
 
 
-def _numbered(meaning: str) -> str:
-    """With the number of its sensor: x is x_1."""
-    return meaning if meaning == "time" or re.search(r"_\d+$", meaning) else f"{meaning}_1"
+def _matrices(table: Array, read: Callable[[Array], Rotation]) -> Array:
+    """Rotation matrices (rows, 3, 3); NaN for missing rotations."""
+    # A quaternion of zeros is a missing one; a rotation vector of zeros is a valid rotation.
+    visible = np.isfinite(table).all(1) & (np.nan_to_num(table).any(1) | (table.shape[1] != 4))
+    return _where(visible, lambda: read(table[visible]).as_matrix())
 
 
-def _matrices(table: Array, read: Callable[[Array], Any]) -> Array:
-    """(rows, 3, 3) of rotations; NaN where one is missing, or a quaternion 0."""
-    # Four columns are a quaternion; a rotation vector of zeros is a valid rotation.
-    seen = np.isfinite(table).all(1) & (np.nan_to_num(table).any(1) | (table.shape[1] != 4))
-    return _where(seen, lambda: read(table[seen]).as_matrix())
+def _from_rows(table: Array) -> Rotation:
+    return Rotation.from_matrix(table.reshape(-1, 3, 3))
 
 
-def _from_rows(table: Array) -> Any:
-    return scipy.spatial.transform.Rotation.from_matrix(table.reshape(-1, 3, 3))
-
-
-def _of_axes(z: Array, x: Array | None) -> Array:
-    """Frames with this z axis, and the x axis in the plane of z and x; any x where none is given."""
-    seen = np.isfinite(z).all(1) & (np.linalg.norm(np.nan_to_num(z), axis=1) > 0)
+def _frames_of_axes(z: Array, x: Array | None) -> Array:
+    """Frames with the z axis `z` and the x axis in the plane of z and x; any x axis if `x` is None."""
+    visible = np.isfinite(z).all(1) & (np.linalg.norm(np.nan_to_num(z), axis=1) > 0)
     if x is not None:
-        seen &= np.isfinite(x).all(1)
+        visible &= np.isfinite(x).all(1)
 
     def _frames() -> Array:
-        along = z[seen] / np.linalg.norm(z[seen], axis=1, keepdims=True)
-        # Without x any direction does. The unit vector most perpendicular to z divides by the largest number.
-        across = x[seen] if x is not None else np.eye(3)[np.argmin(np.abs(along), axis=1)]
+        e3 = z[visible] / np.linalg.norm(z[visible], axis=1, keepdims=True)
+        # Without x, the unit vector most perpendicular to z gives the smallest rounding error.
+        e1 = x[visible] if x is not None else np.eye(3)[np.argmin(np.abs(e3), axis=1)]
         # Gram-Schmidt: measured axes are perpendicular only up to noise.
-        across = across - (across * along).sum(1, keepdims=True) * along
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        return np.stack([across, np.cross(along, across), along], axis=2)
+        e1 = e1 - (e1 * e3).sum(1, keepdims=True) * e3
+        e1 /= np.linalg.norm(e1, axis=1, keepdims=True)
+        return np.stack([e1, np.cross(e3, e1), e3], axis=2)
 
-    return _where(seen, _frames)
+    return _where(visible, _frames)
 
 
-def _where(seen: Mask, frames: Callable[[], Array]) -> Array:
-    out = np.full((len(seen), 3, 3), np.nan)
-    if seen.any():
-        out[seen] = frames()
+def _where(visible: Mask, frames: Callable[[], Array]) -> Array:
+    """Frames in visible rows, NaN in the others."""
+    out = np.full((len(visible), 3, 3), np.nan)
+    if visible.any():
+        out[visible] = frames()
     return out

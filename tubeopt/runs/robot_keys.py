@@ -16,8 +16,8 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo
 from ..equilibrium.readings import to_model
 from ..errors import InputError
 from ..files.checked import Count, Entry, Number, Triple, check, in_file
-from ..files.fields import EntryOf, Part, asking, described, extended, values
-from ..files.shipped import resolved
+from ..files.fields import EntryOf, Part, keys_from, keys_in, values, with_keys
+from ..files.shipped import resolve_file
 from ..files.units import TO_MM
 from ..files.yaml_file import load_yaml
 from ..robots.file import AnyRobot, load_robot
@@ -192,7 +192,7 @@ def joints_of(
 # --- loads, in a study or in a file of their own: forces in mN, moments in mN m, lengths in mm ------------------------
 
 
-@asking(Load)
+@keys_from(Load)
 class LoadEntry(Part):
     """External load on the robot."""
 
@@ -227,15 +227,15 @@ def _entry(value: object, info: ValidationInfo) -> LoadEntry | None:
     if value is None or isinstance(value, LoadEntry):
         return value
     if isinstance(value, str):
-        return load_entry(resolved(value, info.context["directory"]) if info.context else resolved(value))
+        return load_entry(resolve_file(value, info.context["directory"]) if info.context else resolve_file(value))
     return check(LoadEntry, value, "")
 
 
-LOAD_KEYS = {one.key: one for one in described(Load) if one.name in ("force", "moment", "gravity")}
+LOAD_KEYS = {one.key: one for one in keys_in(Load) if one.name in ("force", "moment", "gravity")}
 """Keys of a load that a study may have itself."""
 
 
-@extended(
+@with_keys(
     {key: (Triple | None, Field(None, description=one.about, examples=["X,Y,Z"])) for key, one in LOAD_KEYS.items()}
 )
 class Loaded(Entry):

@@ -1,4 +1,4 @@
-"""JSON Schemas of all files, for editors, and the page of the docs about them: `python -m tubeopt.runs.schema`."""
+"""JSON Schemas of all files for editors, and their documentation page: `python -m tubeopt.runs.schema`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .workshop_file import MOLD_KINDS, OVEN_KINDS, RIG_KINDS
 
 
 class _Numbers(GenerateJsonSchema):
-    """Decimals are what numbers are read as; in the file they are numbers, not text."""
+    """JSON Schema with decimals as numbers, not as text."""
 
     def decimal_schema(self, schema: core_schema.DecimalSchema) -> JsonSchemaValue:
         bounds: dict[str, Any] = {key: float(schema[key]) for key in ("gt", "ge", "lt", "le") if key in schema}
@@ -179,7 +179,7 @@ TITLES = {
     "HeatingRunStudy": "Study: run a heating",
     "HeatingStudy": "Study: plan a heating",
     "InverseStudy": "Study: inverse kinematics",
-    "LedHeatingStudy": "Study: closed-loop heating and firmware",
+    "ClosedLoopStudy": "Study: closed-loop heating and firmware",
     "LoadLimitStudy": "Study: load limit",
     "MandrelStudy": "Study: mandrel",
     "MaterialsStudy": "Study: rank mold materials",
@@ -196,50 +196,50 @@ TITLES = {
     "VerifyStudy": "Study: verify a trajectory",
     "WorkspaceStudy": "Study: workspace",
 }
-"""Heading of the keys of every model, in words that a user searches for."""
+"""Heading of every model on the page."""
 
 SHARED = 3
-"""Number of tables with the same row that moves it into a table of shared keys."""
+"""Number of tables with an equal row from which on it moves into a table of shared keys."""
 
 
 def page() -> str:
-    """The page of the docs about files, as Markdown: a table of keys for every mapping in them."""
+    """Documentation page about files, as Markdown with a table of keys for every model."""
     lines = [INTRODUCTION]
-    told: set[str] = set()
+    done: set[str] = set()
     for name, text in schemas().items():
         schema = json.loads(text)
         title = schema["title"].removeprefix("tubeopt ").capitalize()
         lines += [f"## {title} (`{name}`)", ""]
         own = [("", schema)] if "properties" in schema else []
         parts = [part for part in (*own, *schema.get("$defs", {}).items()) if "properties" in part[1]]
-        parts = [part for part in parts if part[0] not in told]
-        told |= {part for part, _ in parts if part}
+        parts = [part for part in parts if part[0] not in done]
+        done |= {part for part, _ in parts if part}
         tables = {part: _rows(keys) for part, keys in parts}
         count = Counter(row for rows in tables.values() for row in rows.items())
         # Rare rows first: of several meanings of one key the most frequent remains.
-        shared = {key: row for (key, row), n in sorted(count.items(), key=lambda one: one[1]) if n >= SHARED}
+        shared = {key: row for (key, row), n in sorted(count.items(), key=lambda entry: entry[1]) if n >= SHARED}
         if shared:
             lines += [f"### {title}: shared keys", "", *HEAD, *shared.values(), ""]
         for part, keys in parts:
             lines += [f"### {_title(part)}", ""] if part else []
             about = " ".join(keys.get("description", "").partition("\n\n")[0].split())
             lines += [f"{_kind(keys)}{about}", ""]
-            rows = {key: words for key, words in tables[part].items() if shared.get(key) != words}
+            rows = {key: row for key, row in tables[part].items() if shared.get(key) != row}
             lines += [*HEAD, *rows.values(), ""] if rows else []
-            if others := [f"`{key}`" for key in tables[part] if key not in rows]:
-                lines += [f"And the [shared keys]({_anchor(title)}-shared-keys) {', '.join(others)}.", ""]
+            if omitted := [f"`{key}`" for key in tables[part] if key not in rows]:
+                lines += [f"And the [shared keys]({_anchor(title)}-shared-keys) {', '.join(omitted)}.", ""]
     return "\n".join(lines)
 
 
 def _rows(part: Mapping[str, Any]) -> dict[str, str]:
-    """The row of every key of a mapping but of that which tells its kind."""
+    """Table rows of a model: key -> row, without the key `kind`."""
     required = part.get("required", ())
     keys: Mapping[str, Any] = part["properties"]
     return {key: _row(key, value, key in required) for key, value in keys.items() if "const" not in value}
 
 
 def _kind(part: Mapping[str, Any]) -> str:
-    """What the key `kind` of a mapping must be, as it is written; "" where it has none."""
+    """Kind of a model as Markdown; "" without one."""
     kinds = [value["const"] for value in part["properties"].values() if "const" in value]
     return f"`kind: {kinds[0]}`. " if kinds else ""
 
@@ -250,23 +250,22 @@ def _title(name: str) -> str:
 
 
 def _anchor(title: str) -> str:
-    """Link target of a heading, as the site makes it."""
+    """Link to a heading, as the website names it."""
     return "#" + re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower())
 
 
 def _row(key: str, value: dict[str, Any], required: bool) -> str:
     default = value.get("default")
     shown = "required" if required else "" if default is None else f"`{json.dumps(default)}`"
-    said, allowed = value.get("description", ""), _allowed(value)
+    description, allowed = value.get("description", ""), _allowed(value)
     choices = allowed.split(" or ")
-    if len(choices) > 1 and all(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", said) for word in choices):
-        allowed = ""  # the description names every one
-    words = [said, allowed]
-    return f"| `{key}` | {shown} | {'; '.join(word for word in words if word)} |"
+    if len(choices) > 1 and all(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", description) for word in choices):
+        allowed = ""  # the description has all choices
+    return f"| `{key}` | {shown} | {'; '.join(filter(None, (description, allowed)))} |"
 
 
 def _allowed(value: dict[str, Any]) -> str:
-    """What a key may be: its words, the bounds of its number, or the mapping that it is."""
+    """Allowed values of a key: its choices, the bounds of its number, or a link to its model."""
     if "const" in value:
         return str(value["const"])
     if "enum" in value:
@@ -275,16 +274,16 @@ def _allowed(value: dict[str, Any]) -> str:
         title = _title(value["$ref"].rpartition("/")[2])
         return f"[{title}]({_anchor(title)})"
     signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
-    found = [f"{words} {value[sign]:g}" for sign, words in signs.items() if sign in value]
+    bounds = [f"{sign} {value[name]:g}" for name, sign in signs.items() if name in value]
     inner = [_allowed(each) for each in (*value.get("anyOf", ()), *value.get("oneOf", ()))]
     inner += [_allowed(value["items"])] if isinstance(value.get("items"), dict) else []
     if len([word for word in inner if word.startswith("[")]) > 2:
         return "[obstacles](#obstacles-obstaclesschemajson)"
-    return ", ".join(found) or " or ".join(dict.fromkeys(word for word in inner if word))
+    return ", ".join(bounds) or " or ".join(dict.fromkeys(word for word in inner if word))
 
 
 def write_schemas(directory: str | Path = "configs/schema") -> list[Path]:
-    """Write the schemas into `directory` and return their paths; raises InputError where that cannot be."""
+    """Write the schemas into a directory and return their paths; raises InputError if that fails."""
     paths = []
     for name, text in schemas().items():
         paths.append(Path(directory) / name)

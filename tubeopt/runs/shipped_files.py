@@ -8,7 +8,7 @@ from typing import Annotated
 
 from ..display import Displayed
 from ..files.field_metadata import key
-from ..files.shipped import FOLDER, about, shipped
+from ..files.shipped import FOLDER, description_of, shipped
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
 
@@ -51,4 +51,4 @@ def _described(path: Path) -> ShippedFile:
     folder = path.parent.name
     data = load_yaml(path) if path.suffix == ".yaml" else {}
     n_tubes = robot_from_dict(data, path).n_tubes if folder == "robots" else None
-    return ShippedFile(path.stem, folder, data.get("kind"), n_tubes, about(path))
+    return ShippedFile(path.stem, folder, data.get("kind"), n_tubes, description_of(path))

@@ -51,7 +51,7 @@ from .robot_keys import (
     Translations,
     joints_of,
 )
-from .study_file import Arguments, Options, Timed, question, reworded
+from .study_file import Arguments, Options, Timed, question, rewording
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +79,7 @@ class StraightMotion(Displayed):
     """First snap on a straight joint path, or the equilibrium at its end."""
 
     robot: Robot
+    """Robot that moves."""
     start: tuple[Array, Array]
     """Rotations (n,), rad, and translations (n,), m."""
     end: tuple[Array, Array]
@@ -154,6 +155,7 @@ class Certification(Displayed):
     """Assessment of whether a robot can snap."""
 
     robot: Robot
+    """Assessed robot."""
     verdict: SnapAssessment
     """Assessment at the given translations, or at those with the smallest certificate in `box`."""
     box: Annotated[WorstCertificate | None, "the searched box of translations"]
@@ -222,7 +224,7 @@ class CertifyStudy(Timed):
         verdict = assess_snapping(self.robot, shift, progress=progress)
         force, forced = self.si("max_tip_force_mN"), None
         if force is not None:
-            with reworded({r"^max_force\b": "max_tip_force_mN"}):
+            with rewording({r"^max_force\b": "max_tip_force_mN"}):
                 forced = snap_free_certificate(self.robot, verdict.certificate.translations, max_force=force)
         return Certification(self.robot, verdict, worst, self._robot_file, force, forced)
 

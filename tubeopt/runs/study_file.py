@@ -35,7 +35,7 @@ from ..arguments import typed
 from ..errors import InputError
 from ..files.checked import Entry, Positive, check_kind
 from ..files.fields import keys_of, values
-from ..files.shipped import found
+from ..files.shipped import find_file
 from ..files.yaml_file import load_yaml
 from ..solvers.time_limit import LONG_TIME_LIMIT, LateError, late_error, within
 from ..typing import Progress
@@ -218,7 +218,7 @@ def _study(question: Question, kind: str) -> type[Study]:
 
 
 @contextmanager
-def reworded(replacements: Mapping[str, str]) -> Iterator[None]:
+def rewording(replacements: Mapping[str, str]) -> Iterator[None]:
     """Replace names of arguments in an InputError of the library by keys of the study: pattern -> replacement.
 
     Example: `{r"^max_force\b": "max_tip_force_mN"}`.
@@ -256,7 +256,7 @@ STUDY_KINDS = Kinds(
         "workspace": "inverse_study.find_workspace",
         "oven": "heating_study.plan_soak",
         "heating": "heating_study.HeatingStudy",
-        "led_heating": "heating_study.LedHeatingStudy",
+        "led_heating": "heating_study.ClosedLoopStudy",
         "heating_run": "heating_run.HeatingRunStudy",
         "heating_calibration": "heating_study.HeatingCalibrationStudy",
         "mold_plan": "mold_study.MoldStudy",
@@ -282,7 +282,7 @@ def load_study(path: str | PathLike[str]) -> Study:
         >>> round(snap.fraction, 6)
         0.595062
     """
-    path = found(path, "studies")
+    path = find_file(path, "studies")
     data = load_yaml(path)
     # A sweep has points, not one answer: it runs by its own command.
     if data.get("kind") == "sweep":

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
-from ..bodies.anatomy import Anatomy, anatomy_seen, centres
+from ..bodies.anatomy import Anatomy, anatomy_in_frame, centres
 from ..bodies.corridors import PLACE, Corridor, MeshObstacle, load_mesh, load_points, read_mesh, warn_of_open
 from ..bodies.distance_field import DistanceField
-from ..bodies.frames import Frame, base_frame, needed, ras, register
+from ..bodies.frames import Frame, base_frame, ras, register, required_axes
 from ..bodies.images import LabelImage, field_of_image, read_image
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..bodies.solids import field_of_mesh, field_of_points, field_of_surface
@@ -36,32 +36,31 @@ from ..typing import Array, Mask
 # --- points that 3D Slicer saves: .fcsv, a table below comments, and .mrk.json ----------------------------------------
 
 COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
-"""Of a .fcsv file that does not name them."""
+"""Columns of a .fcsv file without a header."""
 
 NOWHERE = ("undefined", "missing")
-"""States of a point of a .mrk.json file that has no place."""
+"""States of a point without a position in a .mrk.json file."""
 
 UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "um": 1e-6}
-"""Units of length in files, m."""
+"""Units of length in files, in m."""
 
 
 def markups(path: str | PathLike[str]) -> dict[str, Array]:
-    """Places (3,), m, by their labels, in the axes of the file.
+    """Load points (3,), m, by their labels, in the axes of the file.
 
     Raises:
-        InputError: no such file, no points in it, a label that is empty or stands twice, a place that is no three
-            finite numbers.
+        InputError: no such file, no points, an empty or repeated label, a position that is not three finite numbers.
     """
     rows = _of_json(path) if Path(path).suffix.lower() == ".json" else _of_table(path)
-    found: dict[str, Array] = {}
-    for k, (label, place) in enumerate(rows, start=1):
+    points: dict[str, Array] = {}
+    for k, (label, position) in enumerate(rows, start=1):
         name = str(label or "").strip()
-        if not name or name in found:
+        if not name or name in points:
             raise InputError(f"{path}: label of point {k} is {name!r}; every landmark must have a name of its own")
-        found[name] = np.array(triple(f"{path}: place of {name!r}", place))
-    if not found:
+        points[name] = np.array(triple(f"{path}: place of {name!r}", position))
+    if not points:
         raise InputError(f"{path}: it has no points")
-    return found
+    return points
 
 
 def _of_table(path: str | PathLike[str]) -> list[tuple[str, Any]]:
@@ -74,10 +73,10 @@ def _of_table(path: str | PathLike[str]) -> list[tuple[str, Any]]:
         elif line.strip():
             cells = dict(zip(columns, (cell.strip() for cell in line.split(",")), strict=False))
             try:
-                place = [float(cells[axis]) * UNITS["mm"] for axis in "xyz"]
+                position = [float(cells[axis]) * UNITS["mm"] for axis in "xyz"]
             except (KeyError, ValueError):
                 raise InputError(f"{path}: line {number} has no x, y and z that are numbers") from None
-            rows.append((cells.get("label", ""), place))
+            rows.append((cells.get("label", ""), position))
     return rows
 
 
@@ -109,27 +108,28 @@ Axes = Literal["RAS", "LPS"]
 
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
-SQUARE = 1e-3
-"""How far the axes of a pose may be from those of a frame."""
+POSE_TOLERANCE = 1e-3
+"""Largest deviation of the axes of a pose from an orthonormal frame."""
 
 
 def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[str, Array]:
-    """Named places (3,) in RAS, m: of a CSV file with the columns name, x_mm, y_mm and z_mm, of markups of 3D Slicer
-    (.fcsv, .mrk.json), or the one place that the three numbers (mm) of a .txt file are, by the name of the file.
+    """Load named landmarks (3,) in RAS, m.
+
+    Formats: CSV with columns name, x_mm, y_mm and z_mm; markups of 3D Slicer (.fcsv, .mrk.json); .txt with the three
+    numbers of one landmark in mm, named after the file.
 
     Args:
-        axes: RAS or LPS, of a file that does not state its own.
+        axes: RAS or LPS, for a file that does not state its axes.
 
     Raises:
-        InputError: no such file, columns or cells that are not as they must be, a name twice; axes that are not known,
-            or contradict those of the file.
+        InputError: no such file, invalid columns or cells, a repeated name, unknown axes or axes that contradict the
+            file.
     """
-    own, kind = needed(path, axes), Path(path).suffix.lower()
+    own, kind = required_axes(path, axes), Path(path).suffix.lower()
     if kind == ".txt":
         return {Path(path).stem: ras(_numbers(path, (3,), "x, y and z in mm") * 1e-3, own)}
     if kind in (".fcsv", ".json"):
-        found = markups(path)
-        return {name: ras(place, own) for name, place in found.items()}
+        return {name: ras(point, own) for name, point in markups(path).items()}
     table = read_csv(path, PLACE)
     table.expect(("name", *PLACE))
     places, known = ras(table.numbers(PLACE, MM), own), dict[str, Array]()
@@ -143,67 +143,66 @@ def load_landmarks(path: str | PathLike[str], axes: str | None = None) -> dict[s
 
 
 def load_pose(path: str | PathLike[str], axes: str | None = None) -> Frame:
-    """The frame in RAS that the 4 x 4 matrix in a text file is: the axes of the plate as its first three columns, the
-    arm leaving along the third, and the position (mm) as its fourth.
+    """Load the frame of the base plate in RAS from a 4 x 4 matrix in a text file.
+
+    Columns 1 to 3 are the axes of the plate, with the arm along the third; column 4 is the position, mm.
 
     Args:
-        axes: RAS or LPS, of a file that does not state its own in a comment.
+        axes: RAS or LPS, for a file without a comment that states them.
 
     Raises:
-        InputError: no such file, no such matrix, axes that are not those of a right-handed frame; axes of the patient
-            that are not known, or contradict those of the file.
+        InputError: no such file, no such matrix, no right-handed frame; unknown axes or axes that contradict the file.
     """
     matrix = _numbers(path, (4, 4), "a matrix of four rows of four numbers")
-    turn = matrix[:3, :3]
+    rotation = matrix[:3, :3]
     # R^T R = I for a rotation, and the last row of a pose is 0 0 0 1.
-    off = max(np.abs(turn.T @ turn - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
-    if off > SQUARE or np.linalg.det(turn) < 0:
+    deviation = max(np.abs(rotation.T @ rotation - np.eye(3)).max(), np.abs(matrix[3] - [0, 0, 0, 1]).max())
+    if deviation > POSE_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(
             f"{path}: the matrix is not a pose; it must have a right-handed rotation, a position, and the row 0 0 0 1"
         )
-    own = needed(path, axes)
+    own = required_axes(path, axes)
     # U V^T is the rotation nearest to the matrix in the Frobenius norm: digits in files are rounded.
-    u, _, v = np.linalg.svd(turn)
+    u, _, v = np.linalg.svd(rotation)
     return Frame(ras((u @ v).T, own).T, ras(matrix[:3, 3] * 1e-3, own))
 
 
 def _numbers(path: str | PathLike[str], shape: tuple[int, ...], what: str) -> Array:
-    """All numbers of a text file, between blanks or commas; lines that begin with # are comments."""
+    """Read the numbers of a text file, separated by blanks or commas; lines that begin with # are comments."""
     lines = (line for line in read_text(path).splitlines() if not line.lstrip().startswith("#"))
-    words = " ".join(lines).replace(",", " ").split()
     try:
-        found = np.array([float(word) for word in words])
+        numbers = np.array([float(word) for word in " ".join(lines).replace(",", " ").split()])
     except ValueError:
-        found = np.zeros(0)
-    if found.size != np.prod(shape) or not np.isfinite(found).all():
+        numbers = np.zeros(0)
+    if numbers.size != np.prod(shape) or not np.isfinite(numbers).all():
         raise InputError(f"{path}: it must contain only {what}")
-    return found.reshape(shape)
+    return numbers.reshape(shape)
 
 
 def read_structure(path: str | PathLike[str], axes: str | None = None) -> LabelImage:
-    """The voxels of an image that are not 0, as true; axes as of `read_image`.
+    """Load an image as a mask of the voxels that are not 0; axes as in `read_image`.
 
     Raises:
-        InputError: as `read_image`; voxels that are NaN or infinite, or no voxel but of 0.
+        InputError: as `read_image`; voxels that are NaN or infinite, or only voxels of value 0.
     """
     image = read_image(path, axes)
     if not all(np.isfinite(part).all() for part in image.values):
         raise InputError(f"{path} has voxels that are NaN or infinite; every one must be a number")
-    voxels = np.stack([part != 0 for part in image.values])  # a byte each: a case has many structures
+    # Booleans need one byte per voxel: a case has many structures.
+    voxels = np.stack([part != 0 for part in image.values])
     if not voxels.any():
         raise InputError(f"{path} has only voxels of value 0")
     return replace(image, values=voxels)
 
 
-OF_FILE = "axes of the coordinates; required if the file does not state them"
-OF_VOXELS = "axes of the voxels; required if the header does not state them"
-"""What axes are of."""
+FILE_AXES = "axes of the coordinates; required if the file does not state them"
+VOXEL_AXES = "axes of the voxels; required if the header does not state them"
 
 
 class StructurePart(Entry):
     """Image of one structure: all voxels other than 0."""
 
-    axes: Axes | None = Field(None, description=OF_VOXELS)
+    axes: Axes | None = Field(None, description=VOXEL_AXES)
     file: Annotated[Any, in_file(read_structure, "a NIfTI or NRRD file", of="axes")] = Field(
         description="path of the NIfTI or NRRD file"
     )
@@ -212,10 +211,10 @@ class StructurePart(Entry):
     )
 
     def build(self) -> DistanceField:
-        """Its distance field in the patient, RAS."""
+        """Distance field in the patient, RAS."""
         image: LabelImage = self.file
-        chosen = {"lumen" if self.keep == "in" else "forbidden": image.values}
-        return field_of_image(image, **chosen, name=Path(image.name).name)
+        region = {"lumen" if self.keep == "in" else "forbidden": image.values}
+        return field_of_image(image, **region, name=Path(image.name).name)
 
 
 class MeshPart(Entry):
@@ -228,14 +227,14 @@ class MeshPart(Entry):
         "outside it, or clear of an open surface",
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
-    axes: Axes | None = Field(None, description=OF_FILE)
+    axes: Axes | None = Field(None, description=FILE_AXES)
     cell_mm: Annotated[Positive | None, Typical(1e-5, 0.05)] = Field(
         None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
     def build(self) -> DistanceField:
-        """Its distance field in the patient, RAS."""
-        mesh = read_mesh(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
+        """Distance field in the patient, RAS."""
+        mesh = read_mesh(self.file, scale=UNITS[self.unit], axes=required_axes(self.file, self.axes))
         field = field_of_mesh(mesh, keep=self.keep, name=self.file.name, **self.in_si("cell_mm"))
         warn_of_open(self.file, mesh)
         return field
@@ -250,31 +249,31 @@ class PointsPart(Entry):
         "faces, their thickness on each side"
     )
     unit: Literal["mm", "cm", "m"] = Field("mm", description="unit of the numbers in the file: mm, cm or m")
-    axes: Axes | None = Field(None, description=OF_FILE)
+    axes: Axes | None = Field(None, description=FILE_AXES)
     cell_mm: Annotated[Positive | None, Typical(1e-5, 0.05)] = Field(
         None, description="cell size of the distance field; default 0.5 if memory allows"
     )
 
     def build(self) -> DistanceField:
-        """Its distance field in the patient, RAS."""
-        found = load_points(self.file, scale=UNITS[self.unit], axes=needed(self.file, self.axes))
-        make: Any = field_of_surface if isinstance(found, MeshObstacle) else field_of_points
-        field: DistanceField = make(found, name=self.file.name, **self.in_si("radius_mm", "cell_mm"))
+        """Distance field in the patient, RAS."""
+        points = load_points(self.file, scale=UNITS[self.unit], axes=required_axes(self.file, self.axes))
+        field_of: Any = field_of_surface if isinstance(points, MeshObstacle) else field_of_points
+        field: DistanceField = field_of(points, name=self.file.name, **self.in_si("radius_mm", "cell_mm"))
         return field
 
 
 class LandmarksPart(Entry):
     """Landmarks of the patient."""
 
-    axes: Axes | None = Field(None, description=OF_FILE)
+    axes: Axes | None = Field(None, description=FILE_AXES)
     file: Annotated[Any, in_file(load_landmarks, "a file of landmarks: .csv, .fcsv, .mrk.json or .txt", of="axes")] = (
         Field(description="path of the file: .csv, .fcsv, .mrk.json or .txt")
     )
 
     def build(self) -> dict[str, Array]:
-        """The places in RAS, m."""
-        places: dict[str, Array] = self.file
-        return places
+        """Landmarks (3,) in RAS, m, by name."""
+        landmarks: dict[str, Array] = self.file
+        return landmarks
 
 
 class BasePart(Entry):
@@ -298,22 +297,21 @@ class BasePart(Entry):
             if self.position_mm or self.direction or self.at or self.towards or self.roll_deg:
                 raise ValueError("gives a pose and also position or direction; give one of them")
             return self
-        for one, other in (("position_mm", "at"), ("direction", "towards")):
-            if (getattr(self, one) is None) == (getattr(self, other) is None):
-                raise ValueError(f"must give one of {one} and {other}")
+        for vector, landmark in (("position_mm", "at"), ("direction", "towards")):
+            if (getattr(self, vector) is None) == (getattr(self, landmark) is None):
+                raise ValueError(f"must give one of {vector} and {landmark}")
         return self
 
     def frame(self, landmarks: Mapping[str, Array]) -> Frame:
-        """The plate in the patient, RAS."""
-        # Messages on unknown landmarks are those of the anatomy.
-        known = Anatomy(landmarks=landmarks)
+        """Frame of the base plate in the patient, RAS."""
         if self.pose is not None:
             frame: Frame = self.pose
             return frame
-        own = self.axes or "RAS"
-        position = ras(self.si("position_mm"), own) if self.at is None else known.place(self.at)
-        aim = ras(self.si("direction"), own) if self.towards is None else known.place(self.towards) - position
-        return base_frame(position, aim, self.si("roll_deg"))
+        # An anatomy reports unknown landmarks.
+        known, axes = Anatomy(landmarks=landmarks), self.axes or "RAS"
+        position = ras(self.si("position_mm"), axes) if self.at is None else known.place(self.at)
+        direction = ras(self.si("direction"), axes) if self.towards is None else known.place(self.towards) - position
+        return base_frame(position, direction, self.si("roll_deg"))
 
 
 class RegistrationPart(Entry):
@@ -326,7 +324,7 @@ class RegistrationPart(Entry):
 class AnatomyPart(Entry):
     """Surroundings of the robot in a patient."""
 
-    image_axes: Axes | None = Field(None, description=OF_VOXELS)
+    image_axes: Axes | None = Field(None, description=VOXEL_AXES)
     image: (
         Annotated[LabelImage, in_file(read_image, "a NIfTI or NRRD file", kind=LabelImage, of="image_axes")] | None
     ) = Field(None, description="path of the label image, NIfTI or NRRD")
@@ -348,8 +346,8 @@ class AnatomyPart(Entry):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        chosen = self.lumen or self.forbidden or self.target or self.lumen_between or self.forbidden_between
-        if self.image is None and (chosen or self.region_mm):
+        has_labels = self.lumen or self.forbidden or self.target or self.lumen_between or self.forbidden_between
+        if self.image is None and (has_labels or self.region_mm):
             raise ValueError("chooses labels or a region without an image")
         if self.image is None and not self.structures and not self.meshes and not self.points:
             raise ValueError("has no image, structures, meshes or points; it must have one of them")
@@ -363,32 +361,31 @@ class AnatomyPart(Entry):
         return self
 
     def build(self) -> Anatomy:
-        """What the plate sees.
+        """Build the anatomy in the base frame.
 
         Raises:
-            InputError: files that cannot be read, labels that no voxel has, a registration that does not fit.
+            InputError: unreadable files, labels without voxels, a registration with a large error.
         """
         landmarks = {} if self.landmarks is None else self.landmarks.build()
         # Landmarks in LPS read as RAS have x and y reversed, and usually miss the image.
         if self.image is not None and landmarks and not any(self.image.holds(each) for each in landmarks.values()):
             LOGGER.warning(f"no landmark lies inside {self.image.name}; check axes and unit of the landmark file")
-        base, found = Frame(), None
+        base, registration = Frame(), None
         if self.base is not None:
             base = self.base.frame(landmarks)
         elif self.registration is not None:
-            here = self.registration.si("landmarks_mm")
-            found = register(landmarks, here)
-            base, error = found.frame, found.rms
-            if error > self.registration.si("most_error_mm"):
+            registration = register(landmarks, self.registration.si("landmarks_mm"))
+            base, errors = registration.frame, registration.errors
+            if registration.rms > self.registration.si("most_error_mm"):
                 # Often a single landmark was touched wrongly or mixed up: the message names the worst.
-                worst = max(found.errors, key=lambda name: found.errors[name])
+                worst = max(errors, key=lambda name: errors[name])
                 raise InputError(
-                    f"registration has an RMS error of {error * 1e3:.3g} mm (landmark "
-                    f"{worst!r}: {found.errors[worst] * 1e3:.3g} mm); it must be at most "
+                    f"registration has an RMS error of {registration.rms * 1e3:.3g} mm (landmark "
+                    f"{worst!r}: {errors[worst] * 1e3:.3g} mm); it must be at most "
                     f"most_error_mm, {self.registration.most_error_mm}"
                 )
-            if not found.exact:
-                LOGGER.warning(found.statement)
+            if not registration.exact:
+                LOGGER.warning(registration.statement)
         fields, target = self._of_image()
         fields += [part.build() for part in self.structures if part.keep != "target"]
         regions = [centres(part.file, part.file.values) for part in self.structures if part.keep == "target"]
@@ -396,9 +393,10 @@ class AnatomyPart(Entry):
             target = np.concatenate([*regions, *([] if target is None else [target])])
         fields += [part.build() for part in self.meshes]
         fields += [part.build() for part in self.points]
-        return anatomy_seen(fields, base, target=target, landmarks=landmarks, registration=found)
+        return anatomy_in_frame(fields, base, target=target, landmarks=landmarks, registration=registration)
 
     def _of_image(self) -> tuple[list[DistanceField], Array | None]:
+        """Distance fields of the image, and the voxel centres of its target (N, 3), m."""
         image = self.image
         if image is None:
             return [], None
@@ -408,35 +406,35 @@ class AnatomyPart(Entry):
         if lumen is not None and target is not None:
             # The tip must reach the target, so that it belongs to the free space.
             lumen = lumen | target
-        places = None if target is None else centres(image, target)
+        points = None if target is None else centres(image, target)
         if lumen is None and forbidden is None:
             if target is None:
                 raise InputError(
                     f"no label of {image.name} is chosen; choose lumen, forbidden or target of {image.labels}"
                 )
-            return [], places
+            return [], points
         region = None
         if self.region_mm is not None:
             low, high = map(np.array, self.si("region_mm"))
             region = low, high
-        return [field_of_image(image, lumen=lumen, forbidden=forbidden, region=region)], places
+        return [field_of_image(image, lumen=lumen, forbidden=forbidden, region=region)], points
 
 
 def _voxels(image: LabelImage, labels: list[int], between: list[Decimal] | None, what: str) -> Mask | None:
-    """Voxels that are chosen; None where none are to be."""
+    """Mask of the voxels with these labels or values; None without labels and values."""
     if between is not None:
         return image.between(float(between[0]), float(between[1]), f"{what}_between")
     return image.chosen(labels, what) if labels else None
 
 
 class AnatomyFile(Entry):
-    """A file of an anatomy."""
+    """Anatomy file."""
 
     anatomy: AnatomyPart
 
 
 def load_anatomy(path: str | PathLike[str]) -> Anatomy:
-    """The anatomy in a YAML file with the key `anatomy`; raises InputError for what makes none."""
+    """Load an anatomy from a YAML file with the key `anatomy`; raises InputError as `AnatomyPart.build`."""
     return check(AnatomyFile, load_yaml(path), path).anatomy.build()
 
 
@@ -448,31 +446,31 @@ else:
         | Annotated[AnatomyPart, AfterValidator(AnatomyPart.build), Tag("<anatomy>")],
         Discriminator(lambda value: "<anatomy>" if isinstance(value, dict) else "<file>"),
     ]
-"""An anatomy in whatever file: what it is made of, or the path of a file with the key `anatomy`."""
+"""Anatomy, given by its keys or as the path of a file with the key `anatomy`."""
 
 
-# --- obstacles: a list of bodies, lengths in mm, each with its kind ---------------------------------------------------
+# --- obstacles: a list of bodies with their kinds, lengths in mm ------------------------------------------------------
 
 Place = Annotated[Triple, Typical(1e-3, 10.0)]
-"""A position that is reached by a robot as long as a hand or an arm."""
+"""Position with a warning for an implausible unit."""
 
 
-def _near_the_robot(place: list[Decimal], info: ValidationInfo) -> list[Decimal]:
+def _near_the_robot(position: list[Decimal], info: ValidationInfo) -> list[Decimal]:
     robot = info.data.get("robot")
     if robot is not None:
-        # So far away, a place is in a wrong unit or in a wrong frame.
-        most, away = FAR * max(tube.length for tube in robot.tubes) * TO_MM, math.hypot(*map(float, place))
-        if away > most:
-            numbers = ", ".join(map(str, place))
+        # Farther away, the position is in a wrong unit or a wrong frame.
+        limit, distance = FAR * max(tube.length for tube in robot.tubes) * TO_MM, math.hypot(*map(float, position))
+        if distance > limit:
+            numbers = ", ".join(map(str, position))
             raise ValueError(
-                f"is [{numbers}], {away:.6g} mm from the plate; it must be at most {most:.6g} mm away, {FAR:g} times "
-                "the longest tube"
+                f"is [{numbers}], {distance:.6g} mm from the plate; it must be at most {limit:.6g} mm away, {FAR:g} "
+                "times the longest tube"
             )
-    return place
+    return position
 
 
 TipPlace = Annotated[Place, AfterValidator(_near_the_robot)]
-"""A position for the tip of the study's robot."""
+"""Position for the tip of the study's robot."""
 
 
 class MeshEntry(Part):
@@ -486,12 +484,12 @@ class MeshEntry(Part):
     )
 
     def build(self) -> MeshObstacle:
-        """The obstacle in SI."""
+        """Obstacle in SI."""
         return self.file
 
 
 class AnatomyEntry(Entry):
-    """All bodies of an anatomy file."""
+    """Bodies of an anatomy file."""
 
     kind: Literal["anatomy"]
     file: Annotated[Anatomy, in_file(load_anatomy, "a YAML file of an anatomy", kind=Anatomy)] = Field(
@@ -499,7 +497,7 @@ class AnatomyEntry(Entry):
     )
 
     def build(self) -> tuple[Obstacle, ...]:
-        """The bodies in SI, as the plate has them."""
+        """Bodies in SI, in the base frame."""
         return self.file.bodies
 
 
@@ -510,7 +508,7 @@ BODIES: dict[str, type[Any]] = {
     "box": Box,
     "corridor": Corridor,
 }
-"""Kinds of bodies that are described by their fields."""
+"""Bodies whose keys follow from their fields."""
 
 ENTRIES: dict[str, Any] = {
     kind: entry_of(body, extra={"kind": (Literal[kind], kind)}) for kind, body in BODIES.items()
@@ -519,17 +517,17 @@ ENTRIES: dict[str, Any] = {
 KINDS = tuple(ENTRIES)
 
 BY_KEYS = {"centre_mm": "sphere", "from_mm": "capsule", "start_mm": "capsule", "low_mm": "box", "normal": "half_space"}
-"""A key that only one kind has -> that kind, which need not be said then."""
+"""Key that only one kind has -> this kind, which may then be omitted."""
 
 ALIASES = {"from_mm": "start_mm", "to_mm": "end_mm"}
-"""Other names of keys of a capsule."""
+"""Alternative names of keys of a capsule."""
 
 
-def _known(value: Any) -> Any:
-    """A body with its kind, and its keys as the entry of that kind calls them."""
+def _with_kind(value: Any) -> Any:
+    """Complete the kind of a body, and replace alternative names of its keys."""
     if not isinstance(value, dict):
         raise ValueError(f"is {shown(value)}; it must be a mapping with the kind of a body, one of {', '.join(KINDS)}")
-    # Files may leave out the kind, where a key of the body determines it.
+    # Files may omit the kind if a key of the body determines it.
     kind = value.get("kind", next((kind for key, kind in BY_KEYS.items() if key in value), None))
     if kind is None:
         raise ValueError(f"has no kind, and its keys do not determine one; kind must be one of {', '.join(KINDS)}")
@@ -545,26 +543,25 @@ else:
     ObstacleEntry = Annotated[
         Union[tuple(Annotated[entry, Tag(f"<{kind}>")] for kind, entry in ENTRIES.items())],  # noqa: UP007
         Discriminator(lambda value: f"<{value['kind']}>"),
-        BeforeValidator(_known),
+        BeforeValidator(_with_kind),
     ]
-"""Any body, told apart by its kind, which may be left out where its keys tell it."""
+"""Body of any kind; the kind may be omitted if the keys determine it."""
 
 
 class ObstacleFile(Entry):
-    """A file of obstacles."""
+    """Obstacle file."""
 
     obstacles: list[ObstacleEntry]
 
 
 def load_obstacles(path: str | PathLike[str]) -> tuple[Obstacle, ...]:
-    """The obstacles in a YAML file with the key `obstacles`; raises InputError for what makes none: one line for every
-    problem."""
+    """Load obstacles from a YAML file with the key `obstacles`; raises InputError with one line per problem."""
     return _built(check(ObstacleFile, load_yaml(path, "obstacles"), path).obstacles)
 
 
 def _built(entries: Sequence[Part]) -> tuple[Obstacle, ...]:
     built = [entry.build() for entry in entries]
-    return tuple(body for one in built for body in (one if isinstance(one, tuple) else (one,)))
+    return tuple(body for part in built for body in (part if isinstance(part, tuple) else (part,)))
 
 
 if TYPE_CHECKING:
@@ -575,11 +572,11 @@ else:
         | Annotated[list[ObstacleEntry], AfterValidator(_built), Tag("<bodies>")],
         Discriminator(lambda value: "<bodies>" if isinstance(value, list) else "<file>"),
     ]
-"""Bodies in whatever file: a list of them, or the path of a file with the key `obstacles`. Read as obstacles in SI."""
+"""Obstacles in SI, given as a list of bodies or as the path of a file with the key `obstacles`."""
 
 
 class Surrounded(Entry):
-    """What has bodies and a patient around it."""
+    """Robot with obstacles and an anatomy around it."""
 
     obstacles: Bodies = Field(
         (),
@@ -595,10 +592,10 @@ class Surrounded(Entry):
 
     @property
     def around(self) -> Anatomy:
-        """The anatomy, an empty one where none is given."""
+        """Anatomy; an empty one by default."""
         return Anatomy() if self.anatomy is None else self.anatomy
 
     @property
     def bodies(self) -> tuple[Obstacle, ...]:
-        """Obstacles, and those of the anatomy."""
+        """Obstacles of the study and of its anatomy."""
         return self.obstacles + self.around.bodies

@@ -1,4 +1,4 @@
-"""Sweeps as YAML: a study, and which of its keys vary over which values.
+"""Sweeps as YAML: a study, and the keys that vary with their values.
 
     kind: sweep
     study: {kind: forward_kinematics, robot: ../robots/thesis_ctr.yaml, rotations_deg: [0, 0, 0]}
@@ -6,7 +6,7 @@
       - {key: "rotations_deg[0]", from: 0, to: 360, count: 37}
       - {key: "robot.tubes[0].curvature_per_m", values: [6, 8, 10]}
 
-Keys are paths in the study; through `robot`, `rig` and `mold` they go on into the files of those.
+Keys are paths in the study; paths through `robot`, `rig` and `mold` continue into their files.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ..errors import InputError, nearest
 from ..files.checked import Entry, Number, Whole, check, check_kind, path_of
-from ..files.shipped import found, resolved
+from ..files.shipped import find_file, resolve_file
 from ..files.units import decimal, shown
 from ..files.yaml_file import load_yaml
 from ..robots.file import robot_from_dict
@@ -42,10 +42,10 @@ FILES: dict[str, Callable[[object, str], Any]] = {
     "rig": rig_from_dict,
     "mold": mold_spec_from_dict,
 }
-"""Keys of studies that name files into which keys that vary go on."""
+"""Keys of studies with files whose own keys can vary -> function that builds the object from its data."""
 
 
-def _value(value: object) -> Value:
+def _as_value(value: object) -> Value:
     if isinstance(value, (bool, str)):
         return value
     return float(decimal(value))
@@ -57,7 +57,7 @@ class VaryEntry(Entry):
     key: str | list[str] = Field(
         description="path of the key, such as rotations_deg[0], or a list of keys with equal values"
     )
-    values: list[Annotated[Value, BeforeValidator(_value)]] | None = Field(
+    values: list[Annotated[Value, BeforeValidator(_as_value)]] | None = Field(
         None, min_length=1, description="list of values, instead of a range"
     )
     lowest: Number | None = Field(None, alias="from", description="one end of a range")
@@ -65,7 +65,7 @@ class VaryEntry(Entry):
     count: Annotated[Whole, Field(ge=1)] | None = Field(None, description="number of values in the range, for a grid")
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
+    def _values_or_range(self) -> Self:
         has_range = self.lowest is not None and self.highest is not None
         if (self.values is None) != has_range or (self.lowest is None) != (self.highest is None):
             raise ValueError("must give values, or from and to")
@@ -74,7 +74,7 @@ class VaryEntry(Entry):
         return self
 
     def build(self, method: str) -> Axis:
-        """The axis of the points; raises InputError where a grid has no count."""
+        """Axis of the points; raises InputError if a grid has no count."""
         keys = (self.key,) if isinstance(self.key, str) else tuple(self.key)
         if self.values is not None:
             return Axis(keys, tuple(self.values))
@@ -107,26 +107,29 @@ class SweepEntry(Entry):
 
 @dataclass(frozen=True)
 class SweepFile:
-    """A sweep as its file describes it."""
+    """Contents of a sweep file."""
 
     data: Data
-    """The study's; robot, rig and mold are loaded, or as data where their own keys vary."""
+    """Data of the study. Robot, rig and mold are loaded objects, or data if their own keys vary."""
     where: Path
-    """The study's file."""
+    """Path of the study file."""
     points: Points
     fingerprint: str
-    """A mark that tells it from others."""
+    """Hash of all inputs of the results."""
     columns: tuple[str, ...] | None = None
-    """Beginnings of the names that are kept; None for all."""
+    """Prefixes of the saved results; None for all."""
 
     def function(self, summarise: Callable[[Any], Mapping[str, Any]]) -> Callable[[Any], Mapping[str, Any]]:
-        """The study as a function of a point, for the workers of a sweep; `summarise` turns its answer into plain data,
-        and must be a function of a module."""
+        """Return the study as a function of a point, for the workers of a sweep.
+
+        Args:
+            summarise: function of a module that converts an answer of the study to plain data.
+        """
         return functools.partial(self._at, summarise)
 
     def _at(self, summarise: Callable[[Any], Mapping[str, Any]], values: Mapping[str, Value]) -> Mapping[str, Any]:
-        """The answer at one point; raises InputError and SolveError as the study does."""
-        # Workers reuse the study for every point.
+        """Run the study at one point; raises InputError and SolveError as the study."""
+        # Workers use the same data for every point.
         data = copy.deepcopy(self.data)
         for key, value in values.items():
             _put(data, key, value if isinstance(value, (bool, str)) else Decimal(repr(value)))
@@ -136,34 +139,30 @@ class SweepFile:
         record = flatten(summarise(self._study(data).run()), NOT_A_RESULT)
         if self.columns is None:
             return record
+        # Some results exist only at some points: "snap.fraction" is missing if there is no snap, but not "snap".
+        names = {re.split(r"[.\[]", result)[0] for result in record}
         for column in self.columns:
-            _begins_a_result(column, list(record))
+            if not any(name.startswith(column) for name in record) and re.split(r"[.\[]", column)[0] not in names:
+                raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
         return {key: value for key, value in record.items() if key.startswith(self.columns)}
 
     def _study(self, data: Data) -> Study:
         try:
             return cast(Study, check_kind(STUDY_KINDS, data, self.where))
-        except InputError as error:  # of this point, not of the file, which is as it should be
+        except InputError as error:
+            # The point is wrong, not the file.
             raise InputError(str(error).replace(f"{self.where}: ", "")) from None
 
 
-def _begins_a_result(column: str, results: list[str]) -> None:
-    """Raise InputError for a column of no result; parts of results that only some points have are no mistake."""
-    # "snap.fraction" is missing where no snap was found, but "snap" is there.
-    names = {re.split(r"[.\[]", result)[0] for result in results}
-    if not any(result.startswith(column) for result in results) and re.split(r"[.\[]", column)[0] not in names:
-        raise InputError(f"columns: no result begins with {column!r}{nearest(column, names)}")
-
-
 def load_sweep(path: str | PathLike[str]) -> SweepFile:
-    """The sweep in a YAML file, its study and robot loaded.
+    """Load a sweep from a YAML file, with its study and robot.
 
     Raises:
-        InputError: no such file, not YAML, keys or values that make no sweep or no study, a key to vary that the study
-            does not have. Values that make no robot are the failure of their own points.
+        InputError: no such file, not YAML, invalid keys or values of sweep or study, or a varied key that the study
+            does not have. Invalid values of a varied key are failures of their points.
     """
-    path = found(path, "studies")
-    source, typed = load_yaml(path), str(path)
+    path = find_file(path, "studies")
+    source, given_path = load_yaml(path), str(path)
     entry = check(SweepEntry, source, path)
     path = Path(path).absolute()
     try:
@@ -172,107 +171,104 @@ def load_sweep(path: str | PathLike[str]) -> SweepFile:
         count, seed = (0, 0) if entry.sample is None else (entry.sample.count, entry.sample.seed)
         points = Points(axes, method, count, seed)
         data, where = _study(source["study"], path)
-        # Before files are loaded: their content belongs to the mark, not their objects.
+        # Before files are loaded: the hash includes their content, not the objects.
         fingerprint = _fingerprint(data, where, source)
         for name in FILES:
             # A robot whose keys do not vary is built once, not at every point.
-            data = _with_file(name, data, where, points.keys)
+            if isinstance(data.get(name), str) and name not in points.keys:
+                file = resolve_file(data[name], where.parent)
+                content = _with_absolute_tables(load_yaml(file), file.parent)
+                varies = any(key.startswith(f"{name}.") for key in points.keys)
+                data = {**data, name: content if varies else FILES[name](content, data[name])}
         for key in points.keys:
-            _known(data, key)
+            _check_key(data, key)
     except InputError as error:
-        lines = str(error).replace(str(path), typed).splitlines()
-        raise InputError("\n".join(line if typed in line else f"{typed}: {line}" for line in lines)) from None
+        lines = str(error).replace(str(path), given_path).splitlines()
+        raise InputError("\n".join(line if given_path in line else f"{given_path}: {line}" for line in lines)) from None
     columns = None if entry.columns is None else tuple(entry.columns)
     return SweepFile(data, where, points, fingerprint, columns)
 
 
 def _study(study: str | Data, path: Path) -> tuple[Data, Path]:
-    """Data of the study and the file that they are from, checked as they stand."""
+    """Load and check the data of the study; returns them with the path of their file."""
     where = path
     if isinstance(study, str):
-        where = resolved(study, path.parent)
+        where = resolve_file(study, path.parent)
         study = load_yaml(where)
     check_kind(STUDY_KINDS, study, where)
     return dict(study), where
 
 
-def _with_file(name: str, data: Data, where: Path, keys: tuple[str, ...]) -> Data:
-    """The study with what is in a file that it names: as data where keys go into it, else built."""
-    if not isinstance(data.get(name), str) or name in keys:
-        return data
-    file = resolved(data[name], where.parent)
-    content = _anchored(load_yaml(file), file.parent)
-    inside = any(key.startswith(f"{name}.") for key in keys)
-    return {**data, name: content if inside else FILES[name](content, data[name])}
-
-
-def _anchored(data: Any, directory: Path) -> Any:
-    """What is in a file, with the tables that it names to be found from anywhere."""
+def _with_absolute_tables(data: Any, directory: Path) -> Any:
+    """Data of a file with absolute paths of its tables: a sweep runs in other directories, or on a cluster."""
     if isinstance(data, dict):
-        named = {key: isinstance(value, str) and key == "table" for key, value in data.items()}
-        # A sweep runs in other directories, and perhaps on other machines of a cluster.
-        return {k: str(directory / v) if named[k] else _anchored(v, directory) for k, v in data.items()}
-    return [_anchored(value, directory) for value in data] if isinstance(data, list) else data
+        return {
+            key: str(directory / value)
+            if key == "table" and isinstance(value, str)
+            else _with_absolute_tables(value, directory)
+            for key, value in data.items()
+        }
+    return [_with_absolute_tables(value, directory) for value in data] if isinstance(data, list) else data
 
 
 _PART = re.compile(r"(\w+)|\[(\d+)\]")
 
 
 def _parts(key: str) -> list[str | int]:
-    """`tubes[0].curvature_per_m` as its steps."""
+    """Parts of a path such as `tubes[0].curvature_per_m`."""
     if not re.fullmatch(r"\w+(\[\d+\]|\.\w+)*", key):
         raise InputError(f"vary {key}: this is not a path of a key; it must be like rotations_deg[0] or robot.name")
     return [name or int(number) for name, number in _PART.findall(key)]
 
 
-def _known(data: Data, key: str) -> None:
-    """Raise InputError where the study has no such key."""
-    *way, last = _parts(key)
-    place: Any = data
-    for k, part in enumerate([*way, last]):
-        at = path_of([*way, last][:k])
+def _check_key(data: Data, key: str) -> None:
+    """Raise InputError if the study has no such key."""
+    parts = _parts(key)
+    node: Any = data
+    for k, part in enumerate(parts):
+        path = path_of(parts[:k])
         if isinstance(part, int):
-            if not isinstance(place, list) or part >= len(place):
-                size = f"a list of {len(place)}, counted from 0" if isinstance(place, list) else shown(place)
-                raise InputError(f"vary {key}: {at} is {size}; it has no [{part}]")
-        elif not isinstance(place, dict) or part not in place:
+            if not isinstance(node, list) or part >= len(node):
+                size = f"a list of {len(node)}, counted from 0" if isinstance(node, list) else shown(node)
+                raise InputError(f"vary {key}: {path} is {size}; it has no [{part}]")
+        elif not isinstance(node, dict) or part not in node:
             fields = list(STUDY_KINDS[data["kind"]].model_fields) if k == 0 else []
-            if k == len(way) and part in fields:
+            if len(parts) == 1 and part in fields:
                 return
-            names = list(place) if isinstance(place, dict) else []
-            what = f"{at} has" if at else "the study gives"
-            give = "; give it a value first" if part in fields else nearest(part, names)
-            raise InputError(f"vary {key}: {what} no {part}{give}")
-        place = place[part]
+            names = list(node) if isinstance(node, dict) else []
+            subject = f"{path} has" if path else "the study gives"
+            hint = "; give it a value first" if part in fields else nearest(part, names)
+            raise InputError(f"vary {key}: {subject} no {part}{hint}")
+        node = node[part]
 
 
 def _put(data: Data, key: str, value: object) -> None:
-    *way, last = _parts(key)
-    place: Any = data
-    for part in way:
-        place = place[part]
-    place[last] = value
+    *parents, last = _parts(key)
+    node: Any = data
+    for part in parents:
+        node = node[part]
+    node[last] = value
 
 
 def _fingerprint(data: Data, where: Path, source: Data) -> str:
-    """A mark of everything that the results follow from: the keys of the file, and the files that they name."""
+    """Hash of all inputs of the results: the keys of the file, and the contents of the named files."""
     digest = hashlib.sha256(json.dumps([source, data], default=str, sort_keys=True).encode())
-    for content in _named(data, where.parent, set()):
+    for content in _named_files(data, where.parent, set()):
         digest.update(content)
     return digest.hexdigest()
 
 
-def _named(data: object, directory: Path, seen: set[Path]) -> Iterator[bytes]:
-    """Contents of the files that are named in data, and in those files."""
+def _named_files(data: object, directory: Path, visited: set[Path]) -> Iterator[bytes]:
+    """Contents of the files that are named in data or in these files."""
     for text in _texts(data):
-        # Any text may be a path. Longer ones, or with a null byte, would raise an error of the system.
-        file = resolved(text, directory).resolve() if len(text) < 1024 and "\0" not in text else directory
+        # Any text may be a path. The system refuses longer paths, and null bytes.
+        file = resolve_file(text, directory).resolve() if len(text) < 1024 and "\0" not in text else directory
         # Files may name each other in a circle.
-        if file.is_file() and file not in seen:
-            seen.add(file)
+        if file.is_file() and file not in visited:
+            visited.add(file)
             yield file.read_bytes()
             if file.suffix in (".yaml", ".yml"):
-                yield from _named(load_yaml(file), file.parent, seen)
+                yield from _named_files(load_yaml(file), file.parent, visited)
 
 
 def _texts(data: object) -> Iterator[str]:

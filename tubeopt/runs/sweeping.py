@@ -1,4 +1,4 @@
-"""Sweeps: a function at many points, each saved as it is done, that continue where a killed run stopped.
+"""Sweeps: a function at many points. Each result is saved at once, and an interrupted run continues.
 
 `tubeopt sweep` runs studies this way; `sweep` takes any function of a point that returns numbers and text.
 """
@@ -26,42 +26,43 @@ from ..files.files import Journal, atomic_write, save_arrays
 from ..solvers.parallel import Failure, Outcome, each
 from ..solvers.sampling import sobol
 
-# --- points: what varies, over a grid or a sample of its values -------------------------------------------------------
+# --- points of a grid or a random sample ------------------------------------------------------------------------------
 
 METHODS = ("grid", "random", "sobol", "latin_hypercube")
 
-MOST_POINTS = 10**7
+MAX_POINTS = 10**7
+"""Largest number of points."""
 
 Value = float | str | bool
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Keys that take the same values."""
+    """Keys with common values."""
 
     keys: tuple[str, ...]
     values: tuple[Value, ...] | None = None
-    """Of a list; None for the range from `low` to `high`."""
+    """Listed values; None for the range from `low` to `high`."""
     low: float = 0.0
     high: float = 0.0
     count: int = 0
-    """Values of the range on a grid."""
+    """Number of values of the range on a grid."""
 
     @property
-    def places(self) -> int:
-        """How many values it has on a grid."""
+    def size(self) -> int:
+        """Number of values on a grid."""
         return self.count if self.values is None else len(self.values)
 
-    def on_grid(self, place: int) -> Value:
-        """The value at a place on a grid, from 0; those of a range to 15 digits, ends included."""
+    def on_grid(self, index: int) -> Value:
+        """Value at an index on a grid. A range includes both ends."""
         if self.values is not None:
-            return self.values[place]
-        return self.at(place / (self.count - 1) if self.count > 1 else 0.0)
+            return self.values[index]
+        return self.at(index / (self.count - 1) if self.count > 1 else 0.0)
 
     def at(self, unit: float) -> Value:
-        """The value at a number from 0 to 1."""
+        """Value at a fraction from 0 to 1 of the axis; a range is rounded to 15 digits."""
         if self.values is not None:
-            # Equal shares of 0 to 1; 1 itself belongs to the last value.
+            # Each value has an equal part of 0 to 1; 1 itself belongs to the last value.
             return self.values[min(int(unit * len(self.values)), len(self.values) - 1)]
         # 15 digits: 0.1 * 3 becomes 0.3, and both ends are exact.
         return float(f"{(1 - unit) * self.low + unit * self.high:.15g}")
@@ -69,7 +70,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Points(Sequence[dict[str, Value]]):
-    """All points of a sweep, in a fixed order; each gives every key its value.
+    """Points of a sweep in a fixed order; each maps every key to its value.
 
     Raises:
         InputError: unknown method, no axis, a key on two axes, a sample without count, more than ten million points.
@@ -77,11 +78,11 @@ class Points(Sequence[dict[str, Value]]):
 
     axes: tuple[Axis, ...]
     method: str = "grid"
-    """One of `METHODS`."""
+    """Grid or sampling method, from `METHODS`."""
     total: int = 0
-    """Of a sample; a grid has its own number."""
+    """Number of points; computed for a grid."""
     seed: int = 0
-    """Of a sample."""
+    """Random seed of a sample."""
 
     def __post_init__(self) -> None:
         choice("sample.method", self.method, METHODS)
@@ -91,36 +92,36 @@ class Points(Sequence[dict[str, Value]]):
             if self.keys.count(key) > 1:
                 raise InputError(f"vary {key}: it is given {self.keys.count(key)} times; it must be given once")
         if self.method == "grid":
-            object.__setattr__(self, "total", math.prod(axis.places for axis in self.axes))
-        if not 1 <= self.total <= MOST_POINTS:
-            raise InputError(f"the sweep has {self.total} points; there must be 1 to {MOST_POINTS}")
+            object.__setattr__(self, "total", math.prod(axis.size for axis in self.axes))
+        if not 1 <= self.total <= MAX_POINTS:
+            raise InputError(f"the sweep has {self.total} points; there must be 1 to {MAX_POINTS}")
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """All keys that vary."""
+        """Varied keys."""
         return tuple(key for axis in self.axes for key in axis.keys)
 
     def __len__(self) -> int:
         return self.total
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        """The value of every key at a point, from 0, or a list of points. On a grid the last axis runs fastest."""
+        """Point at an index, or list of points for a slice. On a grid the last axis varies fastest."""
         if isinstance(index, slice):
             return [self[k] for k in range(self.total)[index]]
         index = range(self.total)[index]
         if self.method == "grid":
-            places = np.unravel_index(index, [axis.places for axis in self.axes])
-            chosen = [axis.on_grid(int(k)) for axis, k in zip(self.axes, places, strict=True)]
+            indices = np.unravel_index(index, [axis.size for axis in self.axes])
+            chosen = [axis.on_grid(int(k)) for axis, k in zip(self.axes, indices, strict=True)]
         else:
             units = _sample(self.method, len(self.axes), self.total, self.seed)[index]
             chosen = [axis.at(float(unit)) for axis, unit in zip(self.axes, units, strict=True)]
         return {key: value for axis, value in zip(self.axes, chosen, strict=True) for key in axis.keys}
 
 
-# Every point takes its row of the whole sample, which would be drawn anew for each.
+# Every point needs one row of the whole sample; the cache avoids drawing it again for each.
 @functools.lru_cache(maxsize=4)
 def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
-    """(count, dimension) numbers from 0 to 1."""
+    """Draw a sample of the unit cube, shape (count, dimension)."""
     if method == "random":
         return np.random.default_rng(seed).random((count, dimension))
     if method == "latin_hypercube":
@@ -128,37 +129,37 @@ def _sample(method: str, dimension: int, count: int, seed: int) -> np.ndarray:
     return sobol(dimension, count, seed)
 
 
-# --- table: a row per point, in CSV to read and in npz to compute with ------------------------------------------------
+# --- table with a row per point, as CSV and npz -----------------------------------------------------------------------
 
-# Six joint values, three coordinates and nine entries of a rotation are columns; shapes of 100 points are not.
-LONGEST_LIST = 16
-"""Longer lists of an answer, curves and maps, are left out of the table."""
+# Joint values, coordinates and the nine entries of a rotation are columns; shapes of 100 points are not.
+MAX_COLUMNS = 16
+"""Longest list of an answer that becomes columns of the table."""
 
 NOT_A_RESULT = ("statistics", "files", "seconds")
-"""Keys of a study's answer, at any depth, that say how it was found, which differs from run to run."""
+"""Keys of an answer, at any depth, that differ from run to run."""
 
 FIXED = ("point", "status", "reason")
-"""Columns of every table: the number of the point, from 1; done or failed; why it failed."""
+"""Columns of every table: number of the point, from 1; done or failed; reason of a failure."""
 
 Entries = Callable[[], Iterable[Mapping[str, Any]]]
-"""Lines of a journal by index, as often as they are asked for."""
+"""Function that reads the lines of a journal, sorted by index."""
 
 
 def flatten(record: Mapping[str, Any], leave: Sequence[str] = ()) -> dict[str, float | str | bool | None]:
-    """An answer as one row: `snap.before.margin`, `tip_position_mm[2]`; keys to leave out are so at any depth."""
+    """Convert an answer to one row with columns such as `snap.before.margin`, without the keys `leave` at any depth."""
     return {path: value for key in record if key not in leave for path, value in _flat(key, record[key], leave)}
 
 
 def _flat(path: str, value: Any, leave: Sequence[str]) -> Iterator[tuple[str, float | str | bool | None]]:
     # Before the test for lists: arrays become lists of plain numbers.
-    if hasattr(value, "tolist"):  # of NumPy
+    if hasattr(value, "tolist"):  # an array
         value = value.tolist()
     if isinstance(value, Mapping):
         for key, inner in value.items():
             if key not in leave:
                 yield from _flat(f"{path}.{key}", inner, leave)
     elif isinstance(value, (list, tuple)):
-        if len(value) <= LONGEST_LIST:
+        if len(value) <= MAX_COLUMNS:
             for k, inner in enumerate(value):
                 yield from _flat(f"{path}[{k}]", inner, leave)
     else:
@@ -166,14 +167,17 @@ def _flat(path: str, value: Any, leave: Sequence[str]) -> Iterator[tuple[str, fl
 
 
 def write_table(directory: Path, entries: Entries) -> list[Path]:
-    """Write table.csv and table.npz of journal lines; return their paths.
-
-    The rows stand in the order of the points, whatever the order in which they were computed.
+    """Write table.csv and table.npz from journal lines, sorted by point; returns their paths.
 
     Raises:
         InputError: the files cannot be written.
     """
-    columns = _columns(entries)
+    parameters: dict[str, None] = {}
+    results: dict[str, None] = {}
+    for entry in entries():
+        parameters.update(dict.fromkeys(entry["parameters"]))
+        results.update(dict.fromkeys(entry.get("record", {})))
+    columns = list(dict.fromkeys([FIXED[0], *parameters, *FIXED[1:], *results]))
     text = directory / "table.csv"
     with atomic_write(text) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -186,16 +190,6 @@ def write_table(directory: Path, entries: Entries) -> list[Path]:
     return [text, save_arrays(directory / "table.npz", **stored)]
 
 
-def _columns(entries: Entries) -> list[str]:
-    """Names of all columns: parameters before results."""
-    parameters: dict[str, None] = {}
-    results: dict[str, None] = {}
-    for entry in entries():
-        parameters.update(dict.fromkeys(entry["parameters"]))
-        results.update(dict.fromkeys(entry.get("record", {})))
-    return list(dict.fromkeys([FIXED[0], *parameters, *FIXED[1:], *results]))
-
-
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
     reason = why_failed(entry)
     fixed = {"point": entry["index"] + 1, "status": "failed" if reason else "done", "reason": reason}
@@ -203,7 +197,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def why_failed(entry: Mapping[str, Any]) -> str:
-    """Why a point failed, from its line in the journal; empty where it did not."""
+    """Reason of a failed point, from its line in the journal; "" for a successful one."""
     failure = entry.get("failure")
     return f"{failure['kind']}: {failure['reason']}" if failure else ""
 
@@ -217,8 +211,8 @@ def _cell(value: Any) -> str:
 
 
 def _array(values: Sequence[Any]) -> np.ndarray:
-    """A column: numbers (nan where there is none), or text."""
-    # JSON has no NaN: the journal keeps such numbers as words.
+    """Column of numbers, with NaN for missing ones, or of text."""
+    # JSON has no NaN: the journal has such numbers as text.
     known = [value for value in values if value is not None and value not in ("NaN", "Infinity", "-Infinity")]
     if all(isinstance(value, (bool, int, float)) for value in known):
         return np.array([np.nan if value is None else float(value) for value in values])
@@ -234,7 +228,7 @@ Answer = Mapping[str, Any]
 
 
 class Progress(Protocol):
-    """Called with how many points are done, how many there are, and how many of those done have failed."""
+    """Callback with the number of finished points, of all points, and of failed ones."""
 
     def __call__(self, done: int, total: int, failed: int) -> object: ...
 
@@ -245,27 +239,27 @@ class Sweep(Displayed):
 
     points: Annotated[int, "number of points"]
     computed: Annotated[int, "points computed by this run"]
-    """The others were in the journal."""
+    """Other points come from the journal."""
     failures: Annotated[tuple[tuple[int, str], ...], "the failed points"]
-    """Index, from 0, and reason of each."""
+    """Index, from 0, and reason of each failed point."""
     table: Path
-    """Path of table.csv."""
+    """Path of the CSV table."""
     arrays: Path
-    """Path of table.npz."""
+    """Path of the npz table."""
     journal: Path
-    """Path of journal.jsonl."""
+    """Path of the journal, JSON lines."""
     rows: tuple[Mapping[str, float | str], ...] | None = None
-    """The table itself, where the files are not kept."""
+    """Rows of the table, if they are in memory."""
 
     def unkept(self) -> Sweep:
-        """The sweep with its table in it, for files that go."""
+        """Sweep with the rows of its table in memory, for files that will be deleted."""
         with self.table.open(encoding="utf-8", newline="") as lines:
             rows = csv.DictReader(lines)
             return replace(self, rows=tuple({key: _read(cell) for key, cell in row.items()} for row in rows))
 
 
 def _read(cell: str) -> float | str:
-    """A cell of the table: a number, or text."""
+    """Convert a cell of the table to a number, if possible."""
     for kind in (int, float):
         try:
             return kind(cell)
@@ -275,7 +269,7 @@ def _read(cell: str) -> float | str:
 
 
 SWEEP_LIMIT = 86400.0
-"""s: a sweep may last a day; what was done by then is kept."""
+"""Default time limit of a sweep, s: one day. Finished points are kept."""
 
 
 def sweep(  # noqa: PLR0913
@@ -290,7 +284,7 @@ def sweep(  # noqa: PLR0913
     progress: Progress | None = None,
     time_limit: float = SWEEP_LIMIT,
 ) -> Sweep:
-    """`function` at every point, with a journal and a table in `directory`.
+    """Evaluate a function at every point, with a journal and a table in `directory`.
 
     Points and answers are mappings of names to anything that JSON or NumPy supports; nested values become columns such
     as `tip[0]` and `snap.fraction`. An exception at a point is recorded there with its reason. Points in the journal of
@@ -317,8 +311,8 @@ def sweep(  # noqa: PLR0913
         ...     return {"y": point["x"] ** 2}
         >>> with tempfile.TemporaryDirectory() as directory:
         ...     points = [{"x": 1.0}, {"x": 3.0}]
-        ...     found = tubeopt.sweep(square, points, directory, fingerprint="squares", workers=1)
-        ...     [row["y"] for row in found.unkept().rows]
+        ...     result = tubeopt.sweep(square, points, directory, fingerprint="squares", workers=1)
+        ...     [row["y"] for row in result.unkept().rows]
         [1.0, 9.0]
     """
     if not callable(function):
@@ -326,8 +320,8 @@ def sweep(  # noqa: PLR0913
     until = time.monotonic() + positive("time_limit", time_limit)
     points = _checked(points)
     directory = Path(directory)
-    mark = fingerprint or _fingerprint(function, points)
-    with Journal(directory / JOURNAL, mark, len(points)) as journal:
+    fingerprint = fingerprint or _fingerprint(function, points)
+    with Journal(directory / JOURNAL, fingerprint, len(points)) as journal:
         # Failures are kept by default: the same input fails again.
         done = set(journal.done) - (journal.failed if retry_failed else set())
         left = [index for index in range(len(points)) if index not in done]
@@ -355,7 +349,7 @@ def sweep(  # noqa: PLR0913
 
 
 def _checked(points: Any) -> Sequence[Point]:
-    if isinstance(points, Points):  # which are checked, and made when they are asked for
+    if isinstance(points, Points):  # checked when they were created
         return points
     if isinstance(points, (str, Mapping)) or not isinstance(points, Iterable):
         raise InputError(f"points are {type(points).__name__}; they must be a list of mappings of names to values")
@@ -363,9 +357,8 @@ def _checked(points: Any) -> Sequence[Point]:
     if not checked:
         raise InputError("there are no points; there must be at least one")
     for index, point in enumerate(checked):
-        wrong = _no_row(f"points[{index}]", point)
-        if wrong:
-            raise InputError(wrong)
+        if problem := _row_problem(f"points[{index}]", point):
+            raise InputError(problem)
     return checked
 
 
@@ -373,15 +366,15 @@ def _entry(point: Point, outcome: Outcome[Answer]) -> dict[str, Any]:
     entry: dict[str, Any] = {"parameters": flatten(point), "seconds": outcome.seconds}
     failure, answer = outcome.failure, outcome.value
     if failure is None:
-        wrong = _no_row("the answer", answer)
-        failure = Failure("TypeError", wrong) if wrong else None
+        problem = _row_problem("the answer", answer)
+        failure = Failure("TypeError", problem) if problem else None
     if failure is not None:
         return entry | {"failure": asdict(failure)}
     return entry | {"record": flatten(answer or {})}
 
 
-def _no_row(what: str, data: object) -> str:
-    """Why data make no row of a table, or nothing where they do."""
+def _row_problem(what: str, data: object) -> str:
+    """Reason why data are no row of a table; "" if they are one."""
     if not isinstance(data, Mapping):
         return f"{what} is {data!r:.60}; it must be a mapping of names to values"
     row: Mapping[str, Any] = flatten(data)

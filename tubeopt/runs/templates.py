@@ -1,6 +1,6 @@
-"""Files to begin with: a robot, a rig, a study of any kind, each of which can be used as it is written.
+"""Template files for a robot, a rig, or a study of any kind, valid without changes.
 
-What the keys are stands behind them; keys that may follow are comments below.
+Comments describe the keys and list further keys.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..errors import InputError, nearest
 from ..files.checked import Count, Entry, Number, Positive, check_kind
-from ..files.shipped import found, shipped
+from ..files.shipped import find_file, shipped
 from ..files.units import TO_MM
 from ..files.yaml_file import commented, load_yaml, read_flow
 from ..robots.file import ROBOT_KINDS, load_robot, robot_from_dict
@@ -33,11 +33,11 @@ from .workshop_file import RIG_KINDS, rig_from_dict
 Data = dict[str, Any]
 
 TUBE_KEYS = ("outer_diameter_mm", "inner_diameter_mm", "straight_length_mm", "curved_length_mm", "radius_mm")
-"""What a tube needs."""
+"""Required keys of a tube."""
 
 
 def usual_tubes(count: int) -> dict[str, list[Decimal]]:
-    """Keys of tubes that fit into one another and advance in order -> a number for each, inner to outer."""
+    """Dimensions of nested tubes that can be inserted in order: key -> one number per tube, inner to outer."""
     i = range(count)
     return {
         # Steps of 0.3 mm with walls of 0.1 mm leave 0.05 mm of radial clearance.
@@ -50,29 +50,31 @@ def usual_tubes(count: int) -> dict[str, list[Decimal]]:
 
 
 USUAL_COUNT = 2
-"""Number of tubes of a robot."""
+"""Default number of tubes."""
 
 USUAL_SINGLE = dict(zip(TUBE_KEYS, ([Decimal(x)] for x in ("1.92", "1.57", "0", "94", "120")), strict=True))
-"""Keys of the tube of an eccentric robot, or of one to be heated: the thesis' (Table 3.1)."""
+"""Tube of an eccentric robot or on a rig, from the thesis (Table 3.1)."""
 
 
 @dataclass(frozen=True)
-class Written(Displayed):
-    """A file that was written to begin with."""
+class WrittenFile(Displayed):
+    """Template file that was written."""
 
     then: str
-    """A command that uses it."""
+    """Command that uses the file."""
 
 
 class NewTubes(Entry):
-    """Tubes to begin with; what is not given is as usual."""
+    """Tubes of a template, with default dimensions."""
 
     usual_count: ClassVar = USUAL_COUNT
 
     outer_diameter_mm: list[Number] | None = Field(None, description="outer diameter of every tube, inner to outer")
     inner_diameter_mm: list[Number] | None = Field(None, description="inner diameter")
-    straight_length_mm: list[Number] | None = Field(None, description="length of the straight part, from the held end")
-    curved_length_mm: list[Number] | None = Field(None, description="length of the curved part behind it")
+    straight_length_mm: list[Number] | None = Field(
+        None, description="length of the straight part, from the clamped end"
+    )
+    curved_length_mm: list[Number] | None = Field(None, description="length of the curved part in front of it")
     radius_mm: list[Number] | None = Field(None, description="radius of the curved part")
 
     @model_validator(mode="after")
@@ -86,27 +88,27 @@ class NewTubes(Entry):
 
     @property
     def numbers(self) -> dict[str, list[Decimal]]:
-        """What is given of every tube."""
+        """Given dimensions: key -> one number per tube."""
         return {key: getattr(self, key) for key in TUBE_KEYS if getattr(self, key) is not None}
 
     @property
     def count(self) -> int:
-        """Number of tubes: as given, or as many as there are numbers, or two."""
+        """Number of tubes: as given, otherwise the number of dimensions, otherwise the default."""
         return getattr(self, "tubes", None) or max(map(len, self.numbers.values()), default=self.usual_count)
 
     @property
     def single(self) -> Data:
-        """What a file says of one tube; raises InputError where several are given."""
+        """Keys of the only tube; raises InputError for several tubes."""
         if any(len(values) != 1 for values in self.numbers.values()) or getattr(self, "tubes", 1) not in (None, 1):
             raise InputError("several tubes are given; give one number for each dimension of the one tube")
         return {key: values[0] for key, values in (USUAL_SINGLE | self.numbers).items()}
 
 
 class NewRobot(NewTubes):
-    """A robot to begin with; what is not given is as usual."""
+    """Robot of a template, with defaults for missing keys."""
 
-    asked: ClassVar = ("name", "tubes", *TUBE_KEYS, "material")
-    """Keys for which a person is asked, in order."""
+    prompted: ClassVar = ("name", "tubes", *TUBE_KEYS, "material")
+    """Keys that are prompted for in a dialogue, in order."""
 
     tubes: Count | None = Field(None, le=6, description="number of tubes, at most 6")
     name: str | None = Field(None, description="name of the robot")
@@ -117,11 +119,11 @@ class NewRobot(NewTubes):
 
     @property
     def usual(self) -> dict[str, Any]:
-        """What is not given is like this."""
+        """Defaults of the keys."""
         return {"name": "my robot", "tubes": self.count, "material": "nitinol"} | usual_tubes(self.count)
 
     def text(self, path: Path) -> str:
-        """The text of a robot file; raises InputError where that is no robot."""
+        """Text of the robot file; raises InputError for an invalid robot."""
         kind = self.robot_kind or "concentric"
         named = {"kind": kind, "name": self.name or self.usual["name"]}
         material = {"material": self.material or self.usual["material"]}
@@ -132,18 +134,18 @@ class NewRobot(NewTubes):
         else:
             data = named | {"tube": self.single | material}
         text = commented(ROBOT_KINDS[kind], data, f"A robot, tubes inner to outer: tubeopt robot show {path.name}\n")
-        # Read back as a check: what is written can be used.
+        # Read back as a check: the template must be valid.
         robot_from_dict(read_flow(text), path)
         return text
 
 
 class NewRig(NewTubes):
-    """A rig to begin with, and the tube that is heated on it; what is not given is as usual."""
+    """Rig of a template with its tube, with defaults for missing keys."""
 
     usual_count: ClassVar = 1
 
-    asked: ClassVar = ("name", "capacity_Ah", "charge_percent", "mold", *TUBE_KEYS)
-    """Keys for which a person is asked, in order."""
+    prompted: ClassVar = ("name", "capacity_Ah", "charge_percent", "mold", *TUBE_KEYS)
+    """Keys that are prompted for in a dialogue, in order."""
 
     name: str | None = Field(None, description="name of the rig")
     capacity_Ah: Positive | None = Field(None, description="capacity of the battery")
@@ -152,18 +154,18 @@ class NewRig(NewTubes):
 
     @property
     def usual(self) -> dict[str, Any]:
-        """What is not given is like this."""
+        """Defaults of the keys."""
         own = {"name": "my rig", "capacity_Ah": Decimal(60), "charge_percent": Decimal(100), "mold": "calcium_silicate"}
         return own | USUAL_SINGLE
 
     def text(self, path: Path) -> str:
-        """The text of a rig file; raises InputError where that is no rig."""
-        given = self.usual | self.model_dump(exclude_none=True)
+        """Text of the rig file; raises InputError for an invalid rig."""
+        keys = self.usual | self.model_dump(exclude_none=True)
         data = {
             "kind": "rig",
-            "name": given["name"],
-            "battery": {"capacity_Ah": given["capacity_Ah"], "state_of_charge_percent": given["charge_percent"]},
-            "mold": {"material": given["mold"]},
+            "name": keys["name"],
+            "battery": {"capacity_Ah": keys["capacity_Ah"], "state_of_charge_percent": keys["charge_percent"]},
+            "mold": {"material": keys["mold"]},
             "tube": self.single,
         }
         header = f"A rig that heats tubes to set their shape: tubeopt heat plan {path.name} --sensor thermocouple\n"
@@ -176,17 +178,17 @@ class NewRig(NewTubes):
 
 
 def _fan(robot: Robot) -> list[int]:
-    """Rotations, deg, that differ by 30."""
+    """Rotations in steps of 30 deg."""
     return [30 * k for k in range(robot.n_tubes)]
 
 
 def _turn(robot: Robot, angle: int) -> list[int]:
-    """Rotations, deg: the first tube is turned."""
+    """Rotations, deg, with only the first tube rotated."""
     return [angle, *[0] * (robot.n_tubes - 1)]
 
 
-def _reached(robot: Robot) -> list[float]:
-    """A place that the tip reaches, mm."""
+def _reachable_target(robot: Robot) -> list[float]:
+    """Tip position of a stable shape, mm."""
     # Taken from a solved shape, so that the target can be reached by any robot.
     tip = forward_kinematics(robot, np.radians(_fan(robot))).tip_position
     return [round(float(x), 1) for x in tip * TO_MM]
@@ -196,7 +198,7 @@ def _design(robot: Robot) -> Data:
     curvature = max(abs(tube.curvature) for tube in robot.tubes)
     tubes = list(range(1, robot.n_tubes + 1))
     return {
-        # Half as much again as the robot has: the search can move both ways.
+        # 1.5 times the largest curvature of the robot, so that the search can increase and decrease it.
         "free": [{"tubes": tubes, "curvature_per_m": [0.5, round(max(1.5 * curvature, 1.0), 1)]}],
         "requirements": {"snap_free": {"margin": 0.05}},
         "objective": {"kind": "change"},
@@ -205,7 +207,7 @@ def _design(robot: Robot) -> Data:
 
 EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "forward_kinematics": lambda robot: {"rotations_deg": _fan(robot)},
-    "inverse_kinematics": lambda robot: {"target_mm": _reached(robot)},
+    "inverse_kinematics": lambda robot: {"target_mm": _reachable_target(robot)},
     "equilibria": lambda robot: {"rotations_deg": _turn(robot, 190)},
     "snap": lambda robot: {"to_deg": _turn(robot, 360)},
     "load_limit": lambda robot: {"rotations_deg": _fan(robot), "tip_force_mN": [-10, 0, 0]},
@@ -218,12 +220,12 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "workspace": lambda robot: {"samples": 2000},
     "fabrication": lambda robot: {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},
 }
-"""Kind of a study of a robot -> keys with which it can be run, where it needs any."""
+"""Kind of a study of a robot -> example values of its required keys."""
 
 ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "example_equal_ends"} | dict.fromkeys(
     ("mold_plan", "mold_materials", "fabrication"), "thesis_etr"
 )
-"""Kind -> the robot of such a study where none is given; of others it is that of the thesis."""
+"""Kind -> default robot of its template; thesis_ctr for other kinds."""
 
 OF_RIGS: dict[str, Data] = {
     "heating": {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},
@@ -233,20 +235,20 @@ OF_RIGS: dict[str, Data] = {
     "mold_calibration": {"trials": "example_trials"},
     "verify": {},
 }
-"""Kind of a study that asks about no robot -> keys with which it can be run."""
+"""Kind of a study without a robot -> example values of its required keys."""
 
 COPIED = {"design_pair": "design_pair", "plan_arms": "plan_two_arms", "sweep": "sweep_curvature"}
-"""Kind -> the study of it that comes with tubeopt and is copied."""
+"""Kind -> built-in study that is copied."""
 
 KINDS: tuple[str, ...] = (*STUDY_KINDS, "sweep")
-"""Of studies."""
+"""Kinds of studies."""
 
 
 class NewStudy(Entry):
-    """A study to begin with, which can be run as it is written."""
+    """Study of a template, which runs without changes."""
 
-    asked: ClassVar = ("study_kind", "robot")
-    """Keys for which a person is asked, in order."""
+    prompted: ClassVar = ("study_kind", "robot")
+    """Keys that are prompted for in a dialogue, in order."""
 
     study_kind: str | None = Field(None, description="kind of study, such as snap, plan or design", examples=["KIND"])
     robot: str | None = Field(None, description="robot: a file, or a name of `tubeopt robot list`")
@@ -260,57 +262,57 @@ class NewStudy(Entry):
 
     @field_validator("robot")
     @classmethod
-    def _readable(cls, robot: str | None) -> str | None:
+    def _loadable(cls, robot: str | None) -> str | None:
         if robot is not None:
             load_robot(robot)
         return robot
 
     @property
     def kind(self) -> str:
-        """Of study."""
+        """Kind of the study."""
         return self.study_kind or "forward_kinematics"
 
     @property
     def usual(self) -> Data:
-        """What is not given is like this."""
+        """Defaults of the keys."""
         robot = None if self.kind in (*COPIED, *OF_RIGS) else ROBOTS.get(self.kind, "thesis_ctr")
         return {"study_kind": self.kind, "robot": robot}
 
-    def data(self, given: Mapping[str, Any], path: Path) -> Data:
-        """What the study file at `path` says, with further keys that are `given`."""
+    def data(self, extra: Mapping[str, Any], path: Path) -> Data:
+        """Contents of the study file at `path`, with further keys `extra`."""
         if self.kind in (*COPIED, *OF_RIGS):
             if self.robot is not None:
                 raise InputError(f"a study of kind {self.kind} has no robot that could be chosen here")
             known: Data = (
                 _by_name(load_yaml(shipped()[COPIED[self.kind]])) if self.kind in COPIED else OF_RIGS[self.kind]
             )
-            return {"kind": self.kind, **known, **given}
-        typed = self.robot or self.usual["robot"]
-        asked = load_robot(typed)
-        example = EXAMPLES[self.kind](asked) if self.kind in EXAMPLES else {}
-        return {"kind": self.kind, "robot": _from(path, typed), **example, **given}
+            return {"kind": self.kind, **known, **extra}
+        name = self.robot or self.usual["robot"]
+        robot = load_robot(name)
+        example = EXAMPLES[self.kind](robot) if self.kind in EXAMPLES else {}
+        return {"kind": self.kind, "robot": _relative(name, path), **example, **extra}
 
-    def text(self, path: Path, given: Mapping[str, Any]) -> str:
-        """The text of a study file, with further keys that are `given`; raises InputError where it is no study."""
-        data = self.data(given, path)
+    def text(self, path: Path, extra: Mapping[str, Any]) -> str:
+        """Text of the study file, with further keys `extra`; raises InputError for an invalid study."""
+        data = self.data(extra, path)
         model: type[Entry] = SweepEntry if self.kind == "sweep" else STUDY_KINDS[self.kind]
         text = commented(model, data, f"A study: tubeopt {'sweep' if self.kind == 'sweep' else 'run'} {path.name}\n")
-        # From where the file will be its robot cannot be found yet: its folder need not be there.
-        near = {"robot": str(found(self.robot, "robots").absolute())} if self.robot is not None else {}
-        check_kind({self.kind: model}, read_flow(text) | near, path)
+        # The relative path of the robot cannot be checked yet: the folder of the file may not exist.
+        absolute = {"robot": str(find_file(self.robot, "robots").absolute())} if self.robot is not None else {}
+        check_kind({self.kind: model}, read_flow(text) | absolute, path)
         return text
 
 
-def _from(path: Path, typed: str) -> str:
-    """What a study at `path` calls a file that was typed: its name, or its path from there."""
-    file = found(typed, "robots")
-    if shipped().get(typed) == file:
-        return typed
+def _relative(robot: str, path: Path) -> str:
+    """Robot in a study file at `path`: its built-in name, or its path relative to the file."""
+    file = find_file(robot, "robots")
+    if shipped().get(robot) == file:
+        return robot
     return Path(os.path.relpath(file.absolute(), path.absolute().parent)).as_posix()
 
 
 def _by_name(data: Any) -> Any:
-    """Data in which files that come with tubeopt are called by their names."""
+    """Replace relative paths of built-in files by their names."""
     if isinstance(data, dict):
         return {key: _by_name(value) for key, value in data.items()}
     if isinstance(data, list):

@@ -1,4 +1,4 @@
-"""Studies of a robot against measured tips, with or without a fit of its parameters, and of where to measure."""
+"""Studies of measurements: validation, calibration, choice of configurations, and force estimation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from ..errors import InputError
 from ..files.checked import Positive, Triple, Whole, in_file
 from ..files.field_metadata import Typical
-from ..files.fields import asking, values
+from ..files.fields import keys_from, values
 from ..typing import Progress
 from ..validation import (
     BasePose,
@@ -30,14 +30,14 @@ from ..validation import (
 )
 from .measurement_file import load_measurements
 from .robot_keys import ExternalLoad, RobotPath
-from .study_file import Arguments, Options, Timed, question, reworded
+from .study_file import Arguments, Options, Timed, question, rewording
 
 MeasurementsPath = Annotated[
     Measurements,
     in_file(load_measurements, "a CSV file, or of YAML", of="robot"),
     Field(description="path of the CSV file of measured tips, or of a YAML file that maps one, relative to this file"),
 ]
-"""Measurements of the study's robot, given as the path of their file."""
+"""Measurements with the study's robot, given as the path of their file."""
 
 
 MeasuredFor = Annotated[
@@ -45,24 +45,24 @@ MeasuredFor = Annotated[
     Field(description="parameters to estimate: rotation_all, translation_all, curvature_2, ...", examples=["NAME,.."]),
 ]
 
-OF_FITS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
-"""Keys that nothing but a fit uses."""
+FIT_KEYS = ("folds", "confidence", "noise_mm", "axis_noise_deg", "loss", "priors")
+"""Keys that only a fit uses."""
 
 KEYS = {
     r"^(?=(no )?(parameter|effect)s? )": "fit: ",
-    # Tips that are too few or too close to a line for what is fitted to them: no key has these numbers but the file.
+    # Too few tips, or tips too close to a line, are a property of the file.
     r"^(?=(the tips|the measurements|\d+ measured tips) )": "measurements: ",
 }
-"""Beginnings of messages that name no key."""
+"""Start of a message of the library -> key that it is about."""
 
 
-def _not_one(folds: int) -> int:
+def _valid_folds(folds: int) -> int:
     if folds == 1 or folds < 0:
         raise ValueError(f"is {folds}; it must be 0, or at least 2")
     return folds
 
 
-@asking(FitOptions)
+@keys_from(FitOptions)
 class ValidationStudy(Timed):
     """Errors of the model against measured tips, and fit of its parameters."""
 
@@ -91,7 +91,7 @@ class ValidationStudy(Timed):
     compare: bool = Field(
         False, description="add effects one by one, most useful first, until none improves the prediction"
     )
-    folds: Annotated[Whole, AfterValidator(_not_one)] | None = Field(
+    folds: Annotated[Whole, AfterValidator(_valid_folds)] | None = Field(
         None, description="folds of the cross-validation; 0 for none; default 5, or 10 with compare"
     )
     confidence: Positive = Field(Decimal("0.95"), lt=1, description="confidence level of the intervals, 0 to 1")
@@ -108,14 +108,14 @@ class ValidationStudy(Timed):
             raise ValueError("base_position_mm and base_axis are for registration base-axis only")
         self._base()
         if not (self.fit or self.compare):
-            for key in OF_FITS:
+            for key in FIT_KEYS:
                 # A sweep or a flag may repeat the default.
                 if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
                     raise ValueError(f"{key} is given without fit or compare; only these use it")
         if self.axis_noise_deg is not None and self.measurements.orientation is None:
             raise ValueError("axis_noise_deg is given, and the measurements have no directions")
         if self.fit and not self.compare:
-            with reworded(KEYS):
+            with rewording(KEYS):
                 # Unknown names are refused here, before minutes of fitting.
                 choose_parameters(self.robot, self.measurements, self.fit, self.registration or "rigid")
         return self
@@ -135,12 +135,12 @@ class ValidationStudy(Timed):
         )
 
     def run(self, progress: Progress | None = None) -> Validation | Fit | Comparison:
-        """The comparison with the model; the fit where parameters are named; or the effects that pay.
+        """Compare with the model, fit parameters, or compare effects.
 
         Raises:
-            SolveError: a shape is not found; in a fit, none.
+            SolveError: a shape is not found; in a fit, no shape is found.
         """
-        with reworded(KEYS):
+        with rewording(KEYS):
             if self.compare:
                 return compare_effects(self.robot, self.measurements, self.fit, self._options(), progress=progress)
             if self.fit:
@@ -155,7 +155,7 @@ def choose_configurations(
     options: Annotated[Options, Arguments(where_to_measure, "count", "min_margin", "noise", "registration", "seed")],
 ) -> Placement:
     """Best configurations to measure for estimating parameters, in a sequence without a snap."""
-    with reworded(KEYS):
+    with rewording(KEYS):
         return where_to_measure(robot, fit, **options)
 
 
@@ -167,8 +167,8 @@ def estimate_tip_forces(
     options: Annotated[Options, Arguments(estimate_forces, "noise", "registration")],
     progress: Progress | None = None,
 ) -> ForceRecord:
-    """The force on the tip of a robot at every row of a recording of its tip, or of points along its arm."""
+    """Tip force in every row of a recording of the tip, or of points along the arm."""
     if load is not None and load.frame != "world":
         raise InputError(f"load.frame is {load.frame!r}; it must be 'world': a known load must not turn with the tip")
-    with reworded(KEYS):
+    with rewording(KEYS):
         return estimate_forces(robot, measurements, known=load, progress=progress, **options)

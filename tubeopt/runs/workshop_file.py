@@ -1,11 +1,11 @@
-"""Rigs and molds as YAML, logs of heatings and trials of spring-back as CSV."""
+"""YAML files of rigs and molds; CSV files of heating logs and spring-back trials."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -15,8 +15,8 @@ from ..constants import ZERO_CELSIUS
 from ..errors import InputError
 from ..files.checked import Positive, check, check_kind
 from ..files.csv_file import read_csv, refuse
-from ..files.fields import Part, asking, entry_of, to_data
-from ..files.shipped import found
+from ..files.fields import Part, entry_of, keys_from, to_data
+from ..files.shipped import find_file
 from ..files.units import MM, TO_MM, decimal, in_unit, parse_number, to_si
 from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
@@ -28,18 +28,18 @@ from ..shaping.mold.springback import RADII, Calibration, Springback
 from ..typing import Array
 
 
-@asking(Battery)
+@keys_from(Battery)
 class BatteryEntry(Part):
     """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
 
     voltage_V: Positive | None = Field(None, description="voltage at rest, instead of state_of_charge_percent")
 
     def build(self) -> Battery:
-        """The battery in SI, charged as its voltage at rest tells where that is given."""
+        """Battery in SI; a given voltage at rest determines its state of charge."""
         battery: Battery = super().build()
         if self.voltage_V is None:
             return battery
-        # A default value is no contradiction, only a key that was written.
+        # The state of charge has a default: only a key in the file contradicts the voltage.
         if "state_of_charge_percent" in self.model_fields_set:
             raise ValueError("gives both state_of_charge_percent and voltage_V; it must give one of them")
         return replace(battery, state_of_charge=battery.charge_at(self.si("voltage_V")))
@@ -49,15 +49,15 @@ RigEntry = entry_of(Rig, extra={"kind": (Literal["rig"], ...), "battery": (Batte
 """A rig that heats tubes from a battery."""
 
 RIG_KINDS: dict[str, type[Part]] = {"rig": RigEntry}
-"""What the key `kind` of a rig file may say."""
+"""Kinds of rig files."""
 
 
 @typed
 def load_rig(path: str | PathLike[str]) -> Rig:
-    """The rig in a YAML file, or the one of this name that comes with tubeopt; a file of exactly this path goes first.
+    """Load a rig by path or built-in name; a file of exactly this path has priority.
 
     Raises:
-        InputError: no such file or name, not YAML, or keys or values that make no rig: one line for every problem.
+        InputError: no such file or name, not YAML, or invalid keys or values; one line per problem.
 
     Examples:
         >>> import tubeopt
@@ -65,18 +65,18 @@ def load_rig(path: str | PathLike[str]) -> Rig:
         >>> rig.mold.material.name
         'steel'
     """
-    path = found(path, "rigs")
+    path = find_file(path, "rigs")
     return rig_from_dict(load_yaml(path), path)
 
 
 def rig_from_dict(data: object, where: str | PathLike[str] = "") -> Rig:
-    """The rig that `data`, with the keys of a rig file, describes; raises InputError as `load_rig`."""
+    """Build a rig from the keys of a rig file; raises InputError as `load_rig`."""
     rig: Rig = check_kind(RIG_KINDS, data, where).build()
     return rig
 
 
 def save_rig(rig: Rig, path: str | PathLike[str], header: str = "A shape-setting rig for tubeopt.") -> None:
-    """Write `rig` as YAML that `load_rig` turns into an equal rig; raises InputError where that cannot be.
+    """Write a rig as YAML that `load_rig` reads back as an equal rig; raises InputError if it cannot be written.
 
     Examples:
         >>> import tempfile
@@ -91,7 +91,7 @@ def save_rig(rig: Rig, path: str | PathLike[str], header: str = "A shape-setting
 
 
 def rig_to_dict(rig: Rig) -> dict[str, Any]:
-    """`rig` with the keys and units of a rig file."""
+    """Convert a rig to the keys and units of a rig file."""
     return {"kind": "rig", "name": rig.name} | to_data(rig)
 
 
@@ -116,7 +116,7 @@ def load_oven(path: str | PathLike[str]) -> Oven:
         >>> tubeopt.load_oven("steel_slab").mold.material.name
         'steel'
     """
-    path = found(path, "ovens")
+    path = find_file(path, "ovens")
     oven: Oven = check_kind(OVEN_KINDS, load_yaml(path), path).build()
     return oven
 
@@ -124,24 +124,28 @@ def load_oven(path: str | PathLike[str]) -> Oven:
 # --- logs -------------------------------------------------------------------------------------------------------------
 
 EMPTY = ("",)
-"""Cells of readings that were not taken."""
+"""Cells without a reading."""
 
 LOG_COLUMNS = ("time_s", "duty", "temperature_degC", "voltage_V", "current_A")
 PLACED = re.compile(r"temperature_([-+]?[0-9.]+)_mm_degC")
-"""Columns of several thermometers, each with its place."""
+"""Name of a column of one of several thermometers, with its position."""
 
 
 def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: float = 0.0) -> HeatingLog:
-    """A logged heating in CSV: `time_s`, `duty`, and any of `temperature_degC`, `voltage_V`, `current_A`.
+    """Load a heating log from CSV: `time_s`, `duty`, and any of `temperature_degC`, `voltage_V`, `current_A`.
 
-    Empty cells are readings that were not taken. `position` (m): of the thermometer from the middle of the curve;
-    `lag` (s): its time constant. Several have columns with their places: `temperature_-20_mm_degC`.
+    Empty cells are missing readings. Each of several thermometers has a column with its position in mm:
+    `temperature_-20_mm_degC`.
+
+    Args:
+        position: position of a single thermometer from the middle of the curved part, m.
+        lag: time constant of the thermometers, s.
 
     Raises:
-        InputError: no such file, columns unknown or missing, cells that are no numbers, or no log (see `HeatingLog`).
+        InputError: no such file, unknown or missing columns, cells that are no numbers, or as `HeatingLog`.
     """
     table = read_csv(path, LOG_COLUMNS)
-    # Each column of a thermometer has its place in its name.
+    # The name of a column contains the position.
     placed = {n: to_si(decimal(parse_number(found[1])), MM) for n in table.columns if (found := PLACED.fullmatch(n))}
     needed = LOG_COLUMNS[:2]
     table.expect(needed, (*LOG_COLUMNS[2:], *placed))
@@ -164,38 +168,47 @@ def load_heating_log(path: str | PathLike[str], position: float = 0.0, lag: floa
         raise InputError(f"{path}: {error}") from None
 
 
-def load_camera(path: str | PathLike[str]) -> tuple[Array, Array, Array]:
-    """Recording of a thermal camera in CSV: `time_s`, and a column of temperatures, degC, per point of the tube.
+class CameraRecording(NamedTuple):
+    """Recording of a thermal camera."""
 
-    Columns are called by their place from the middle of the curved part, mm: `time_s,-40,-20,0,20,40`. Empty cells are
-    places that were not seen.
+    time: Array
+    """Shape (C,), s."""
+    position: Array
+    """Shape (P,), m, along the tube from the middle of the curved part."""
+    temperature: Array
+    """Shape (C, P), K; NaN for a point that was not visible."""
 
-    Returns:
-        Times (C,), s, places (P,), m, and temperatures (C, P), K, NaN where nothing was seen.
+
+def load_camera(path: str | PathLike[str]) -> CameraRecording:
+    """Load a recording of a thermal camera from CSV: `time_s`, and a column of temperatures, degC, per point.
+
+    The name of a column is its distance from the middle of the curved part, mm: `time_s,-40,-20,0,20,40`. Empty cells
+    are points that were not visible.
 
     Raises:
-        InputError: no such file, a column that is no place, or cells that are no numbers.
+        InputError: no such file, a column name that is no number, or cells that are no numbers.
     """
     table = read_csv(path, ("time_s",))
     placed = [name for name in table.columns if name != "time_s"]
-    # A camera sees many points, so that their columns are plain numbers.
-    strange = [name for name in placed if not re.fullmatch(r"[-+]?[0-9.]+", name)]
-    refuse(path, [f"column {name} is not known; it must be time_s or a place in mm" for name in strange])
+    # A camera records many points, so that the names of their columns are plain numbers.
+    unknown = [name for name in placed if not re.fullmatch(r"[-+]?[0-9.]+", name)]
+    refuse(path, [f"column {name} is not known; it must be time_s or a place in mm" for name in unknown])
     table.expect(("time_s",), placed)
     if not placed:
         refuse(path, ["there is no column of temperatures; there must be one for every place, called by it in mm"])
-    time, seen = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=EMPTY)
+    time, celsius = table.numbers(["time_s"], ONE), table.numbers(placed, ONE, gaps=EMPTY)
     table.check()
-    return time[:, 0], np.array([to_si(decimal(parse_number(name)), MM) for name in placed]), seen + ZERO_CELSIUS
+    position = np.array([to_si(decimal(parse_number(name)), MM) for name in placed])
+    return CameraRecording(time[:, 0], position, celsius + ZERO_CELSIUS)
 
 
-# --- molds: what is asked of a mold, its material and spring-back; trials of spring-back ------------------------------
+# --- molds: specification, material and spring-back; trials of spring-back --------------------------------------------
 
 TRIAL_COLUMNS = ("mold_radius_mm", "obtained_radius_mm")
 NOTE = "note"
 
 
-@asking(Springback)
+@keys_from(Springback)
 class SpringbackEntry(Part):
     """Fraction of the mold's curvature that a tube loses: obtained = mold (1 - fraction - slope mold)."""
 
@@ -204,7 +217,7 @@ class SpringbackEntry(Part):
     )
 
     def build(self) -> Springback:
-        """The spring-back, with the range of the trials that it is from."""
+        """Spring-back, with the range of mold curvatures of its trials."""
         back: Springback = super().build()
         if self.radius_range_mm is None:
             return back
@@ -213,7 +226,7 @@ class SpringbackEntry(Part):
         return replace(back, curvature_range=(1 / max(radii), 1 / min(radii)))
 
 
-@asking(MoldSpec)
+@keys_from(MoldSpec)
 class MoldEntry(Part):
     """Material, fit, plates and tools of a mold; every key has a default."""
 
@@ -222,27 +235,27 @@ class MoldEntry(Part):
 
 
 MOLD_KINDS = {"mold": MoldEntry}
-"""What the key `kind` of a mold file may say."""
+"""Kinds of mold files."""
 
 
 def load_mold_spec(path: str | PathLike[str]) -> MoldSpec:
-    """The specification in a YAML file; raises InputError for what makes none: one line for every problem."""
+    """Load a mold specification; raises InputError with one line per problem."""
     return mold_spec_from_dict(load_yaml(path), path)
 
 
 def mold_spec_from_dict(data: object, where: str | PathLike[str] = "") -> MoldSpec:
-    """The specification that `data`, with the keys of a mold file, describes; raises InputError as `load_mold_spec`."""
+    """Build a mold specification from the keys of a mold file; raises InputError as `load_mold_spec`."""
     spec: MoldSpec = check(MoldEntry, data, where).build()
     return spec
 
 
 def load_springback(path: str | PathLike[str]) -> Springback:
-    """The spring-back in a YAML file that `save_springback` wrote; raises InputError for what makes none."""
+    """Load spring-back from a file of `save_springback`; raises InputError for invalid keys or values."""
     return check(SpringbackEntry, load_yaml(path), path).build()
 
 
 def springback_to_dict(back: Springback) -> dict[str, Any]:
-    """A spring-back with the keys and units of a mold file."""
+    """Convert spring-back to the keys and units of a mold file."""
     data = to_data(back)
     if back.curvature_range is not None:
         low, high = back.curvature_range
@@ -251,35 +264,37 @@ def springback_to_dict(back: Springback) -> dict[str, Any]:
 
 
 def save_springback(calibration: Calibration, path: str | PathLike[str]) -> None:
-    """Write the fitted spring-back as YAML, to stand under the key `springback` of a mold file or for --springback;
-    raises InputError where that cannot be."""
+    """Write the fitted spring-back as YAML for --springback or the key `springback` of a mold file.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     trials = len(calibration.mold_curvature)
     save_yaml(path, springback_to_dict(calibration.springback), f"Spring-back of tubes, from {trials} trials.")
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Trials of spring-back."""
+    """Radii of spring-back trials."""
 
     mold_radius: Array
-    """(N,) m."""
+    """Shape (N,), m."""
     obtained_radius: Array
-    """(N,) m, of the tubes that came out."""
+    """Shape (N,), m, of the finished tubes."""
 
 
 def load_trials(path: str | PathLike[str]) -> Trials:
-    """The trials in a CSV file with the columns `mold_radius_mm`, `obtained_radius_mm` and, for any text, `note`.
+    """Load spring-back trials from CSV with columns `mold_radius_mm`, `obtained_radius_mm` and optionally `note`.
 
     Raises:
-        InputError: no such file, a column that is unknown or missing, a cell that is no positive number: one line for
-            every problem.
+        InputError: no such file, an unknown or missing column, a cell that is no positive number; one line per problem.
     """
     table = read_csv(path, (*TRIAL_COLUMNS, NOTE))
     table.expect(TRIAL_COLUMNS, [NOTE])
     radii = table.numbers(TRIAL_COLUMNS, MM)
     for row in range(len(table.rows)):
         for k, column in enumerate(TRIAL_COLUMNS):
-            # A cell that is no number was noted before, and read as 0.
+            # A cell that is no number has a problem already, and was read as 0.
             if not RADII[0] <= radii[row, k] <= RADII[1] and not any(
                 f"row {row + 1} " in problem and column in problem for problem in table.problems
             ):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..constants import ZERO_CELSIUS
-from ..errors import InputError, undoubted
+from ..errors import InputError, without_unit_warnings
 from ..robots.materials import NITINOL
 from ..robots.tubes import Tube
 from .heating.counts import full_current
@@ -188,7 +188,7 @@ def lid_profile(rig: Rig, tube: Tube) -> tuple[float, ...]:
     return tuple((2 * vent_profile(rig, inward)).tolist())
 
 
-@undoubted()
+@without_unit_warnings()
 def rig_as_drawn(rig: Rig, mold: Mold) -> Rig:
     """The rig with a mold of one groove: leads, distance of the clamps, gap, plates and vents as they are drawn."""
     groove, plate = mold.grooves[0], mold.spec.plate

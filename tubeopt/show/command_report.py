@@ -24,7 +24,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..runs.shipped_files import ShippedFile, ShippedFiles
-from ..runs.templates import Written
+from ..runs.templates import WrittenFile
 from ..solvers.compiled.library import cache_directory, library
 from ..solvers.compiled.packaged import FOLDER
 from .quantities import Quantity, described, line, of_field
@@ -181,7 +181,7 @@ class ShippedReport(Report[ShippedFiles]):
         return "\n".join(line.rstrip() for line in lines)
 
 
-class WrittenReport(Report[Written]):
+class WrittenReport(Report[WrittenFile]):
     command = "init"
     quantities = (Quantity("then", "command that uses the file", words="{then}", label="next"),)
 

@@ -359,14 +359,14 @@ TUBE = described(
         "between_clamps_mm",
         "length of tube between the clamps, by the mold and by the heating",
         lambda part: {
-            "mold": part.made.groove.free_length * TO_MM,
-            "heating": part.made.heating.free_length * TO_MM,
+            "mold": part.fabrication.groove.free_length * TO_MM,
+            "heating": part.fabrication.heating.free_length * TO_MM,
         },
     ),
-    Quantity("agreed", "true if mold and heating agree", lambda part: part.made.agreed),
-    Quantity("disagreement", "difference between them, as text", lambda part: part.made.disagreement),
-    Quantity("rounds", "number of rounds to agreement", lambda part: part.made.rounds),
-    Quantity("remarks", "remarks for making it", lambda part: part.made.remarks),
+    Quantity("agreed", "true if mold and heating agree", lambda part: part.fabrication.agreed),
+    Quantity("disagreement", "difference between them, as text", lambda part: part.fabrication.disagreement),
+    Quantity("rounds", "number of rounds to agreement", lambda part: part.fabrication.rounds),
+    Quantity("remarks", "remarks for making it", lambda part: part.fabrication.remarks),
 )
 
 FABRICATION = described(
@@ -385,7 +385,7 @@ def _faults(a: Fabrication) -> list[str]:
         plan = part.heating.plan
         kept = unlikely(part.heating.success) if plan.feasible else missed(plan)
         found += [f"tube {part.number}: {kept}"] if kept else []
-        found += [] if part.made.agreed else [f"tube {part.number}: {part.made.disagreement}"]
+        found += [] if part.fabrication.agreed else [f"tube {part.number}: {part.fabrication.disagreement}"]
     return found
 
 
@@ -398,7 +398,7 @@ class FabricationReport(Report[Fabrication]):
         """A row for every tube, and the remarks."""
         cells, notes = [], []
         for part in self.answer.parts:
-            plan, made = part.heating.plan, part.made
+            plan, made = part.heating.plan, part.fabrication
             most, least = held_duties(plan)
             cells.append(
                 (
@@ -438,7 +438,7 @@ class FabricationReport(Report[Fabrication]):
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
             words = success_words(part.heating.success)
-            plot_fabrication_sheet(part.made, place / "sheet.pdf", title=title, success=words)
+            plot_fabrication_sheet(part.fabrication, place / "sheet.pdf", title=title, success=words)
             paths.append(place / "sheet.pdf")
         return paths
 

@@ -16,7 +16,7 @@ from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
-from ..runs.heating_study import Heating, LedHeating, Success
+from ..runs.heating_study import ClosedLoopHeating, Heating, Success
 from ..runs.workshop_file import rig_to_dict, save_rig
 from ..shaping.firmware.boards import Part, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
@@ -162,7 +162,7 @@ SUCCESS: tuple[Quantity[Any], ...] = (
     Quantity("success_interval", "95 % confidence interval of the probability",
              lambda a: None if a.success is None else a.success.interval),
     Quantity("led_by", "sensor of the feedback; \"\" for the schedule alone",
-             lambda a: "" if a.success is None else a.success.led_by),
+             lambda a: "" if a.success is None else a.success.sensor),
 )  # fmt: skip
 
 
@@ -173,10 +173,10 @@ def success_words(success: Success | None) -> str:
     low, high = success.interval
     kept = f"{100 * success.probability:.0f} % of {success.samples} uncertain rigs keep window and limit"
     bounds = f"(95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-    if not success.led_by:
+    if not success.sensor:
         return f"success: {kept} {bounds}; no sensor closes the loop"
     alone = f"by the schedule alone {100 * (success.open_loop or 0):.0f} % of the same rigs do"
-    return f"success: {kept} {bounds}; the sensor closes the loop ({success.led_by}); {alone}"
+    return f"success: {kept} {bounds}; the sensor closes the loop ({success.sensor}); {alone}"
 
 
 def unlikely(success: Success | None) -> str:
@@ -373,7 +373,7 @@ FEEDBACK = described(
 )  # fmt: skip
 
 LED_HEATING = described(
-    LedHeating,
+    ClosedLoopHeating,
     Quantity("rig", "name of the rig", lambda a: a.plan.rig.name),
     Quantity("window_degC", "temperature window of the hold", lambda a: a.plan.spec.window_degC),
     Quantity("limit_degC", "temperature limit of every point at all times", lambda a: a.plan.spec.limit),
@@ -386,7 +386,7 @@ LED_HEATING = described(
 )  # fmt: skip
 
 
-class LedHeatingReport(Report[LedHeating]):
+class LedHeatingReport(Report[ClosedLoopHeating]):
     command = "heat firmware"
     quantities = LED_HEATING
     file = "law.json"
@@ -548,7 +548,7 @@ def with_live_page(study: HeatingRunStudy, out: Path | None, *, shown: bool = Tr
                 )
             )
 
-        return study.led(out, line, leader, show)
+        return study.run_on(out, line, leader, show)
 
 
 def _foretold(row: dict[str, Any], leader: Leader | None) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from ..design.optimize import DesignSolution
 from ..display import brief
 from ..equilibrium.batch import EquilibriumBatch
 from ..equilibrium.result import Equilibrium, Jacobian, Verification
-from ..errors import SolveError, extra, instance
+from ..errors import SolveError, import_extra, instance
 from ..files.units import TO_MM
 from ..inverse import InverseSolution
 from ..planning import Proof
@@ -147,7 +147,7 @@ def show_in_3d(
         300
     """
     instance("equilibrium", equilibrium, Equilibrium)
-    library = extra("plotly.graph_objects", "notebook", "scenes in a notebook")
+    library = import_extra("plotly.graph_objects", "notebook", "scenes in a notebook")
     parts = [plate_part(plate_radius(equilibrium)), *robot_parts(equilibrium)]
     meshes = [_mesh(library, part, part.opacity) for part in parts]
     meshes += [_mesh(library, part, GHOST_OPACITY) for ghost in ghosts for part in robot_parts(ghost)]

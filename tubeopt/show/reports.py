@@ -23,7 +23,7 @@ MODULES = {
         "Doctor",
         "CLibrary",
         "ShippedFiles",
-        "Written",
+        "WrittenFile",
         "Viewed",
         "Served",
     ),
@@ -47,7 +47,7 @@ MODULES = {
     "heat_report": (
         "Heating",
         "RigFit",
-        "LedHeating",
+        "ClosedLoopHeating",
         "HeatingRun",
         "OvenPlan",
     ),

@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ..arguments import typed
-from ..bodies.anatomy import Turned
+from ..bodies.anatomy import TransformedBody
 from ..bodies.corridors import Corridor, MeshObstacle
 from ..bodies.distance_field import DistanceField, surface_net
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, extra
+from ..errors import InputError, import_extra
 from ..files.files import atomic_write
 from ..files.units import TO_MM
 from ..inverse.arm_surface import outer_radius
@@ -93,7 +93,7 @@ def obstacle_surface(obstacle: Obstacle, reach: float, *, sides: int = SIDES) ->
     if isinstance(obstacle, DistanceField):
         vertices, faces = surface_net(obstacle)
         return Surface(vertices, two_of_four(faces))
-    if isinstance(obstacle, Turned):
+    if isinstance(obstacle, TransformedBody):
         inner = obstacle_surface(obstacle.body, reach, sides=sides)
         return Surface(obstacle.frame.seen(inner.vertices), inner.faces)
     raise InputError(f"there is no picture of a {type(obstacle).__name__}")
@@ -499,7 +499,7 @@ def closed_surface(line: Centreline, stretch: Stretch) -> Surface:
 
 def _write_mesh(kind: str, scale: float) -> Callable[[Equilibrium, Path], None]:
     def write(equilibrium: Equilibrium, path: Path) -> None:
-        library = extra("trimesh", "fabrication", "STL and GLB files")
+        library = import_extra("trimesh", "fabrication", "STL and GLB files")
         line, scene = Centreline(equilibrium), library.Scene()
         for stretch in visible(equilibrium):
             surface = closed_surface(line, stretch)

@@ -19,7 +19,7 @@ import scipy
 from ..arguments import typed
 from ..equilibrium.batch import EquilibriumBatch
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, extra
+from ..errors import InputError, import_extra
 from ..files.csv_file import to_csv
 from ..files.files import atomic_write, write_text
 from ..files.units import SIGNS, per_si, unit_of
@@ -155,7 +155,7 @@ def to_dataframe(answer: Any) -> pandas.DataFrame:
         >>> tubeopt.to_dataframe(pose).columns.tolist()[:4]
         ['arc_length_mm', 'x_mm', 'y_mm', 'z_mm']
     """
-    frame: pandas.DataFrame = extra("pandas", "data", "data frames").DataFrame(columns(answer))
+    frame: pandas.DataFrame = import_extra("pandas", "data", "data frames").DataFrame(columns(answer))
     return frame
 
 
@@ -175,7 +175,7 @@ def to_xarray(answer: Any) -> xarray.Dataset:
         >>> tubeopt.to_xarray(pose).position.dims
         ('point', 'axis')
     """
-    library = extra("xarray", "data", "labelled arrays")
+    library = import_extra("xarray", "data", "labelled arrays")
     row, variables = _description(answer)
     data, labels = {}, {}
     for variable in variables:
@@ -220,7 +220,7 @@ def save_table(answer: Any, path: str | PathLike[str]) -> Path:
         with atomic_write(path) as temporary:
             scipy.io.savemat(temporary, {name: _matlab(values) for name, values in named}, oned_as="column")
         return path
-    arrow, parquet = (extra(name, "data", "Parquet files") for name in ("pyarrow", "pyarrow.parquet"))
+    arrow, parquet = (import_extra(name, "data", "Parquet files") for name in ("pyarrow", "pyarrow.parquet"))
     with atomic_write(path) as temporary:
         parquet.write_table(arrow.table({name: arrow.array(values) for name, values in table.items()}), temporary)
     return path

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from ..arguments import typed
-from ..bodies.frames import MOST, RegistrationError, mirrored, narrowness, standard_errors, turn_curvature
+from ..bodies.frames import MAX_ROTATION_ERROR, RegistrationError, mirrored, narrowness, standard_errors, turn_curvature
 from ..display import Displayed
 from ..errors import InputError, SolveError, finite_array
 from ..files.field_metadata import unit
@@ -276,7 +276,11 @@ def remark(error: RegistrationError) -> str:
     """What a mirror image that fits better means, or a turn that is known badly, in words; "" where neither is."""
     if error.mirrored is None:
         known = f"the frame is known to {math.degrees(error.turn):.0f} deg only (standard error)"
-        return "" if error.turn <= MOST else f"{known}: the tips are too few, or the model is too far from them"
+        return (
+            ""
+            if error.turn <= MAX_ROTATION_ERROR
+            else f"{known}: the tips are too few, or the model is too far from them"
+        )
     return (
         f"a mirror image of the measured tips fits better (RMS {error.mirrored * 1e3:.2f} mm): does a rotation or "
         "an axis of the device have the wrong sign?"
@@ -346,6 +350,6 @@ def check_registration(error: RegistrationError | None, method: str) -> None:
     known = "not at all" if math.isinf(error.turn) else f"to {math.degrees(error.turn):.0f} deg only"
     raise InputError(
         f"the tips determine the device frame {known} (standard error; it must be at most "
-        f"{math.degrees(MOST):g} deg): they lie too close to a line. Measure configurations "
+        f"{math.degrees(MAX_ROTATION_ERROR):g} deg): they lie too close to a line. Measure configurations "
         "bent in at least three directions, 90 deg apart, or give registration base-axis"
     )

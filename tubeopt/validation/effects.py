@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..errors import InputError, undoubted
+from ..errors import InputError, without_unit_warnings
 from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
@@ -99,7 +99,7 @@ class Setup:
         """Whether both describe the same tubes, which rub alike."""
         return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
 
-    @undoubted()
+    @without_unit_warnings()
     def robot(self, given: Robot, found_by: str = "") -> CommonRobot:
         """The robot with these numbers; raises InputError where there is none."""
         first = Setup.of(given)

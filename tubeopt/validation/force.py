@@ -24,11 +24,11 @@ from ..errors import (
     TimeLimitError,
     choice,
     finite,
-    undoubted,
     vector,
     whole,
+    without_unit_warnings,
 )
-from ..files.field_metadata import POSITIVE, SEEN_WITHIN, OneOf, form, unit, usual_length
+from ..files.field_metadata import POSITIVE, TYPICAL_NOISE, OneOf, form, typical_length, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -284,7 +284,7 @@ def estimate_forces(
     robot: Robot,
     measurements: Measurements,
     *,
-    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 1e-3,
+    noise: Annotated[float, unit("mm"), POSITIVE, TYPICAL_NOISE] = 1e-3,
     known: Load | None = None,
     registration: Annotated[str | None, OneOf(("none", "saved"))] = None,
     progress: Progress | None = None,
@@ -323,7 +323,7 @@ def estimate_forces(
         array([0.02, 0.02])
     """
     check_tubes(robot, measurements)
-    usual_length("noise", noise, SEEN_WITHIN)
+    typical_length("noise", noise, TYPICAL_NOISE)
     base, setup = _known(known), Setup.of(robot)
     if any(setup.drives.translation_compliance):
         raise InputError(
@@ -432,7 +432,7 @@ def estimate_force(  # noqa: PLR0913
     """
     alpha, shift = joint_values(robot, rotations, translations)
     places = _measured(
-        float(robot.assembly(shift).total_length), tip_position, points, usual_length("noise", noise, SEEN_WITHIN)
+        float(robot.assembly(shift).total_length), tip_position, points, typical_length("noise", noise, TYPICAL_NOISE)
     )
     return _fitted(robot, (alpha, shift), places, _known(known), start)
 
@@ -562,7 +562,7 @@ def _measured(
 
 def _trial(near: Equilibrium, base: Load, force: Array, measured: Measured) -> _Trial:
     load = replace(base, force=tuple(np.add(base.force, force).tolist()))
-    with undoubted():  # forces that are tried
+    with without_unit_warnings():  # forces that are tried
         e = under_load(near, load)
     noise = measured.noise
     tip = last_tube(e.robot.assembly(e.translations).end)

@@ -20,7 +20,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..equilibrium.readings import to_readings
 from ..errors import InputError, SolveError
-from ..files.field_metadata import MARGIN, POSITIVE, SEEN_WITHIN, OneOf, Range, form, unit, usual_length
+from ..files.field_metadata import MARGIN, POSITIVE, TYPICAL_NOISE, OneOf, Range, form, typical_length, unit
 from ..inverse.joints import joint_space
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -243,7 +243,7 @@ def where_to_measure(
     count: Annotated[int, Range(least=3)] = 30,
     *,
     min_margin: Annotated[float, MARGIN] = 0.1,
-    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 0.5e-3,
+    noise: Annotated[float, unit("mm"), POSITIVE, TYPICAL_NOISE] = 0.5e-3,
     registration: Annotated[str, OneOf(PLANNED_REGISTRATIONS)] = "rigid",
     seed: Annotated[int, Range(least=0)] = 0,
     time_limit: float = TIME_LIMIT,
@@ -267,7 +267,7 @@ def where_to_measure(
         SolveError: too few configurations of the robot have the margin.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
     """
-    usual_length("noise", noise, SEEN_WITHIN)
+    typical_length("noise", noise, TYPICAL_NOISE)
     if not 0 <= min_margin < 1:
         raise InputError(f"min_margin is {min_margin:g}; it must be at least 0 and less than 1")
     alpha, shift, tips = _candidates(robot, min_margin, seed)

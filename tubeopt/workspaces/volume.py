@@ -11,7 +11,7 @@ import numpy as np
 from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, finite, positive
-from ..files.field_metadata import POSITIVE, REGION, Range, Typical, key, usual_length
+from ..files.field_metadata import POSITIVE, TYPICAL_REGION, Range, Typical, key, typical_length
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .loss import SnappingLoss, snapping_loss
@@ -135,7 +135,7 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
         InputError: a radius that is not positive, fewer than five points, points that lie in a plane.
     """
     if radius is not None:
-        usual_length("radius", radius, REGION)
+        typical_length("radius", radius, TYPICAL_REGION)
     table = workspace.some(20_000)
     tips = np.asarray(table[held(table, min_margin), -7:-4])
     value, reach = alpha_shape(tips, radius)

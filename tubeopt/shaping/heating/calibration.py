@@ -23,7 +23,7 @@ import scipy
 
 from ...constants import ZERO_CELSIUS
 from ...display import Displayed
-from ...errors import InputError, choice, finite, positive, undoubted
+from ...errors import InputError, choice, finite, positive, without_unit_warnings
 from ...physics.heat import LEAD, Resolution
 from ...robots.tubes import Tube
 from ...solvers.robust_least_squares import LeastSquaresSolver, Weights, descend
@@ -321,7 +321,7 @@ BIAS = "bias"
 
 
 def _scaled(part: str, name: str) -> Callable[[Rig, float], Rig]:
-    @undoubted()
+    @without_unit_warnings()
     def change(rig: Rig, factor: float) -> Rig:
         piece: Any = getattr(rig, part)
         return replace(rig, **{part: replace(piece, **{name: getattr(piece, name) * factor})})

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from ...constants import ZERO_CELSIUS
-from ...errors import SolveError, undoubted
+from ...errors import SolveError, without_unit_warnings
 from ...physics.heat import GRIP, LEAD
 from ...physics.heat_functions import CHARGE as USED
 from ...physics.heat_functions import CLAMP
@@ -286,7 +286,7 @@ def _constraint_bounds(made: Program, shift: Shift | None) -> tuple[Array, Array
 # --- the answer ---------------------------------------------------------------------------------------------------
 
 
-@undoubted()
+@without_unit_warnings()
 def _read(made: Program, tube: Tube, rig: Rig, spec: HeatingSpec, x: Array, iterations: int) -> Ideal:
     Z, circuit, u, duration, miss, design = (part.full() for part in made.split(x))
     heating = DURATION * float(duration[0, 0])

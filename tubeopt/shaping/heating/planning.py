@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ...constants import ZERO_CELSIUS
-from ...errors import InputError, SolveError, instance, undoubted
+from ...errors import InputError, SolveError, instance, without_unit_warnings
 from ...robots.tubes import Tube
 from ...solvers.blas import small
 from ...solvers.time_limit import TIME_LIMIT, limited
@@ -249,7 +249,7 @@ def _confirmed(change: Change, tube: Tube) -> list[Cure]:
     return [Cure(words, outcome.shortfall, outcome.broken)]
 
 
-@undoubted()
+@without_unit_warnings()
 def _for_limits(tube: Tube, rig: Rig, spec: HeatingSpec, outcome: Outcome) -> list[Cure]:
     """Changes where the window is held but ramp or currents are not: less current, or another limit."""
     now, count = full_current(tube, rig), count_rate(tube, rig)

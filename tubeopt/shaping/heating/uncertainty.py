@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ...display import Displayed
-from ...errors import InputError, undoubted
+from ...errors import InputError, without_unit_warnings
 from ...files.field_metadata import NOT_NEGATIVE, Range, Typical, check_fields, unit
 from ...physics.heat import Resolution
 from ...robots.tubes import Tube
@@ -99,7 +99,7 @@ class Uncertainty(Displayed):
             return np.zeros((samples, 0))
         return np.asarray(2 * scipy.stats.qmc.LatinHypercube(d=len(self.unknown), rng=seed).random(samples) - 1)
 
-    @undoubted()
+    @without_unit_warnings()
     def member(self, tube: Tube, rig: Rig, draw: Sequence[float]) -> tuple[Tube, Rig]:
         """The tube and the rig at one draw, in the order of `unknown`."""
         by = dict.fromkeys((item.name for item in fields(self)), 0.0)

@@ -13,7 +13,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from ...errors import InputError, SolveError, extra
+from ...errors import InputError, SolveError, import_extra
 from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
@@ -205,7 +205,7 @@ def plate_part(mold: Mold, name: str) -> Part:
 def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
     """Write a drawing as DXF (R2010, true arcs), whole or not at all; raises SolveError where its centreline, read
     back, lies 1 um or more from these."""
-    ezdxf = extra("ezdxf", "fabrication", "DXF files")
+    ezdxf = import_extra("ezdxf", "fabrication", "DXF files")
     document = ezdxf.new("R2010")
     document.header["$INSUNITS"] = 4  # mm
     document.header["$MEASUREMENT"] = 1
@@ -230,7 +230,7 @@ def write_dxf(drawing: Drawing, centreline: Sequence[Arc], path: Path) -> Path:
 
 def read_centreline(path: str | PathLike[str]) -> tuple[Arc, ...]:
     """The lines and arcs on layer CENTERLINE of a DXF file, in m."""
-    ezdxf = extra("ezdxf", "fabrication", "DXF files")
+    ezdxf = import_extra("ezdxf", "fabrication", "DXF files")
     try:
         document = ezdxf.readfile(path)
     except (OSError, ezdxf.DXFError) as error:
@@ -354,9 +354,9 @@ def _plate_solid(mold: Mold, part: str) -> Any:
 
 def manifold() -> Any:
     """The library of solids; raises MissingExtraError without it."""
-    return extra("manifold3d", "fabrication", "STL files")
+    return import_extra("manifold3d", "fabrication", "STL files")
 
 
 def trimesh() -> Any:
     """The library of meshes; raises MissingExtraError without it."""
-    return extra("trimesh", "fabrication", "STL files")
+    return import_extra("trimesh", "fabrication", "STL files")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...runs.heating_study import LedHeating
+from ...runs.heating_study import ClosedLoopHeating
 from ...shaping.firmware.boards import Wiring, parts_list
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.plan import HeatingPlan
@@ -170,7 +170,7 @@ def plot_rig_fit(fit: RigFit) -> Figure:
 
 
 @picture
-def plot_feedback(answer: LedHeating) -> Figure:
+def plot_feedback(answer: ClosedLoopHeating) -> Figure:
     """Picture of a controlled heating: curved parts of uncertain rigs over time, and what moves them."""
     feedback = answer.feedback
     figure = new_figure(9.4, 5.2)
@@ -255,7 +255,7 @@ DIODE, DIODE_SIZE = (0.675, 0.87), 0.022
 
 
 @picture
-def plot_wiring(answer: LedHeating) -> Figure:
+def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     """Picture of the wiring: parts, poles, pins of the board, and ratings for the plan's currents."""
     from matplotlib.patches import Polygon
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
-from ...bodies.anatomy import Turned
+from ...bodies.anatomy import TransformedBody
 from ...bodies.corridors import Corridor, MeshObstacle
 from ...bodies.distance_field import DistanceField
 from ...bodies.frames import Frame
@@ -192,7 +192,7 @@ def body_meshes(obstacles: Sequence[Obstacle]) -> list[Mesh]:
     """Obstacles as facets, except half-spaces, which have no bounds."""
     out = []
     for obstacle in obstacles:
-        body = obstacle.body if isinstance(obstacle, Turned) else obstacle
+        body = obstacle.body if isinstance(obstacle, TransformedBody) else obstacle
         if isinstance(body, HalfSpace):
             continue
         if isinstance(obstacle, Corridor):

@@ -11,7 +11,7 @@ import numpy as np
 from ...bodies.frames import Plane
 from ...bodies.obstacles import Obstacle, nearest_distance
 from ...equilibrium.result import Equilibrium
-from ...errors import InputError, SolveError, extra
+from ...errors import InputError, SolveError, import_extra
 from ...files.units import TO_MM
 from ...inverse.arm_surface import ArmSurface
 from ...robots.robot import Robot
@@ -57,7 +57,7 @@ def cut_words(parts: Sequence[Part], plane: Plane | None) -> str:
 
 def cut_surface(surface: Surface, plane: Plane) -> Surface:
     """The part of a surface up to a plane: triangles across it are cut there."""
-    trimesh = extra("trimesh.intersections", "view", "bodies that are cut")
+    trimesh = import_extra("trimesh.intersections", "view", "bodies that are cut")
     vertices, faces, _ = trimesh.slice_faces_plane(
         # trimesh keeps what lies ahead of the normal, and what is behind is wanted.
         surface.vertices,
