@@ -24,7 +24,8 @@ from tubeopt.robots.calibration import Calibration, SavedRegistration
 from tubeopt.robots.concentric import Friction
 from tubeopt.typing import Array
 from tubeopt.validation import Measurements
-from tubeopt.validation.force import Effort, ForceRecord, Measured, _trial
+from tubeopt.validation.force import ForceRecord
+from tubeopt.validation.force_fit import Effort, Measured, trial_at
 
 ROTATIONS = (0.0, 1.0, 2.0)
 FORCES = ((0.1, 0.0, 0.0), (0.05, 0.1, -0.05), (0.0, 0.3, 0.2))
@@ -262,6 +263,6 @@ def test_a_sensor_beside_the_tip_moves_as_the_tip_turns() -> None:
     e = forward_kinematics(THESIS, ROTATIONS)
     for arcs in ([e.arc_length[-1]], [e.arc_length[-1], e.arc_length[-1] / 2]):
         measured = Measured(np.array(arcs), np.zeros((len(arcs), 3)), noise, offset)
-        there = [_trial(e, Load(), force, measured).residual for force in step * np.vstack([np.eye(3), -np.eye(3)])]
+        there = [trial_at(e, Load(), force, measured).residual for force in step * np.vstack([np.eye(3), -np.eye(3)])]
         slopes = np.array([(a - b) / (2 * step) for a, b in zip(there[3:], there[:3], strict=True)]).T
-        np.testing.assert_allclose(_trial(e, Load(), np.zeros(3), measured).jacobian, slopes, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(trial_at(e, Load(), np.zeros(3), measured).jacobian, slopes, rtol=1e-5, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Equilibria under a dead load along the arm: the torque and the moment that it bears, and the force on it."""
+"""Equilibria under a dead load as arrays: torques, moments and forces along the arm, with their bounds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .sections import (
 
 
 def uncovered(load: Load) -> str:
-    """What of a load `Pull` has no words for; empty where it has."""
+    """Part of a load that `Pull` does not cover, as text; or ""."""
     if load.frame == "tip" and (any(load.force) or any(load.moment)):
         return "a force or a moment that turns with the tip"
     return "a load per length that is a function of the arc length" if callable(load.distributed) else ""
@@ -33,27 +33,31 @@ def uncovered(load: Load) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """A dead load on n tubes, forces and moments in world axes: Q `points` (Q, 6), N and N m, at
-    places `at` (Q,), m, the last at the tip, whose place is infinite; R (R, 6) per length, N/m and N, on stretches
-    (R, 2), m; and the `weight` (n, 3) of each tube, N/m."""
+    """Dead load on n tubes: forces and moments in world axes."""
 
     at: Array
+    """(Q,) arc lengths of point loads, m; the last is the tip, at infinity."""
     points: Array
+    """(Q, 6) forces, N, and moments, N m, there."""
     stretches: Array
+    """(R, 2) start and end of loads per length, m."""
     along: Array
+    """(R, 6) forces, N/m, and moments, N, per length."""
     weight: Array
+    """(n, 3) weight of each tube per length, N/m."""
 
     @property
     def per_length(self) -> tuple[float, float]:
-        """Bounds of the force, N/m, and of the moment, N, per length."""
+        """Bounds on the force, N/m, and on the moment, N, per length."""
         force = np.linalg.norm(self.along[:, FORCE], axis=1).sum() + np.linalg.norm(self.weight, axis=1).sum()
         return float(force), float(np.linalg.norm(self.along[:, MOMENT], axis=1).sum())
 
     @staticmethod
     def of(robot: Robot, load: Load) -> Pull:
-        """Of a load all of which is covered."""
-        given: Any = load.distributed or ()
-        parts = given if given and isinstance(given[0], Stretch) else [Stretch(0.0, np.inf, given)] * bool(given)
+        """Arrays of a load that is covered completely."""
+        distributed: Any = load.distributed or ()
+        whole = [Stretch(0.0, np.inf, distributed)] * bool(distributed)
+        parts = distributed if distributed and isinstance(distributed[0], Stretch) else whole
         gravity = np.zeros(3) if load.gravity is None else np.array(load.gravity)
         return Pull(
             at=np.array([part.at for part in load.acting]),
@@ -65,36 +69,38 @@ class Pull:
 
     @cached_property
     def places(self) -> Array:
-        """(F,) arc lengths where it jumps or breaks."""
+        """(F,) arc lengths where the load or its derivative jumps, m."""
         return np.unique(np.concatenate([self.at[:-1], self.stretches.ravel()]))
 
     def twists(self, ends: Array) -> Mask:
-        """(E, Q, n) which tubes the moments at places twist, where tubes end at (E, n)."""
+        """(E, Q, n) True for the tube that each point moment twists, for ends of the tubes (E, n)."""
         return np.asarray(twisted_tube(ends[:, None], self.at)[..., None] == np.arange(ends.shape[1]))
 
     def on(self, s: Array, ends: Array, inside: Array) -> Array:
-        """(..., 6) force and moment of what is ahead of arc lengths s (...), on arms whose tubes end at (..., n); where
-        that jumps, as it is at arc lengths `inside` (...)."""
+        """(..., 6) total force and moment between arc lengths s (...) and the tip, for ends of the tubes (..., n).
+
+        At jumps the limit from the side of the arc lengths `inside` (...).
+        """
         out = (self.at > inside[..., None]) @ self.points
         out[..., FORCE] += np.maximum(ends - s[..., None], 0.0) @ self.weight
-        # A load per length ends with the longest tube, also where its stretch reaches farther.
+        # A load per length ends with the longest tube, even if its stretch is longer.
         far = np.minimum(self.stretches[:, 1], ends.max(-1)[..., None]) - np.maximum(self.stretches[:, 0], s[..., None])
         return np.asarray(out + np.maximum(far, 0.0) @ self.along)
 
     def per_length_at(self, s: Array) -> Array:
-        """(..., 3) moment per length at arc lengths (...), N."""
+        """(..., 3) applied moment per length at arc lengths (...), N."""
         inside = (self.stretches[:, 0] < s[..., None]) & (s[..., None] < self.stretches[:, 1])
         return np.asarray(inside @ self.along[:, MOMENT])
 
 
-def _on_outermost(size: Array, there: Mask) -> Array:
-    """(..., n) of (...) on the outermost of the tubes that are `there` (..., n)."""
-    return np.asarray(size[..., None] * (there & (outermost(there)[..., None] == np.arange(there.shape[-1]))))
+def _on_outermost(size: Array, exists: Mask) -> Array:
+    """(..., n) value `size` (...) for the outermost of the existing tubes, 0 for the others."""
+    return np.asarray(size[..., None] * (exists & (outermost(exists)[..., None] == np.arange(exists.shape[-1]))))
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedArms(Arms):
-    """Equilibria under a load, one after the other."""
+    """Arrays of equilibria under a load."""
 
     pull: Pull
 
@@ -105,44 +111,46 @@ class LoadedArms(Arms):
 
     @property
     def places(self) -> Array:
-        """Those of the load."""
+        """(F,) places of the load, m."""
         return self.pull.places
 
     @cached_property
     def _inside(self) -> tuple[Array, Array]:
-        """(P,) arc lengths beside the points, towards the tip and towards the plate."""
+        """(P,) arc lengths next to the points, on the side of the tip and of the plate, m."""
         s = self.arc_length
         return s + JUMP, np.where(s > JUMP, s - JUMP, s + JUMP)
 
     @cached_property
     def _sides(self) -> tuple[Index, Index]:
-        """Stretches (P, n) in which points lie, as seen from the tip and from the plate."""
+        """(P, n) stretches of the tubes at the points, on the side of the tip and of the plate."""
         cuts = self.breakpoints[self.owner]
         ahead, before = (self.constants.stretch(s, cuts) for s in self._inside)
         return ahead, before
 
     @cached_property
     def _felt(self) -> tuple[Array, Array]:
-        """(P, 6) force and moment of what is ahead, as seen from the tip and from the plate."""
+        """(P, 6) total force and moment up to the tip, on the side of the tip and of the plate."""
         ahead, before = (self.pull.on(self.arc_length, self.ends[self.owner], s) for s in self._inside)
         return ahead, before
 
     @cached_property
     def _frames(self) -> Array:
-        """(P, 3, 3)."""
+        """(P, 3, 3) frames at the points."""
         return np.concatenate([e.frame for e in self.equilibria])
 
     @cached_property
     def kicks(self) -> Array:
-        """(P, n) what the moments at points take of the torque there, N m."""
+        """(P, n) decrease of the torques by point moments, N m."""
         torque = self.tangent @ self.pull.points[:, MOMENT].T
         torque *= np.abs(self.arc_length[:, None] - self.pull.at) <= JUMP
         return np.asarray((torque[..., None] * self.pull.twists(self.ends)[self.owner]).sum(1))
 
     @cached_property
     def _values(self) -> tuple[Array, Array]:
-        """(6, P, n) what tubes are like at the points, as seen from the tip and from the plate; where they have ended
-        with neither precurvature nor bending stiffness."""
+        """(6, P, n) `Lengthwise.values` at the points, on the side of the tip and of the plate.
+
+        Without precurvature and bending stiffness beyond the end of a tube.
+        """
         tables, sides = [], (np.array(1.0), np.where(self.arc_length > JUMP, -1.0, 1.0)[:, None])
         for side, stretch in zip(sides, self._sides, strict=True):
             table = self.along(side, np.arange(len(stretch)))
@@ -158,28 +166,27 @@ class LoadedArms(Arms):
 
     @cached_property
     def torque(self) -> Array:
-        """(P, n) what each tube bears, N m."""
+        """(P, n) torques of the tubes, N m."""
         _, kt, _, _, twist, _ = self._values[1]
         return np.asarray((self.torsion - twist) * kt * (self._sides[1] < self.constants.ended))
 
     @cached_property
     def moment(self) -> Array:
-        """(P, 2) bending moment of the load, in the Bishop frame, N m."""
+        """(P, 2) bending moment of the bundle in the Bishop frame, N m."""
         pulls, stiffness = self._pulls(self._values[1])
         bent = np.concatenate([e.curvature for e in self.equilibria])
         return np.asarray(stiffness[:, None] * bent - pulls.sum(1))
 
     @cached_property
     def borne(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Torques (P, n) and moments (P, 2), each as seen from the tip and from the plate: they jump where moments act
-        at points."""
+        """Torques (P, n) and moments (P, 2), each on the side of the tip and of the plate: point moments make jumps."""
         # In the cross-section's own frame, of which the first two axes bend.
         jump = np.einsum("pij,pi->pj", self._frames, (self._felt[1] - self._felt[0])[:, MOMENT])[:, :2]
         return (self.torque - self.kicks, self.torque), (self.moment - jump, self.moment)
 
     @cached_property
     def slopes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """d torque / ds (P, n) and d moment / ds (P, 2), towards the tip and from the plate."""
+        """d torque / ds (P, n) and d moment / ds (P, 2), each on the side of the tip and of the plate."""
         sides = []
         for k, values in enumerate(self._values):
             pulls, stiffness = self._pulls(values)
@@ -188,15 +195,15 @@ class LoadedArms(Arms):
             x, y = ((moment + pulls.sum(1)) / straight).T
             force = np.einsum("pij,pi->pj", self._frames, self._felt[k][:, FORCE])
             along = np.einsum("pij,pi->pj", self._frames, self.pull.per_length_at(self._inside[k]))
-            # Balance of torques of a tube: torque' = u_x a_y - u_y a_x. What acts per length turns the outermost tube.
+            # Balance of torques of a tube: t' = u_x a_y - u_y a_x; moments per length act on the outermost tube.
             twisting = x[:, None] * pulls[:, :, 1] - y[:, None] * pulls[:, :, 0]
             twisting -= _on_outermost(along[:, 2], self._sides[k] < self.constants.ended)
             torsion = torque.sum(1)
-            # Balance of moments across the arm: the force n adds (n_y, -n_x), the torque T adds T (-u_y, u_x).
+            # Balance of bending moments: m' = (n_y, -n_x) + t (-u_y, u_x), with the total torque t of the tubes.
             bending = np.stack([force[:, 1] - y * torsion, x * torsion - force[:, 0]], axis=1) - along[:, :2]
             sides.append((twisting, bending))
-        (one, other), (three, four) = sides
-        return (one, three), (other, four)
+        (torque_tip, moment_tip), (torque_plate, moment_plate) = sides
+        return (torque_tip, torque_plate), (moment_tip, moment_plate)
 
     def sampled(self, which: Index, s: Array) -> tuple[Array, Array]:
         """(..., n) torques and (..., 2) moments of equilibria (...) at arc lengths (...)."""
@@ -207,21 +214,21 @@ class LoadedArms(Arms):
 
     @property
     def shape_error(self) -> Array:
-        """(E,) bound of the distance of `points` from the centreline, m."""
+        """(E,) bound on the distance of `points` from the exact centreline, m."""
         return self._wrong[0]
 
     def turn_error(self, which: Index, s: Array) -> Array:
-        """(..., n) bound of the error of `rotations`, rad."""
+        """(..., n) bound on the error of `rotations`, rad."""
         return self.hermite_error(which, s, self._wrong[1])
 
     def load_error(self, which: Index, s: Array) -> tuple[Array, Array]:
-        """(..., n) and (...) the same of torques and moments that are `sampled`, N m."""
+        """Bounds on the errors of `sampled` torques (..., n) and moments (...), N m."""
         return self.hermite_error(which, s, self._wrong[2]), self.hermite_error(which, s, self._wrong[3])[..., 0]
 
     @cached_property
     def _wrong(self) -> tuple[Array, ...]:
-        """`shape_error`, |p'''| <= |u|^2 + |u'|; and h^3 |f'''| of rotations (P, n), torques (P, n) and moments (P, 1)
-        in the steps that follow the points."""
+        """`shape_error` (E,); and h^3 |f'''| of rotations (P, n), torques (P, n) and moments (P, 1) in the steps after
+        the points."""
         c, inner, n = self.constants, self.inner, self.constants.offset.size
         count = len(self.arc_length)
         out = np.array([e.tip_error for e in self.equilibria])
@@ -236,8 +243,8 @@ class LoadedArms(Arms):
         )
         pulls = self._felt[0][inner], self._felt[1][inner + 1]
         force = np.maximum(*(np.linalg.norm(each[:, FORCE], axis=1) for each in pulls))
-        # No moment is larger than what is ahead makes on a straight arm. Torque grows by |u| |a| per length, and by
-        # what acts on its tube.
+        # The moment is at most that of the load on a straight arm. A torque grows by |u| |a| per length, and by applied
+        # moments on its tube.
         moment, (along, couple) = self._lever[owner], self.pull.per_length
         u = bend.most + moment / bend.stiffness
         grows = u[:, None] * bend.moment + couple
@@ -272,7 +279,7 @@ class LoadedArms(Arms):
 
     @cached_property
     def _lever(self) -> Array:
-        """(E,) bound of the moment of the load on the bundle, N m."""
+        """(E,) bound on the moment of the load on the bundle, N m."""
         length, p = self.ends.max(1), self.pull
         force, moment = (np.linalg.norm(p.points[:, k], axis=1) for k in (FORCE, MOMENT))
         begin, end = (np.minimum(each, length[:, None]) for each in p.stretches.T[:, None])
@@ -297,22 +304,22 @@ class SampledLoads:
 
 @dataclass(frozen=True, eq=False)
 class LoadedIntervals(Intervals):
-    """Neighbouring equilibria under a load."""
+    """Intervals between neighbouring equilibria under a load."""
 
     arms: LoadedArms
 
     @classmethod
-    def of(cls, arms: Arms, one: Index, other: Index) -> Self:
-        """As those without a load; nowhere does a moment change its tube in between."""
-        found = super().of(arms, one, other)
+    def of(cls, arms: Arms, start: Index, end: Index) -> Self:
+        """Intervals between equilibria (B,) and (B,); not `ordered` where a moment passes to another tube."""
+        intervals = super().of(arms, start, end)
         assert isinstance(arms, LoadedArms)
         twists = arms.pull.twists(arms.ends)[:, arms.pull.points[:, MOMENT].any(1)]
-        return replace(found, ordered=found.ordered & (twists[one] == twists[other]).all((1, 2)))
+        same = (twists[start] == twists[end]).all((1, 2))
+        return replace(intervals, ordered=intervals.ordered & same)
 
     @cached_property
     def _loads(self) -> tuple[DerivativeBounds, DerivativeBounds]:
-        """(B, K) of the force, N, and of the moment, N m, of what is ahead. In every section both are linear along it
-        and in time."""
+        """(B, K) total force, N, and applied moment, N m, up to the tip; linear along sections and in time."""
         tables = []
         for e, cuts in ((self.start, self.start_cuts), (self.end, self.end_cuts)):
             ends, inside = self.arms.ends[e][:, None], (cuts[:, :-1] + cuts[:, 1:]) / 2
@@ -326,35 +333,35 @@ class LoadedIntervals(Intervals):
 
     @property
     def force(self) -> DerivativeBounds:
-        """(B, K) of the force on the cross-sections, N."""
+        """(B, K) force on the cross-sections, N."""
         return self._loads[0]
 
     @cached_property
     def couple(self) -> DerivativeBounds:
-        """(B, K) of the moments that act ahead, N m, nowhere larger towards the tip."""
+        """(B, K) bound on the applied moments between each section and the tip, N m; never larger towards the tip."""
         return self._loads[1].map(lambda bound: np.maximum.accumulate(bound[:, ::-1], axis=1)[:, ::-1])
 
     @cached_property
     def twisting(self) -> tuple[Array, Array]:
-        """(B, K, n) sizes of the moments that act on a tube, at the ends of the sections, N m, and per length, N."""
+        """(B, K, n) sizes of applied moments on each tube, at the ends of the sections, N m, and per length, N."""
         pull, cuts = self.arms.pull, (self.start_cuts + self.end_cuts) / 2
         middle, moment = (cuts[:, :-1] + cuts[:, 1:]) / 2, np.linalg.norm(pull.points[:, MOMENT], axis=1)
-        # Before the first section is the plate, where it twists nothing.
+        # Number of sections before each moment; at the plate a moment twists nothing.
         before = (middle[..., None] < np.minimum(pull.at, cuts[:, -1:])[:, None]).sum(1)
-        here = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
-        at_ends = here @ (moment[:, None] * pull.twists(self.arms.ends[self.start]))
+        acts = np.arange(1, middle.shape[1] + 1)[:, None] == before[:, None]
+        at_ends = acts @ (moment[:, None] * pull.twists(self.arms.ends[self.start]))
         size = np.linalg.norm(pull.per_length_at(middle), axis=-1)
         return at_ends, _on_outermost(size, self.stretch < self.arms.constants.ended)
 
     @cached_property
     def lever(self) -> Array:
-        """(B, K) bound of |m_w|, N m, and so of the moment: of what is ahead on an arm however it is bent."""
+        """(B, K) bound on |m_w|, and so on the bending moment, for any shape of the arm, N m."""
         each = np.maximum(*self.length) * self.force.v
         return np.asarray(np.cumsum(each[:, ::-1], axis=1)[:, ::-1] + self.couple.v)
 
     @cached_property
     def bending(self) -> CurvatureBounds:
-        """Bounds of curvature, (B, K), with what the load bends."""
+        """Bounds on the curvature in every section, (B, K), with the load."""
         plain = CurvatureBounds.of(self.arms.constants, self.stretch)
         return replace(plain, most=plain.most + self.lever / plain.stiffness)
 

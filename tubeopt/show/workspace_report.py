@@ -25,11 +25,11 @@ LOSS = described(
     "equilibria unstable",
     Quantity("held_volume_cm3", "volume that stable equilibria reach", form=".6g"),
     Quantity("lost_volume_cm3", "volume that only unstable equilibria reach", form=".6g",
-             label="volume that only unstable ones reach"),
+             label="volume reached only by unstable equilibria"),
     "early_loss",
     Quantity("lost_fraction", "lost fraction of the whole volume", lambda loss: loss.fraction, form=".6g",
-             label="part of all that is reached which is lost"),
-    Quantity("lost_equilibria_interval", "95 % confidence interval of the fraction of all equilibria that lie there",
+             label="lost fraction of the whole volume"),
+    Quantity("lost_equilibria_interval", "95 % confidence interval of the fraction of all equilibria in lost voxels",
              lambda loss: list(loss.interval),
              words="{lost_equilibria_interval[0]:.2g} to {lost_equilibria_interval[1]:.2g}"),
 )  # fmt: skip
@@ -86,7 +86,7 @@ WORKSPACE = described(
              lambda a: len(a.workspace.failures)),
     Quantity("counted", "number of samples with the required margin", lambda a: a.voxels.samples),
     Quantity("least_margin", "smallest margin", _least_margin, form=".4f", label="least margin"),
-    line("tips within", _spans),
+    line("tip range", _spans),
     Quantity("lower_mm", "smallest coordinates of the voxels", lambda a: _extent(a, 0)),
     Quantity("upper_mm", "largest coordinates of the voxels", lambda a: _extent(a, 1)),
     Quantity("voxel_mm", "edge of a voxel", lambda a: a.voxels.size),
@@ -95,11 +95,11 @@ WORKSPACE = described(
              words="{volume_cm3:.4g} cm3 in {voxels} voxels of {voxel_mm:g} mm"),
     Quantity("volume_surface_cm3", "half of the volume of the voxels on the surface, as error estimate",
              lambda a: a.volume.surface, label="",
-             words="give or take {volume_surface_cm3:.4g} cm3, half of the voxels on the surface"),
+             words="+- {volume_surface_cm3:.4g} cm3 (half of the voxels on the surface)"),
     Quantity("volume_first_half_cm3", "volume from the first half of the samples", lambda a: a.volume.half, label="",
              words="{volume_first_half_cm3:.4g} cm3 from the first half of the samples"),
     Quantity("volume_unseen_cm3", "estimated volume not yet sampled", lambda a: a.volume.unseen, label="",
-             words="{volume_unseen_cm3:.4g} cm3 estimated as not seen yet"),
+             words="{volume_unseen_cm3:.4g} cm3 estimated as not yet sampled"),
     *within(MERIDIAN, lambda a: a.meridian),
     *within(ALPHA, lambda a: a.alpha),
     line("dexterity", _dexterity),
@@ -115,7 +115,7 @@ WORKSPACE = described(
 
 def _lost(lost: SnappingLoss) -> str:
     low, high = (100 * end for end in lost.interval)
-    share = f"{low:.2g} to {high:.2g} % of the equilibria lie there (95 % confidence)"
+    share = f"{low:.2g} to {high:.2g} % of all equilibria (95 % confidence)"
     return f"{lost.lost_volume * per_si('cm3'):.4g} cm3, {100 * lost.fraction:.2f} %; {share}"
 
 

@@ -1,11 +1,11 @@
-"""Measured tips and predicted ones: their distances, summed up, and how well their registration is known."""
+"""Compare measured with predicted tips: error statistics, and accuracy of the registration."""
 
 from __future__ import annotations
 
 import math
 import reprlib
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Mean, root mean square, 95th percentile (interpolated) and greatest of `count` distances, m."""
+    """Mean, root mean square, 95th percentile (interpolated) and maximum of `count` distances, m."""
 
     count: int
     mean: float
@@ -35,7 +35,7 @@ class ErrorSummary:
 
     @classmethod
     def of(cls, errors: Array) -> ErrorSummary:
-        """The summary of errors (N,), m; NaN are left out, and there must be others."""
+        """Summary of errors (N,), m, without NaN; at least one must be finite."""
         errors = errors[np.isfinite(errors)]
         return cls(
             count=len(errors),
@@ -48,14 +48,14 @@ class ErrorSummary:
 
 @dataclass(frozen=True)
 class ErrorGroup:
-    """The errors of all configurations with one direction, or one separation (`value`, rad)."""
+    """Errors of all configurations with one direction, or one separation (`value`, rad)."""
 
     value: float
     summary: ErrorSummary
 
 
 def _errors(errors: Array) -> Array:
-    """(N,) as floats, NaN where there is none."""
+    """(N,) errors as floats, NaN where there is none."""
     try:
         return np.asarray(errors, dtype=float)
     except (TypeError, ValueError):
@@ -64,7 +64,7 @@ def _errors(errors: Array) -> Array:
 
 @typed
 def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
-    """Errors (N,), m, by values (N,), rad, in ascending order; nothing where there are no values."""
+    """Group errors (N,), m, by values (N,), rad, in ascending order; empty without values."""
     if values is None:
         return ()
     values, errors = finite_array("values", values, 1), _errors(errors)
@@ -81,52 +81,53 @@ def group_errors(values: Array | None, errors: Array) -> tuple[ErrorGroup, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """A published table of tip errors over direction and separation, with the means that were printed beside it."""
+    """Published table of tip errors over direction and separation, with the printed means."""
 
     direction: Array
-    """(D,) rad."""
+    """(D,) directions, rad."""
     separation: Array
-    """(S,) rad."""
+    """(S,) separations, rad."""
     error: Array
-    """(S, D) m."""
+    """(S, D) tip errors, m."""
     mean_by_direction: Array
-    """(D,) m."""
+    """(D,) printed means over separations, m."""
     mean_by_separation: Array
-    """(S,) m."""
+    """(S,) printed means over directions, m."""
     mean: float
-    """Of all, m."""
+    """Printed mean of all errors, m."""
 
     @property
     def summary(self) -> ErrorSummary:
-        """Of all errors in the table."""
+        """Summary of all errors in the table."""
         return ErrorSummary.of(self.error.ravel())
 
 
 @dataclass(frozen=True, eq=False)
 class Validation(Displayed):
-    """Measured against predicted tips of N configurations, both in the plate frame. SI units; NaN where nothing was
-    seen, or no stable shape was found.
+    """Measured and predicted tips of N configurations in the plate frame, in SI units.
+
+    NaN where nothing was measured, or there is no stable equilibrium.
     """
 
     robot: Robot
-    """Its calibration makes joint values of the readings."""
+    """Robot of the predictions; its calibration converts readings to joint values."""
     measurements: Measurements
-    """What it is held against."""
+    """Recording that is compared."""
     registration: Annotated[Registration, "registration, device to plate"]
     measured: Array
     """(N, 3) positions of the foremost station, m."""
     predicted: Array
-    """(N, 3) of the same, m."""
+    """(N, 3) predicted positions of the same, m."""
     along: Array
     """(N, K) distances between measured and predicted positions of all stations, m, the foremost first."""
     axis_errors: Array | None
-    """(N,) angle between the measured and the predicted direction of the tip, rad; None where it was not measured."""
+    """(N,) angle between measured and predicted direction of the tip, rad; None if it was not measured."""
     margin: Array
-    """(N,) stability margin of the predicted shapes."""
+    """(N,) margins of the predicted equilibria."""
     length: Annotated[float, unit("mm"), "length of the arm, reference of percentages"]
-    """Greatest arc length in front of the plate."""
+    """Largest arc length in front of the plate."""
     parity: Annotated[Parity | None, "errors that depend on the direction of motion"]
-    """None where the path does not retrace itself."""
+    """None if the path does not retrace itself."""
     registration_error: Annotated[RegistrationError | None, "standard errors of a registration by least squares"]
     """None of a registration that was given."""
     left_out: tuple[tuple[int, str], ...] = ()
@@ -134,7 +135,7 @@ class Validation(Displayed):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was noticed in the measurements and in their comparison, in words."""
+        """Remarks on the measurements and on the comparison, as text."""
         error = self.registration_error
         known = "" if error is None else remark(error)
         words = list(self.measurements.remarks) + ([known] if known else [])
@@ -156,7 +157,7 @@ class Validation(Displayed):
 
     @property
     def summary(self) -> ErrorSummary:
-        """Of all errors."""
+        """Summary of all tip errors."""
         return ErrorSummary.of(self.errors)
 
     @property
@@ -273,7 +274,7 @@ BLOCKS = 20
 
 
 def remark(error: RegistrationError) -> str:
-    """What a mirror image that fits better means, or a turn that is known badly, in words; "" where neither is."""
+    """Remark on a registration that fits better as a mirror image, or has a badly determined rotation; or ""."""
     if error.mirrored is None:
         known = f"the frame is known to {math.degrees(error.turn):.0f} deg only (standard error)"
         return (
@@ -320,16 +321,26 @@ def registration_error(model: ArmModel, state: State) -> RegistrationError | Non
     return RegistrationError(turn, reach, narrow, mirror)
 
 
-def _pairs(model: ArmModel, state: State) -> tuple[Array, Array, Array]:
-    """Predicted and measured in the plate's frame (V, 3), and what to add to either to be a lever of the turn."""
+class _Pairs(NamedTuple):
+    """Predicted and measured positions (or directions) in the frame of the plate."""
+
+    predicted: Array
+    """(V, 3)."""
+    measured: Array
+    """(V, 3)."""
+    shift: Array
+    """(V, 3) added to either to give the lever of a rotation."""
+
+
+def _pairs(model: ArmModel, state: State) -> _Pairs:
+    """Predicted and measured pairs of all observations."""
     motion, a = state.registration, model.directed
-    predicted = model.predicted(state)
-    turned = [each @ motion.rotation.T for each in (predicted, model.observed)]
-    there, here = (np.where(a[:, None], each, each + motion.translation) for each in turned)
-    lever = np.zeros_like(there)
+    rotated = [each @ motion.rotation.T for each in (model.predicted(state), model.observed)]
+    predicted, measured = (np.where(a[:, None], each, each + motion.translation) for each in rotated)
+    shift = np.zeros_like(predicted)
     if FREEDOMS[model.method] == 6:
-        lever[~a] = -there[~a].mean(0)
-    return there, here, lever
+        shift[~a] = -predicted[~a].mean(0)
+    return _Pairs(predicted, measured, shift)
 
 
 def _blocks(model: ArmModel) -> Index:
@@ -337,7 +348,7 @@ def _blocks(model: ArmModel) -> Index:
 
 
 def _from_blocks(moved: Array, block: Index) -> Array:
-    """Covariance of sums over blocks that are taken as independent."""
+    """Covariance of sums over blocks that are assumed to be independent."""
     sums = np.array([moved[block == k].sum(0) for k in np.unique(block)])
     count = len(sums)
     return np.asarray(sums.T @ sums * (count / max(count - 1, 1)))

@@ -41,15 +41,15 @@ class Setup:
     clearance: Array
     """(n - 1,) m, radial, of every tube in the next one of a concentric robot; (0,) of others."""
     curvature: Array
-    """(m,) 1/m."""
+    """(m,) precurvatures, 1/m."""
     straight_length: Array
     """(m,) m, with the transmission."""
     curved_length: Array
-    """(m,) m."""
+    """(m,) lengths, m."""
     bending_stiffness: Array
-    """(m,) N m^2."""
+    """(m,) bending stiffnesses, N m^2."""
     torsional_stiffness: Array
-    """(m,) N m^2."""
+    """(m,) torsional stiffnesses, N m^2."""
     piece_curvature: Array
     """(p,) 1/m added to the precurvature of `pieces`."""
     plate_shift: Array
@@ -92,11 +92,11 @@ class Setup:
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec([*self.plate_tilt, 0.0]).as_matrix())
 
     def copy(self) -> Setup:
-        """The same numbers, to be changed."""
+        """Copy that can be changed."""
         return deepcopy(self)
 
     def same_tubes(self, other: Setup) -> bool:
-        """Whether both describe the same tubes, which rub alike."""
+        """True if both have the same tubes and friction."""
         return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in TUBES)
 
     @without_unit_warnings()
@@ -136,7 +136,7 @@ class Setup:
         return replace(tube, **changed | self._pieces(tube, k, first))
 
     def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
-        """What is changed piece by piece of a tube of pieces: nothing of any other."""
+        """Changed fields of a tube of pieces; none for another tube."""
         if not tube.pieces:
             return {}
         bend, longer, kb, kt = (
@@ -188,12 +188,12 @@ class Span:
     scale: float
     """A change of this size is a large one."""
     prior: float
-    """How far the drawing may be off, one standard deviation."""
+    """Standard deviation of the number in the drawing."""
 
 
 @dataclass(frozen=True)
 class Context:
-    """What the range of an effect follows from."""
+    """Data from which the range of an effect follows."""
 
     robot: Robot
     measurements: Measurements
@@ -201,7 +201,7 @@ class Context:
 
     @property
     def length(self) -> float:
-        """Of the longest tube, m."""
+        """Length of the longest tube, m."""
         return max(tube.length for tube in members(self.robot))
 
 
@@ -217,32 +217,32 @@ class Effect:
     """One kind of deviation from the drawing."""
 
     meaning: str
-    """In words, with I for the number."""
+    """Description, with I for the number."""
     unit: str
     """One of "", "1/m", "rad", "m", "s", "N" and "m/N"."""
     each: str
-    """What its parameters are numbered by: "tube", "kind" of tube (tubes of a concentric robot, segments of an
+    """Object that numbers its parameters: "tube", "kind" of tube (tubes of a concentric robot, segments of an
     eccentric one), "piece" of a tube of two or more, "carriage", "spring" (a carriage of a concentric robot), "pair" of
     tubes that rub, "xyz", "xy", or "" for a single parameter."""
     span: Range
     """Range of the parameter."""
     change: Change
-    """Sets the parameter."""
+    """Function that sets the parameter."""
     common: bool = False
-    """Whether a parameter for all at once, without a number, is known as well."""
+    """True if there is also a parameter without a number, for all at once."""
     first: int = 1
     """The lowest number that there is."""
     needs: str = ""
-    """What the data must have: "time", "way" (rows in order of time), "orientation", "plate" (a registration that does
+    """Requirement on the data: "time", "way" (rows in order of time), "orientation", "plate" (a registration that does
     not fit the plate's pose itself), or ""."""
     sets: tuple[str, ...] = ()
     """Names of what it sets, by which effects contradict each other."""
     history: bool = False
-    """Whether it makes the tip depend on how its configuration was reached."""
+    """True if the tip depends on the path to its configuration."""
     compared: str = "always"
-    """Whether a model comparison tries it: "always", "asked" (by name only, since it takes long) or "never"."""
+    """Use in a model comparison: "always", "asked" (by name only, since it takes long) or "never"."""
     drives: bool = False
-    """Whether it changes nothing but joint values."""
+    """True if it changes only joint values."""
     idle: Callable[[Context, int | None], str] = lambda _, __: ""
     """Why the parameter with an index has no influence on this robot's tips; "" where it may have one."""
 
@@ -377,7 +377,7 @@ def _together(context: Context, pair: int) -> float:
 
 
 def _friction_span(context: Context, index: int | None) -> Span:
-    """A large torque is one that turns the tubes by a tenth of a rad along the greatest length that rubs."""
+    """Range of a friction torque; its scale turns the tubes by 0.1 rad over the largest length in contact."""
     pair = index or 0
     length = max(_together(context, pair), 1e-3)
     scale = 0.1 * float(min(context.setup.torsional_stiffness[pair : pair + 2])) / length**2
@@ -397,7 +397,7 @@ def _no_curve(context: Context, index: int | None) -> str:
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
-    """From what the file or the drawing says; a tilt grows with the root of it, which has no slope at 0."""
+    """Range of a clearance around its nominal value. A tilt grows with its root, whose slope at 0 is infinite."""
     drawn = max(drawn_clearance(context.robot.tubes)[index or 0], 5e-6)
     start = float(context.setup.clearance[index or 0]) or drawn
     return Span(start, 0.0, 5 * max(start, drawn), drawn, 0.5 * drawn)
@@ -507,7 +507,7 @@ EFFECTS: dict[str, Effect] = {
 
 
 def _patterns(kind: str, effect: Effect) -> list[str]:
-    """Names of the parameters of a kind, without and with what stands for their numbers."""
+    """Names of the parameters of a kind, without and with a placeholder for the number."""
     alone = [kind] if effect.common or not effect.each else []
     return alone + ([kind + ("_I_J" if effect.each == "piece" else "_I")] if effect.each else [])
 

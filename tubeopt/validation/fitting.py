@@ -132,7 +132,7 @@ SAME_NOISE, NOISE_ROUNDS = 0.02, 6
 @typed
 @dataclass(frozen=True)
 class FitOptions:
-    """How a fit goes about it.
+    """Options of a fit.
 
     Raises:
         InputError: a value out of its range.
@@ -144,18 +144,18 @@ class FitOptions:
         "transformation from device frame to base frame: rigid (fitted), base-axis, none or saved",
     ] = "rigid"
     base: BasePose = SENSOR_FRAME
-    """As for `validate`."""
+    """Pose of the base seen by the device, as for `validate`."""
     folds: int = 5
-    """Of the cross-validation: blocks of the way (rows with times, places that are passed again together), or rows
-    dealt in a fixed order; each is predicted by a fit, registration included, to the others. 0: none."""
+    """Number of folds of the cross-validation, 0 for none: blocks of the path (rows with times; repeated positions
+    together), or rows dealt in a fixed order. Each is predicted by a fit to the others, with its registration."""
     confidence: float = 0.95
-    """Of the intervals, between 0 and 1."""
+    """Confidence of the intervals, between 0 and 1."""
     loss: Annotated[str, OneOf(tuple(LOSSES)), "loss function of the residuals: linear, huber or soft_l1"] = "linear"
     """Linear is that of least squares."""
     priors: Annotated[
         bool, "penalise deviations from the robot file, relative to a typical error of each parameter"
     ] = False
-    """Each with the standard deviation by which the drawing may be off, the `prior` of its effect."""
+    """Prior on each number of the drawing, with the standard deviation `prior` of its effect."""
     noise: tuple[float | None, float | None] = (None, None)
     """Standard deviation of a measured coordinate (m), of a measured direction (rad); None estimates it."""
 
@@ -178,11 +178,11 @@ class Estimate:
     start: float
     value: float
     standard_error: float
-    """If errors were independent, as for `low` and `high`."""
+    """Standard error, assuming independent errors, as for `low` and `high`."""
     low: float
     high: float
     held: bool
-    """Whether the data cannot determine it: its value is the start and its interval infinite."""
+    """True if the data do not determine it: its value is the start, and its interval is infinite."""
     block_error: float
     """Standard error from blocks of rows drawn again, to be believed where it is larger; so are the next two."""
     block_low: float
@@ -190,7 +190,7 @@ class Estimate:
 
 
 class FitStatus(StatusEnum):
-    """What became of a fit; every value reads as a sentence."""
+    """Result of a fit; every value reads as a sentence."""
 
     ESTIMATED = "all parameters were estimated"
     HELD = "some parameters are not determined by the measurements; they keep their initial values"
@@ -198,7 +198,7 @@ class FitStatus(StatusEnum):
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """What a fit took: shapes that were solved; and of how many numbers it was made."""
+    """Number of solved shapes, and of fitted numbers."""
 
     evaluations: int
     numbers: int
@@ -209,7 +209,7 @@ class Fit(Displayed):
     """A robot calibrated to measurements."""
 
     robot: Robot
-    """With the estimated parameters, those of its drives as its `calibration`; save it as YAML."""
+    """Robot with the estimated parameters, those of its drives as its `calibration`; save it as YAML."""
     estimates: tuple[Estimate, ...]
     """One for every chosen parameter."""
     correlation: Annotated[Array, "correlation of the estimates"]
@@ -226,7 +226,7 @@ class Fit(Displayed):
     fold: Index | None
     """(N,) fold of each row, None without folds."""
     remarks: Annotated[tuple[str, ...], "remarks on the fit"]
-    """What the data do not determine, or hardly, and what was noticed when they were read."""
+    """Remarks on badly determined parameters and on the data."""
     evaluations: Annotated[int, key("shapes_solved"), "number of solved shapes"]
 
     @property
@@ -236,12 +236,12 @@ class Fit(Displayed):
 
     @property
     def status(self) -> FitStatus:
-        """Whether every parameter was estimated; `remarks` say which were not."""
+        """Status: all parameters estimated, or not; `remarks` names the others."""
         return FitStatus.HELD if any(each.held for each in self.estimates) else FitStatus.ESTIMATED
 
     @property
     def statistics(self) -> FitStatistics:
-        """What it took."""
+        """Effort of the fit."""
         return FitStatistics(self.evaluations, self.after.predicted.size)
 
     @property
@@ -302,7 +302,7 @@ def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
 
 
 def weigh(model: ArmModel, options: FitOptions, sigma: tuple[float, float]) -> Weights:
-    """How observations count, given the noise of positions and directions."""
+    """Weights of the observations for given noise of positions and directions."""
     prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
     return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, ROBUST_FROM)
@@ -346,7 +346,7 @@ class FitProblem:
         return sorted([*idle, *(rest[k] for k in held)]), words + more
 
     def weights(self) -> Weights:
-        """How observations count, given the noise."""
+        """Weights of the observations for the noise."""
         return weigh(self.model, self.options, self.sigma)
 
     def _settle(self, start: State, slopes: Array) -> Descent[State]:

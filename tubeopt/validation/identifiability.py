@@ -1,4 +1,4 @@
-"""What measured tips tell about parameters and what not, in words; and where to measure so that they tell most.
+"""Identifiability of parameters from measured tips, as remarks; and optimal configurations to measure.
 
 Configurations to measure are D-optimal: of many random ones, those that make the determinant of the parameters'
 covariance least, the registration being estimated along (D_s-optimality; Atkinson, Donev and Tobias, Optimum
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def entangled_history(model: ArmModel, fit: Descent[State]) -> list[str]:
 
 
 def _beside(column: Array, others: Array) -> Array:
-    """What the other columns leave of a column."""
+    """Residual of a column after a least-squares fit of the other columns."""
     if not others.shape[1]:
         return column
     scale = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
@@ -209,19 +209,19 @@ class Placement(Displayed):
     """Configurations to measure, in an order that can be driven."""
 
     robot: Robot
-    """That is to be measured."""
+    """Robot to measure."""
     rotations: Annotated[Array, unit("deg"), "rotations of the drives at the waypoints"]
     """Shape (N, n), readings; home where a segment goes round a snap."""
     translations: Annotated[Array, unit("mm"), "translations of the drives at the waypoints"]
     """Shape (N, n), readings."""
     measured: Annotated[Mask, "true for waypoints that are measured"]
-    """Shape (N,)."""
+    """(N,) True for waypoints to measure."""
     margin: Array
-    """(N,) stability margin."""
+    """(N,) margins of the waypoints."""
     parameters: tuple[str, ...]
-    """Names."""
+    """Names of the parameters."""
     units: tuple[str, ...]
-    """Of their standard errors."""
+    """Units of their standard errors."""
     standard_errors: Array
     """(P,) expected at `noise`."""
     random: Array
@@ -333,31 +333,40 @@ def _reachable(
             raise SolveError(f"fewer than {len(best)} random configurations can be reached from home without a snap")
 
 
-def _candidates(robot: Robot, min_margin: float, seed: int) -> tuple[Array, Array, Array]:
-    """Random joint values of the model that keep the limits, the order of carriages and ends, and the margin; and where
-    the tips (C, 3) are."""
+class _Candidates(NamedTuple):
+    """C configurations that may be measured."""
+
+    rotations: Array
+    """(C, n) rad."""
+    translations: Array
+    """(C, n) m."""
+    tips: Array
+    """(C, 3) m."""
+
+
+def _candidates(robot: Robot, min_margin: float, seed: int) -> _Candidates:
+    """Random joint values of the model that satisfy the limits, the order of carriages and ends, and the margin."""
     random, limits, space = np.random.default_rng(seed), robot.limits, joint_space(robot)
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     low, high = np.array(limits.translations).T
-    found: list[Array] = []
+    valid: list[Array] = []
     for _ in range(CANDIDATES * DRAWS):
-        if len(found) == CANDIDATES:
+        if len(valid) == CANDIDATES:
             break
         drawn = random.uniform(low, np.minimum(high, straight)) - space.offset[robot.n_tubes :]
         q = np.append(space.lower[: robot.n_tubes], drawn[[tubes[0] for tubes in space.carriages]])
         shift = space.joint(q)[robot.n_tubes :]
         if space.admissible(q) and (shift + curved).max() > 0.25 * curved.max():
-            found.append(shift)
-    if not found:
+            valid.append(shift)
+    if not valid:
         raise SolveError("no random translations within the limits satisfy the tube order")
-    shift = np.array(found)
-    least, most = np.array(limits.rotations).T
-    alpha = random.uniform(least, most, size=(len(found), robot.n_tubes))
+    shift = np.array(valid)
+    alpha = random.uniform(*np.array(limits.rotations).T, size=(len(valid), robot.n_tubes))
     poses = solve_poses(robot, alpha, shift, np.zeros(1))
     good = np.nan_to_num(poses.margin, nan=-1.0) >= max(min_margin, 1e-6)
     if good.sum() < 3:
         raise SolveError(f"too few random configurations of the robot have the margin {min_margin:g}")
-    return alpha[good], shift[good], poses.position[good, 0]
+    return _Candidates(alpha[good], shift[good], poses.position[good, 0])
 
 
 def _scaled(model: ArmModel, chosen: Sequence[Parameter], noise: float) -> Array:
@@ -413,7 +422,7 @@ def _home(robot: Robot) -> tuple[Array, Array]:
 
 
 def _leg(robot: Robot, start: tuple[Array, Array], end: tuple[Array, Array], tip: Array | None = None) -> bool:
-    """Whether a straight motion snaps nowhere, and leads to the equilibrium with a tip where that is given."""
+    """True if a straight motion does not snap, and ends at the equilibrium with tip rotations `tip`, if given."""
     try:
         path = follow(robot, [start[0], end[0]], [start[1], end[1]])
     except SolveError:

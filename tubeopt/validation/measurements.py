@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -38,11 +38,11 @@ class JointLog:
     """
 
     time: Array
-    """(M,) s, ascending."""
+    """(M,) ascending times, s."""
     rotations: Array
-    """(M, n) rad."""
+    """(M, n) rotations, rad."""
     translations: Array
-    """(M, n) m."""
+    """(M, n) translations, m."""
 
     def __post_init__(self) -> None:
         time, rotations = finite_array("log.time", self.time, 1), finite_array("log.rotations", self.rotations, 2)
@@ -357,7 +357,7 @@ class Passes:
 
 
 def passes(measurements: Measurements) -> Passes:
-    """Where a way retraces itself; rows without times are places of their own unless their joint values are equal."""
+    """Rows at which a path retraces itself; rows without times belong together only if their joint values are equal."""
     m = measurements
     joints = np.hstack([m.rotations, 20.0 * m.translations])  # rad per m: an arm bends by about as much on its length
     count = len(joints)
@@ -365,13 +365,13 @@ def passes(measurements: Measurements) -> Passes:
         return Passes(_equal(joints), np.zeros((0, 2), dtype=int))
     ahead, behind, travelled = _motion(joints, m.time)
     step = np.maximum(np.linalg.norm(ahead, axis=1), np.linalg.norm(behind, axis=1))
-    # Half a step is the most by which samples of two passes along one line can miss each other.
+    # Samples of two passes along one line are at most half a step apart.
     reach = np.maximum(0.75 * step, STILL)
     tree = scipy.spatial.cKDTree(joints)
     place, pairs, paired = np.arange(count), [], np.zeros(count, dtype=bool)
     for k, near in enumerate(tree.query_ball_point(joints, reach)):
         others = np.array([j for j in near if j < k], dtype=int)
-        # Rows just before are near because little time has passed, unless the way turned back in between.
+        # Rows just before are near because little time has passed, unless the path reversed in between.
         others = others[travelled[k] - travelled[others] > 2 * reach[k]]
         if not len(others):
             continue
@@ -386,8 +386,19 @@ def passes(measurements: Measurements) -> Passes:
     return Passes(place, np.array(pairs, dtype=int).reshape(-1, 2))
 
 
-def _motion(joints: Array, time: Array) -> tuple[Array, Array, Array]:
-    """(N, c) steps to the next and from the last row of a run, and the distance travelled (N,), runs far apart."""
+class _Motion(NamedTuple):
+    """Motion of the joints at N rows of a recording."""
+
+    ahead: Array
+    """(N, c) step to the next row; 0 at the end of a run."""
+    behind: Array
+    """(N, c) step from the row before; 0 at the start of a run."""
+    travelled: Array
+    """(N,) distance travelled; runs are separated by a large distance."""
+
+
+def _motion(joints: Array, time: Array) -> _Motion:
+    """Motion through joint values (N, c) at times (N,)."""
     ahead, behind, travelled = np.zeros_like(joints), np.zeros_like(joints), np.zeros(len(joints))
     far = 0.0
     for rows in runs_of(time):
@@ -395,11 +406,11 @@ def _motion(joints: Array, time: Array) -> tuple[Array, Array, Array]:
         ahead[rows[:-1]], behind[rows[1:]] = move, move
         travelled[rows] = far + np.append(0.0, np.cumsum(np.linalg.norm(move, axis=1)))
         far = travelled[rows[-1]] + 1e3
-    return ahead, behind, travelled
+    return _Motion(ahead, behind, travelled)
 
 
 def _equal(joints: Array) -> Index:
-    """The first row with equal joint values, for every row."""
+    """Number of the first row with equal joint values, for every row."""
     _, first, inverse = np.unique(np.round(joints / STILL), axis=0, return_index=True, return_inverse=True)
     return np.asarray(first[inverse.ravel()])
 
@@ -425,10 +436,10 @@ class Parity:
 
     pairs: Annotated[int, "places that were passed in both directions"]
     history: Annotated[float, unit("mm"), "RMS of half the difference of the errors in both directions"]
-    """From effects of the direction: latency, friction, backlash."""
+    """Error due to effects of the direction: latency, friction, backlash."""
     static: Annotated[float, unit("mm"), "RMS of half the sum of the errors in both directions"]
     measured: Annotated[float, unit("mm"), "RMS of half the difference of the measured tips in both directions"]
-    """Without any model."""
+    """Difference of measurements, independent of any model."""
 
 
 def parity(pairs: Index, residuals: Array, measured: Array) -> Parity | None:

@@ -148,7 +148,7 @@ class _Seen:
     poses: Poses
 
     def put(self, row: int, held: FrictionEquilibrium) -> None:
-        """One row."""
+        """Set one row from an equilibrium with friction."""
         problem, poses = held.contact.problem, self.poses
         arm = evaluate_arm(problem, held.rotations, held.found.state.torsion, held.profile)
         poses.length[row], poses.margin[row] = arm.arc_length[-1], held.margin
@@ -158,7 +158,7 @@ class _Seen:
             tilt(poses, row, to_held_equilibrium(self.robot, held, "way"), self.stations)
 
     def put_many(self, rows: Index, translations: Array, many: Rubbed) -> None:
-        """Rows of the kernel, at translations (N, n) of all."""
+        """Set rows from a result of the kernel, at translations (N, n) of all rows."""
         poses, last = self.poses, self._last(translations[rows])
         poses.length[rows], poses.margin[rows], poses.position[rows] = many.length, many.margin, many.stations
         poses.frame[rows] = many.frame @ about_z(many.rotation[np.arange(len(rows)), last])
@@ -169,7 +169,7 @@ class _Seen:
 
 
 def loose(robot: Robot) -> bool:
-    """Whether the robot is known to have room between its tubes."""
+    """True if the robot has a clearance between its tubes."""
     return isinstance(robot, ConcentricRobot) and bool(np.any(robot.clearance or 0.0))
 
 
@@ -230,7 +230,7 @@ def stations_of(shape: Equilibrium | Arm, stations: Array) -> Array:
 
 
 def _by_row(robot: Robot, rotations: Array, translations: Array, error: InputError) -> InputError:
-    """The complaint about the first row that the robot cannot take, in the words of a single configuration."""
+    """Error for the first invalid row, with the message of a single configuration."""
     for k in range(len(rotations)):
         try:
             robot.assembly(translations[k])
@@ -427,7 +427,7 @@ class ArmModel:
         return np.asarray(AXES[int(np.argmax(alike))])
 
     def with_parameters(self, parameters: Sequence[Parameter]) -> ArmModel:
-        """The same observations with other parameters in x; what was solved is kept."""
+        """Model of the same observations with other parameters in x; solved equilibria are reused."""
         other = object.__new__(ArmModel)
         other.__dict__.update(self.__dict__)
         other.parameters = tuple(parameters)
@@ -437,7 +437,7 @@ class ArmModel:
     # --- what a state predicts ----------------------------------------------------------------------------------------
 
     def setup(self, x: Array) -> Setup:
-        """All numbers at parameters x."""
+        """Setup at parameters x."""
         return apply(self.first, self.parameters, x)
 
     def joints(self, setup: Setup) -> tuple[Array, Array]:
@@ -563,7 +563,7 @@ class ArmModel:
         return np.array([[p.low, p.high] for p in self.parameters]).reshape(-1, 2).T
 
     def costly(self, state: State) -> bool:
-        """Whether the derivatives at a state take a way along all rows for every parameter."""
+        """True if derivatives need a pass along all rows for every parameter."""
         return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
 
     def _joint_slopes(self, setup: Setup, motion: Registration, here: Array) -> Array:

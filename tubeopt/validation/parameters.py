@@ -1,4 +1,4 @@
-"""What can be estimated of a robot: named numbers out of the table of effects, their ranges, and how they apply."""
+"""Parameters that can be estimated: names, ranges and application of the numbers of the table of effects."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Parameter(Span):
     """A number to be estimated."""
 
     name: str
-    """As chosen: "curvature_2"."""
+    """Name, such as "curvature_2"."""
     kind: str
-    """That of its effect: "curvature"."""
+    """Kind of its effect, such as "curvature"."""
     index: int | None
     """Its number, from 0; None: all."""
     unit: str
-    """As of its effect; "" for a factor on all curvatures."""
+    """Unit of its effect; "" for a factor on all curvatures."""
     which: tuple[int, ...]
     """Places in the setup that it sets."""
     idle: str = ""
@@ -65,7 +65,7 @@ def choose_parameters(
 
 
 def _contradict(a: Parameter, b: Parameter) -> None:
-    """Raise InputError where two parameters set the same numbers."""
+    """Raise InputError if two parameters set the same numbers."""
     if a.name == b.name:
         raise InputError(f"parameter {a.name!r} is given twice")
     same = a.kind == b.kind or set(a.effect.sets) & set(b.effect.sets)
@@ -83,7 +83,7 @@ def _spelled_out(context: Context, name: str) -> list[str]:
 
 
 def numbers_of(context: Context, effect: Effect) -> list[str]:
-    """What the parameters of an effect are numbered with."""
+    """Numbers in the names of the parameters of an effect."""
     if effect.each.startswith("x"):
         return list(effect.each)
     if effect.each == "piece":
@@ -126,7 +126,7 @@ def _parameter(context: Context, name: str, registration: str) -> Parameter:
 
 
 def _known(kind: str, number: str | None) -> bool:
-    """Whether there are parameters of a kind that are numbered like this."""
+    """True if a kind has a parameter with this number."""
     if kind not in EFFECTS:
         return False
     each = EFFECTS[kind].each
@@ -160,7 +160,7 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
 
 
 def lacking(measurements: Measurements, effect: Effect, registration: str) -> str:
-    """What the data lack to speak of an effect; "" where they lack nothing."""
+    """Data that are missing for the estimate of an effect; or ""."""
     if effect.needs in ("time", "way") and measurements.time is None:
         return "needs the time of every row; the measurements have no column time_s"
     if effect.needs == "orientation" and measurements.orientation is None:

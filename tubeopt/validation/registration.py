@@ -1,4 +1,4 @@
-"""From the frame of the measuring device to the plate frame of the robot."""
+"""Registration of the frame of the measuring device to the plate frame of the robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ IN_LINE = 1e-6
 
 @dataclass(frozen=True)
 class BasePose:
-    """Where the device sees the robot's base: centre of the plate (m) and the axis along which the tubes leave it.
+    """Pose of the robot's base in the frame of the device: centre of the plate (m) and axis of the tubes there.
 
     Raises:
         InputError: not three finite numbers each, or an axis without length.
@@ -95,7 +95,7 @@ class Registration:
         return cls("saved", np.array(saved.rotation), np.array(saved.translation))
 
     def saved(self, recording: str) -> SavedRegistration:
-        """The same for the calibration, with the mark of its recording."""
+        """Registration for a calibration, with the mark of its recording."""
         rows = tuple(tuple(row) for row in self.rotation.tolist())
         return SavedRegistration(recording, self.method, rows, tuple(self.translation.tolist()))
 
@@ -167,7 +167,7 @@ def register(
 
 
 def _noise_ratio(found: Registration, m: Array, p: Array, d: Directions) -> float:
-    """Noise of a coordinate of positions over that of directions, m: given, or what a registration leaves."""
+    """Noise of positions over that of directions, m: known, or from the residuals of a registration."""
     left = found.apply(m) - p, d.measured @ found.rotation.T - d.predicted
     # A position has three degrees of freedom, a direction two.
     each = [math.sqrt((r**2).sum() / (k * len(r))) for k, r in zip((3, 2), left, strict=True)]
@@ -176,7 +176,7 @@ def _noise_ratio(found: Registration, m: Array, p: Array, d: Directions) -> floa
 
 
 def _rigid(m: Array, p: Array, _: BasePose, d: Directions | None, ratio: float) -> Registration:
-    """By positions, and directions in units of `ratio`, m."""
+    """Rigid registration by positions and by directions in units of `ratio`, m."""
     if len(m) < 3:
         raise InputError(f"registration is 'rigid' and there are {len(m)} measurements; it needs at least 3")
     m_mean, p_mean = m.mean(0), p.mean(0)

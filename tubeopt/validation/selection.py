@@ -1,4 +1,4 @@
-"""Which effects are there: the set that predicts rows that no fit has seen, by no more parameters than it must.
+"""Model selection: the set of effects that best predicts rows held out of the fit, with few parameters.
 
 Every effect lowers the error of a fit; only one that is there lowers the error of what is held out, but so does one
 that acts like it, and the best of a dozen that are not there may by chance. So whole sets are compared, not effects one
@@ -70,11 +70,11 @@ class Step:
     """One effect of a comparison, at the state to which it was added, or would be next."""
 
     effect: str
-    """Its kind."""
+    """Kind of the effect."""
     parameters: tuple[str, ...]
-    """Their names."""
+    """Names of its parameters."""
     kept: bool
-    """Whether it pays."""
+    """True if its gain exceeds its cost."""
     gain: float
     """Part by which the held-out error falls."""
     certainty: float
@@ -99,7 +99,7 @@ class Comparison(Displayed):
     dropped: Annotated[tuple[str, ...], "effects made useless by later ones"]
     """`refused` has what they would bring."""
     refused: tuple[Step, ...]
-    """Those that do not pay beside the kept ones, the best first."""
+    """Effects that do not improve the prediction of the kept ones, best first."""
     fit: Annotated[Fit | None, "the fit with the chosen effects"]
     """None where no effect reduces the errors. Its held-out errors, like those of the steps, are of rows that took
     part in the choice of effects."""
@@ -194,8 +194,7 @@ class _Search:
         self._stand(self.begun)
 
     def run(self) -> None:
-        """From set to set while one is better, then to effects that stand first in the table where nothing speaks
-        strongly against them, then to those that are worth their price."""
+        """Search better sets; prefer earlier effects of the table; drop effects that are not worth their cost."""
         for _ in range(ROUNDS):
             better = self._better()
             if better is None:
@@ -254,7 +253,7 @@ class _Search:
         return trial if trial is not None and self._seen(trial) <= self._seen(self.now) + room else None
 
     def _fewer(self) -> _Trial | None:
-        """The set without the effect that is least worth its price by the fit to all; None where all are worth it."""
+        """Set without the effect that is least worth its cost by the fit to all rows; None if all are worth it."""
         now, sets, cost = Effects(self.now.effects), self.sets, self._cost(self.now)
         near = sets.cost(now) + CROOKED * sets.inflation
         tried = (self._tried(now - {kind}) for kind in self.now.effects if sets.cost(now - {kind}) <= near)
@@ -263,18 +262,20 @@ class _Search:
         return min(idle, key=lambda trial: worth[trial], default=None)
 
     def _worth(self, fewer: _Trial) -> float:
-        """What the effects of now gain by the fit to all, beside fewer, over their price: what is held out at few
-        places may seem to gain more, by chance."""
+        """Gain of the current effects over fewer, by the fit to all rows, relative to their cost.
+
+        The loss of held-out rows at few positions may overstate the gain by chance.
+        """
         count = len(self.now.model.parameters) - len(fewer.model.parameters)
         return float(self._seen(fewer) - self._seen(self.now) - self.sets.price * count)
 
     def _seen(self, trial: _Trial) -> float:
-        """What a set loses by the fit to all, priors among it."""
+        """Loss of a set in the fit to all rows, with priors."""
         weights = weigh(trial.model, self.options, self.now.sigma)
         return cost_of(trial.model, weights, trial.fit.state, trial.fit.residuals)
 
     def _cost(self, trial: _Trial) -> float:
-        """What a set costs: its loss held out, and the charge for its parameters."""
+        """Cost of a set: held-out loss, and charge for its parameters."""
         losses = weigh(self.model, self.options, self.now.sigma).losses(trial.residuals)
         return float(losses.sum() + self.sets.charge * len(trial.model.parameters))
 
@@ -304,7 +305,7 @@ class _Search:
         return self._held_out(kinds, model, fit, self.now.sigma)
 
     def _long(self, kinds: Sequence[str]) -> bool:
-        """Whether a fit of these takes a way along all rows for every parameter."""
+        """True if a fit of these kinds needs a pass along all rows for every parameter."""
         return "friction" in kinds or self.begun.model.costly(self.begun.fit.state)
 
     def _fitted(self, kinds: tuple[str, ...], start: State, sigma: tuple[float, float]) -> _Trial:
@@ -360,7 +361,7 @@ class _Search:
         return ErrorSummary.of(distances(self.model, self.sets.chosen_anew())[0][:, 0])
 
     def _kept(self) -> tuple[Step, ...]:
-        """What was kept, in the order in which it pays."""
+        """Kept effects, in order of their gain."""
         before, steps = self.begun, list[Step]()
         while len(steps) < len(self.now.effects):
             left = [kind for kind in self.now.effects if kind not in before.effects]
@@ -377,7 +378,7 @@ class _Search:
         return tuple(steps)
 
     def _refused(self) -> tuple[Step, ...]:
-        """What each of the other effects would bring beside those that were kept, the best first."""
+        """Gain of each other effect in addition to the kept ones, best first."""
         weights, out = self._weights(self.slopes), list[Step]()
         for kind in self.known:
             if kind in self.now.effects or not any(p.kind == kind for p in self.slopes.model.parameters):
@@ -402,7 +403,7 @@ class _Search:
         )
 
     def _rivals(self, kind: str) -> tuple[str, ...]:
-        """Other effects that predict as well in the place of one that is kept."""
+        """Effects that predict as well in place of a kept one."""
         return tuple(other for other in self.known if self._in_place(other, kind) is not None)
 
     def _gain(self, before: Array, after: Array) -> tuple[float, float]:
@@ -432,8 +433,9 @@ Effects = frozenset[str]
 
 @dataclass(eq=False)
 class HeldOutSets:
-    """What sets of effects lose, held out and by the fit to all: by residuals around a state, with every effect that
-    may be part of a set, P parameters and F freedoms besides.
+    """Losses of sets of effects, held out and in the fit to all rows, from residuals linearised about a state.
+
+    The state has every effect that may be part of a set: P parameters, and F freedoms of the registration.
 
     Attributes:
         inflation: of the variance of parameters, 1 for independent errors.
@@ -442,15 +444,15 @@ class HeldOutSets:
     """
 
     residuals: Array
-    """(V, 3)."""
+    """(V, 3) residuals at the state."""
     slopes: Array
     """(V, 3, P + F)."""
     weights: Array
     """(V,) of the squares of residuals."""
     fold: Index
-    """(V,)."""
+    """(V,) fold of each row."""
     numbers: int
-    """How many are independent."""
+    """Number of independent residuals."""
     kinds: tuple[str, ...]
     """(P,) effect of each parameter."""
     there: Effects
@@ -462,9 +464,9 @@ class HeldOutSets:
     prior: Array
     """(P,) standard deviation around that."""
     low: Array
-    """(P,) least change."""
+    """(P,) smallest change of the parameters."""
     high: Array
-    """(P,) greatest change."""
+    """(P,) largest change of the parameters."""
     jumps: Mapping[str, Array]
     """(V, 3) residuals that an effect brings at once, where parameters alone do not say what it is to be without it."""
 
@@ -494,23 +496,23 @@ class HeldOutSets:
         self.price, self.charge = self.inflation * LEAST, self.inflation * (least - 2)
 
     def parameters(self, effects: Iterable[str]) -> int:
-        """How many a set has."""
+        """Number of parameters of a set."""
         return sum(self.kinds.count(kind) for kind in effects)
 
     def cost(self, effects: Effects) -> float:
-        """What a set loses held out, and what its parameters are charged."""
+        """Held-out loss of a set plus the charge for its parameters."""
         if effects not in self.known:
             self.known[effects] = self.lost(effects) + self.charge * self.parameters(effects)
         return self.known[effects]
 
     def lost(self, effects: Effects) -> float:
-        """What a set loses held out."""
+        """Held-out loss of a set."""
         total = self.squares.sum(0)
         steps = (self._step(effects, total - own) for own in self.squares)
         return float(sum(step @ own @ step for step, own in zip(steps, self.squares, strict=True)))
 
     def seen(self, effects: Effects) -> float:
-        """What it loses by the fit to all."""
+        """Loss of a set in the fit to all rows."""
         total = self.squares.sum(0)
         step = self._step(effects, total)
         return float(step @ total @ step)
@@ -583,9 +585,9 @@ class Slopes:
     """Around a fit to V observations, with P parameters and F freedoms of the registration."""
 
     model: ArmModel
-    """With all parameters, those of the fit first."""
+    """Model with all parameters, those of the fit first."""
     state: State
-    """Where they are."""
+    """State at the parameters."""
     there: Effects
     """Effects of the fit."""
     residuals: Array
@@ -670,6 +672,6 @@ def slopes_around(model: ArmModel, fit: Descent[State], others: Sequence[Sequenc
 
 
 def _begins(model: ArmModel, chosen: Sequence[Parameter]) -> bool:
-    """Whether an effect is there at its start already, where having none has no slope."""
+    """True if an effect is nonzero at its start already, since its derivative at 0 vanishes."""
     first = model.first
     return not apply(first, chosen, np.array([p.start for p in chosen])).same_tubes(first)

@@ -1,4 +1,4 @@
-"""What a workspace loses to snapping: places where the robot is in equilibrium, but never in a stable one."""
+"""Part of a workspace that is lost to snapping: positions with equilibria of which none is stable."""
 
 from __future__ import annotations
 
@@ -20,62 +20,62 @@ from ..robots.limits import JointLimits
 from ..robots.robot import Robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, Progress
-from .sampling import JointSamples, Workspace, held
+from .sampling import JointSamples, Workspace, has_margin
 from .voxels import Keys, Store, default_size, size_for
 
-# One unstable equilibrium says little, since many voxels have both kinds.
+# Fewer prove little, since many voxels have both kinds: if half were stable, five would all be unstable in 1 of 32.
 SURE = 5
-"""Unstable equilibria in a voxel without a stable one that make it lost: where half were stable, 1 in 32 would lie."""
+"""Number of unstable equilibria in a voxel without a stable one from which on it is lost."""
 
 CONFIDENCE = 0.95
-"""Of the interval of a loss."""
+"""Confidence of the interval of the lost fraction."""
 
 STEPS = 6
-"""Steps per section of the arm: tips to about 1e-6 of the length."""
+"""Integration steps per section of the arm: errors of tips are about 1e-6 of the length."""
 
 CHUNK = 256
-"""Arms integrated at once."""
+"""Number of arms in one call of the integrator."""
 
 
 @dataclass(frozen=True, eq=False)
 class SnappingLoss(Displayed):
-    """Voxels by what reaches them."""
+    """Voxels with a stable equilibrium, and voxels lost to snapping."""
 
     robot: Robot
-    """The robot."""
+    """Robot of the workspace."""
     size: float
     """Edge of the voxels, m."""
     equilibria: Annotated[
-        int, form(".6g", label="equilibria of all kinds that were found"), "number of equilibria found, stable or not"
+        int, form(".6g", label="equilibria, stable or not"), "number of equilibria found, stable or not"
     ]
-    unstable: Annotated[int, form(".6g", label="those of them that are unstable"), "number of unstable equilibria"]
+    unstable: Annotated[int, form(".6g", label="unstable equilibria"), "number of unstable equilibria"]
     held: Keys
-    """(V, 3) index of the voxels with a stable equilibrium."""
+    """(V, 3) indices of voxels with a stable equilibrium."""
     lost: Keys
-    """(W, 3) of those with at least `SURE` equilibria, all of them unstable."""
+    """(W, 3) indices of voxels with at least `SURE` equilibria, all of them unstable."""
     early_loss: Annotated[
         float,
         key("lost_first_half_cm3"),
-        form(".6g", label="the same from the first half of the samples"),
+        form(".6g", label="lost volume from the first half of the samples"),
         "volume that only unstable equilibria reach, from the first half of the samples",
     ]
     interval: tuple[float, float]
-    """95 % confidence interval of the fraction of all equilibria that lie where no stable one is (Clopper and Pearson
-    1934). Its upper end counts voxels with fewer than `SURE` unstable equilibria and no stable one as lost."""
+    """95 % confidence interval of the fraction of all equilibria in lost voxels (Clopper and Pearson 1934). Its upper
+    end includes voxels with fewer than `SURE` unstable equilibria and no stable one."""
 
     @property
     def held_volume(self) -> float:
-        """Volume of the voxels that are held, m^3."""
+        """Volume of the voxels with a stable equilibrium, m^3."""
         return len(self.held) * self.size**3
 
     @property
     def lost_volume(self) -> float:
-        """Volume of the voxels that are lost, m^3."""
+        """Volume of the lost voxels, m^3."""
         return len(self.lost) * self.size**3
 
     @property
     def fraction(self) -> float:
-        """Share of all these voxels that is lost."""
+        """Fraction of all these voxels that is lost."""
         return len(self.lost) / max(len(self.held) + len(self.lost), 1)
 
 
@@ -91,10 +91,10 @@ def snapping_loss(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> SnappingLoss:
-    """The part of the workspace that is lost because only unstable equilibria reach it.
+    """Part of the workspace that is lost because only unstable equilibria reach it.
 
     A model without stability overestimates the workspace: some of its equilibria are unstable, and the robot never
-    stays there. This function computes equilibria of all kinds, from tip rotations over a whole turn and the
+    remains there. This function computes equilibria of all kinds, from tip rotations over a whole turn and the
     translations within the robot's limits. It sorts their tips into voxels. A voxel with unstable equilibria only is
     lost. One with a stable equilibrium is not, even if every path there leads through a snap; use `follow` and
     `stability_map` for paths.
@@ -122,11 +122,11 @@ def snapping_loss(
         raise InputError("reached is a workspace of another robot")
     drawn = JointSamples(_free_to_turn(robot), "sobol", samples, seed)
     edge = None if size is None else positive("size", size)
-    stable, unstable = _sorted(robot, drawn, edge, reached, progress)
+    stable, unstable = _sort(robot, drawn, edge, reached, progress)
     counts = int(stable.count.sum()), int(unstable.count.sum())
     if reached is not None:
         for _, rows in reached.chunks():
-            _add(stable, rows[held(rows, 0.0)], np.ones(1, dtype=bool))
+            _add(stable, rows[has_margin(rows, 0.0)], np.ones(1, dtype=bool))
     return _loss(robot, stable, unstable, counts)
 
 
@@ -136,22 +136,27 @@ def require_centred(robot: Robot) -> None:
         raise InputError("the loss to snapping is supported for concentric robots only")
 
 
-def _sorted(
+def _sort(
     robot: Robot, drawn: JointSamples, edge: float | None, reached: Workspace | None, progress: Progress | None
 ) -> tuple[Store, Store]:
     """Voxels of the stable and of the unstable equilibria."""
     stores: tuple[Store, Store] | None = None
     done = 0
-    # Even in tip rotations, in which every equilibrium, stable or not, is one point.
+    # Evenly distributed tip rotations: every equilibrium, stable or not, is one point of these.
     for tips, shift in drawn.blocks():
         check_time()
-        found = from_tips(robot, tips, shift)
-        # In the column of the margin, of which only the sign is needed.
-        sign = np.where(found.stable, 1.0, -1.0)
-        table = np.column_stack([found.tip_position, found.tip_direction, sign])
-        table = table[_within_limits(robot, found.rotations)]
+        equilibria = from_tips(robot, tips, shift)
+        # In the column of the margin only the sign is used.
+        sign = np.where(equilibria.stable, 1.0, -1.0)
+        table = np.column_stack([equilibria.tip_position, equilibria.tip_direction, sign])
+        table = table[_within_limits(robot, equilibria.rotations)]
         if stores is None and len(table):
-            edge = edge or (_edge(table, drawn.count) if reached is None else default_size(reached))
+            if edge is None and reached is None:
+                # Extent of the first block, scaled to the number of all samples.
+                edge = size_for(np.ptp(table[:, :3], axis=0), len(table) * max(1, drawn.count // len(table)))
+            elif edge is None and reached is not None:
+                edge = default_size(reached)
+            assert edge is not None
             stores = Store(edge), Store(edge)
         early = np.arange(done, done + len(table)) < drawn.count // 2
         for store, rows in zip(stores or (), (table[:, -1] > 0, table[:, -1] < 0), strict=False):
@@ -165,16 +170,16 @@ def _sorted(
 
 
 def _add(store: Store, table: Array, early: Mask) -> None:
-    # Columns from the end, so that tables with and without joint values serve: tip, direction, margin.
+    # Columns from the end, for tables with and without joint values: tip, direction, margin.
     store.add(table[:, -7:-4], table[:, -4:-1], table[:, -1], np.broadcast_to(early, len(table)))
 
 
 def _loss(robot: Robot, stable: Store, unstable: Store, counts: tuple[int, int]) -> SnappingLoss:
     firm, shaky = stable.voxels(), unstable.voxels()
     lost = _lost(stable.keys, unstable.keys, shaky.count)
-    # Sobol points are more even than independent ones, for which the interval is exact: it is not too narrow.
-    least, most = (int(shaky.count[rows].sum()) for rows in (lost, ~np.isin(unstable.keys, stable.keys)))
-    low, high = (scipy.stats.binomtest(count, sum(counts)).proportion_ci(CONFIDENCE) for count in (least, most))
+    # Sobol points are more even than independent ones, for which the interval is exact, so it is not too narrow.
+    lower, upper = (int(shaky.count[rows].sum()) for rows in (lost, ~np.isin(unstable.keys, stable.keys)))
+    low, high = (scipy.stats.binomtest(count, sum(counts)).proportion_ci(CONFIDENCE) for count in (lower, upper))
     return SnappingLoss(
         robot=robot,
         size=stable.size,
@@ -192,47 +197,42 @@ def _lost(firm: Keys, shaky: Keys, count: Keys) -> Mask:
 
 
 def _free_to_turn(robot: Robot) -> Robot:
-    """The robot whose tubes may turn by half a turn either way: for tip rotations."""
-    # Limits are of joints, and samples are tip rotations: joints outside their limits are left out afterwards.
+    """Robot with rotation limits of half a turn either way, for sampling tip rotations."""
+    # Limits are for joints, and samples are tip rotations: joints outside their limits are removed afterwards.
     limits = JointLimits(((-np.pi, np.pi),) * robot.n_tubes, robot.limits.translations)
     changed: Any = robot
     return replace(changed, joint_limits=limits)  # type: ignore[no-any-return]
 
 
 def _within_limits(robot: Robot, rotations: Array) -> Mask:
-    """(B,) whether joint rotations, give or take whole turns, are within the limits."""
+    """(B,) True for joint rotations (B, n) that are within the limits, up to full turns."""
     low, high = np.array(robot.limits.rotations).T
-    # The least value above the lower limit, up to round-off, that is the same but for whole turns.
+    # Smallest equivalent rotation above the lower limit, up to round-off.
     turned = rotations + (2 * np.pi) * np.ceil((low - 1e-9 - rotations) / (2 * np.pi))
     return np.asarray((turned <= high + 1e-9).all(1))
 
 
-def _edge(table: Array, samples: int) -> float:
-    """The default edge of the voxels, for so many samples as these."""
-    return size_for(np.ptp(table[:, :3], axis=0), len(table) * max(1, samples // len(table)))
-
-
 @dataclass(frozen=True, eq=False)
 class Equilibria:
-    """B equilibria."""
+    """Joint rotations, tip poses and stability of B equilibria."""
 
     rotations: Array
-    """(B, n) of the joints, rad."""
+    """(B, n) joint rotations, rad."""
     tip_position: Array
-    """(B, 3) m."""
+    """(B, 3) tip positions, m."""
     tip_direction: Array
-    """(B, 3) unit vectors."""
+    """(B, 3) unit vectors of the tip directions."""
     stable: Mask
-    """(B,)."""
+    """(B,) True for stable equilibria."""
 
 
 def from_tips(robot: Robot, tips: Array, translations: Array) -> Equilibria:
-    """Equilibria of tip rotations (B, n), rad, at translations (B, n), m, of a robot with tubes on the centreline.
+    """Equilibria of a concentric robot from tip rotations (B, n), rad, at translations (B, n), m.
 
-    The torsion of a tube is 0 at its own end, so that the tip rotations fix the whole arm: an initial-value problem
-    from the tip to the base tells joints, pose and stability (`stability.shooting` searches those of given joints).
-    Stable is what the sign test says: the determinant of the derivative of theta(s) by the tip rotations stays positive
-    down to the plate, and so does that of the joint rotations.
+    The torsion of a tube is 0 at its own end, so that the tip rotations determine the whole arm: an initial-value
+    problem from the tip to the base gives joints, pose and stability (`stability.shooting` searches those of given
+    joints). Stability is a sign test: the determinant of the derivative of theta(s) by the tip rotations is positive
+    down to the plate, and so is that of the joint rotations.
     """
     count = len(tips)
     parts: list[list[Array]] = [[], [], [], []]

@@ -29,20 +29,20 @@ from ..typing import Array, Mask, Progress
 
 # 1.7 MB of a robot with three tubes.
 CHUNK = 1 << 14
-"""Rows that are looked at together, so that a table on disk never is in memory as a whole."""
+"""Number of rows per chunk, so that a table on disk is never in memory as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace(Displayed):
-    """Tips of a robot at N joint values; rows of what has no stable equilibrium that was found are NaN.
+    """Tips of a robot at N joint values; rows without a stable equilibrium are NaN.
 
-    The arrays are views of `table`, which lies on disk where the workspace was computed with `out`.
+    The arrays are views of `table`, which is on disk if the workspace was computed with `out`.
     """
 
     _brief = ("robot", "method", "seed", "table")
 
     robot: Robot
-    """The robot."""
+    """Robot whose joint values were sampled."""
     method: str
     """Sampling method of the joint values."""
     seed: int
@@ -57,12 +57,12 @@ class Workspace(Displayed):
 
     @property
     def value(self) -> Array:
-        """(N, 3) the tips, m."""
+        """(N, 3) tip positions, m."""
         return self.tip_position
 
     @property
     def status(self) -> BatchStatus:
-        """Whether an equilibrium was found for every sample."""
+        """Status: an equilibrium for every sample, or gaps."""
         return BatchStatus.GAPS if self.failures else BatchStatus.SOLVED
 
     @property
@@ -82,22 +82,22 @@ class Workspace(Displayed):
 
     @property
     def tip_position(self) -> Array:
-        """(N, 3) in the plate frame, m."""
+        """(N, 3) tip positions in the plate frame, m."""
         return self.table[:, -7:-4]
 
     @property
     def tip_direction(self) -> Array:
-        """(N, 3) unit vectors: where the tips point."""
+        """(N, 3) unit vectors of the tip directions."""
         return self.table[:, -4:-1]
 
     @property
     def margin(self) -> Array:
-        """(N,) stability margins."""
+        """(N,) margins of the equilibria."""
         return self.table[:, -1]
 
     @property
     def converged(self) -> Mask:
-        """(N,) whether a stable equilibrium was found."""
+        """(N,) True for samples with a stable equilibrium."""
         return np.isfinite(self.margin)
 
     def chunks(self) -> Iterator[tuple[int, Array]]:
@@ -112,7 +112,7 @@ class Workspace(Displayed):
             yield first, part
 
     def some(self, most: int) -> Array:
-        """At most `most` rows in random order, the same each time; every k-th row of a sequence would be biased."""
+        """Random rows, at most `most`, the same each time; every k-th row of a sequence would be biased."""
         random = np.random.default_rng(len(self))
         chosen = np.sort(random.choice(len(self), min(most, len(self)), replace=False))
         rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]
@@ -124,14 +124,14 @@ def width(n_tubes: int) -> int:
     return 2 * n_tubes + 7
 
 
-def held(table: Array, min_margin: float) -> Mask:
-    """(B,) rows of a table that are stable by at least a margin."""
+def has_margin(table: Array, min_margin: float) -> Mask:
+    """(B,) True for rows of a table with at least a margin."""
     with np.errstate(invalid="ignore"):
         return np.asarray(table[:, -1] >= min_margin)
 
 
 def require_samples(workspace: Workspace) -> None:
-    """Raise InputError where not a single sample has a stable equilibrium."""
+    """Raise InputError if no sample has a stable equilibrium."""
     if not any(np.isfinite(part[:, -1]).any() for _, part in workspace.chunks()):
         raise InputError(f"none of the {len(workspace)} samples of the workspace has a stable equilibrium")
 
@@ -203,7 +203,7 @@ class JointSamples:
                 return
 
     def _units(self, box: Box) -> Iterator[Array]:
-        """Blocks of points of the unit cube, endless but for a grid."""
+        """Blocks of points of the unit cube; endless except for a grid."""
         m = len(box.free)
         if self.method == "grid":
             yield from _grid(box, self.count)
@@ -215,7 +215,7 @@ class JointSamples:
 
 
 def _grid(box: Box, count: int) -> Iterator[Array]:
-    """As many points per axis as fit into `count`, ends included, of a whole turn only one."""
+    """Grid with as many points per axis as fit into `count`, with both ends; of a full turn only one end."""
     free = box.free
     each = 1
     while free.size and (each + 1) ** len(free) <= count:
@@ -386,7 +386,7 @@ def _after(blocks: Iterator[tuple[Array, Array]], done: int) -> Iterator[tuple[A
 
 
 def _mark(robot: Robot) -> str:
-    """What tells robots apart, by everything that joint values and equilibria follow from."""
+    """Hash of all data of a robot on which joint values and equilibria depend."""
     return hashlib.sha256(in_full((type(robot).__name__, robot)).encode()).hexdigest()
 
 
@@ -416,10 +416,10 @@ class _Memory:
         self._failures: list[tuple[int, str]] = []
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
     def append(self, rows: Array, failures: list[tuple[int, str]]) -> None:
-        """Add rows."""
+        """Append rows and failures."""
         self._table[self.done : self.done + len(rows)] = rows
         self._failures += failures
         self.done += len(rows)
@@ -498,7 +498,7 @@ class _Disk:
 
 
 def _head(directory: Path) -> dict[str, Any]:
-    """What `_spec` said about the workspace in a directory."""
+    """Content of `_spec` of the workspace in a directory."""
     try:
         head = json.loads(read_bytes(directory / HEAD))
     except ValueError:

@@ -1,4 +1,4 @@
-"""What two robots reach together, and how to place them so that this is much: overlap of workspaces, in voxels."""
+"""Overlap of the workspaces of two robots, in voxels, and the placement that makes it largest."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from ..display import Displayed
 from ..errors import InputError, finite, positive
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
-from .sampling import Workspace, held, require_samples
+from .sampling import Workspace, has_margin, require_samples
 from .voxels import cells, default_size, index_of, keys_of
 
 # Differential evolution from 25 points of five unknowns; the overlap of voxels has steps, so that no gradient helps.
 SEARCHED, EACH = 25, 5
-"""Generations of differential evolution at most, and how many of each there are per unknown."""
+"""Maximum number of generations of differential evolution, and individuals per unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class SharedWorkspace(Displayed):
-    """Voxels that the tips of two robots reach."""
+    """Voxels that the tips of two robots both reach."""
 
     size: float
     """Edge of the voxels, m."""
     volumes: Array
-    """(2,) of either workspace, m^3."""
+    """(2,) volumes of the workspaces, m^3."""
     shared: float
-    """Of both together, m^3."""
+    """Volume that both reach, m^3."""
     places: Array
     """(V, 3) centres of the voxels that both reach, in the frame that the robots share, m."""
     bases: tuple[Frame, Frame]
-    """Where the robots stand."""
+    """Frames of the base plates."""
 
     @property
     def value(self) -> float:
-        """The volume that both reach, m^3."""
+        """Volume that both reach, m^3."""
         return self.shared
 
     @property
     def share(self) -> float:
-        """Part of the smaller workspace that the other robot reaches too."""
+        """Fraction of the smaller workspace that the other robot also reaches."""
         return float(self.shared / self.volumes.min())
 
 
@@ -52,12 +52,13 @@ class SharedWorkspace(Displayed):
 def shared_workspace(
     workspaces: Sequence[Workspace], bases: Sequence[Frame], *, size: float | None = None, min_margin: float = 0.0
 ) -> SharedWorkspace:
-    """The voxels that the tips of two robots reach which stand in two frames; what keeps one from where the other is at
-    the time is for `plan_arms`.
+    """Overlap of the workspaces of two robots with their plates in two frames.
+
+    Contact between the arms is not considered; see `plan_arms`.
 
     Args:
         size: edge of the voxels, m; by default as in `voxels`. With few samples in each, voxels are missed, and the
-            share is told too small.
+            overlap is too small.
         min_margin: only configurations at least as stable count.
 
     Raises:
@@ -72,7 +73,7 @@ def shared_workspace(
 
 def _tips(workspace: Workspace, min_margin: float) -> Array:
     require_samples(workspace)
-    tips = np.asarray(workspace.tip_position[held(workspace.table, min_margin)])
+    tips = np.asarray(workspace.tip_position[has_margin(workspace.table, min_margin)])
     if not len(tips):
         raise InputError(f"no sample of the workspace has a margin of {min_margin:g}")
     return tips
@@ -98,12 +99,15 @@ def place_pair(
     seed: int = 0,
     time_limit: float = TIME_LIMIT,
 ) -> SharedWorkspace:
-    """Where two robots stand best: beside each other along x, symmetric about the origin, each leaning in the plane of
-    x and z and turned about its own axis so that the volume that both reach is the largest.
+    """Place two robots so that the overlap of their workspaces is largest.
+
+    They are side by side along x, symmetric about the origin, each tilted in the plane of x and z and turned about its
+    own axis.
 
     Args:
-        least_distance, most_distance: between the middles of the plates, m.   most_tilt: of each from z, rad.
-        seed: of differential evolution, by which distance, two tilts and two turns are found.
+        least_distance, most_distance: limits of the distance between the middles of the plates, m.
+        most_tilt: largest angle of each from z, rad.
+        seed: seed of differential evolution, which finds distance, two tilts and two turns.
         time_limit: s, on the clock.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,32 +15,32 @@ from ..files.field_metadata import POSITIVE, TYPICAL_REGION, Range, Typical, key
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Progress
 from .loss import SnappingLoss, snapping_loss
-from .sampling import Workspace, held
-from .voxels import Keys, Voxels, cells, default_size, of_first_half, on_surface, voxels
+from .sampling import Workspace, has_margin
+from .voxels import Keys, Voxels, cells, default_size, in_first_half, on_surface, voxels
 
 
 @dataclass(frozen=True)
 class Volume:
-    """A volume and how far it is to be trusted."""
+    """A volume with its error estimates."""
 
     value: float
-    """m^3."""
+    """Volume, m^3."""
     method: str
-    """One of "voxels", "meridian" and "alpha"."""
+    """Method: "voxels", "meridian" or "alpha"."""
     scale: float
     """Edge of the cells, or radius of the alpha shape, m."""
     half: float
-    """The volume from the first half of the samples; where it is as large, more samples change little."""
+    """Volume from the first half of the samples, m^3; if it is as large, more samples change little."""
     unseen: float
-    """Estimated volume of voxels that no sample has hit yet (Chao 1984, from those hit once and twice); NaN for the
-    other methods."""
+    """Estimated volume of voxels without a sample, m^3 (Chao 1984, from those with one and two); NaN for the other
+    methods."""
     surface: float
-    """Half the volume of the cells on the surface, which stick out of the workspace; NaN for an alpha shape."""
+    """Half the volume of the cells on the surface, m^3, as error estimate; NaN for an alpha shape."""
 
 
 @typed
 def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
-    """Volume of all voxels that hold a tip, less half of those on the surface, of which half is outside.
+    """Volume of all voxels with a tip, less half of those on the surface, half of which is outside.
 
     Args:
         size, min_margin: as for `voxels`.
@@ -52,7 +52,7 @@ def voxel_volume(workspace: Workspace, size: float | None = None, *, min_margin:
 
 
 def volume_of(found: Voxels) -> Volume:
-    """Volume of voxels."""
+    """Volume of voxels, as `voxel_volume`."""
     cube = found.size**3
     first = found.index[found.early > 0]
     once, twice = int((found.count == 1).sum()), int((found.count == 2).sum())
@@ -69,14 +69,15 @@ def volume_of(found: Voxels) -> Volume:
 
 @typed
 def meridian_volume(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Volume:
-    """Volume of the body that tips, turned about z into one plane, sweep in a turn: the sharpest of the three methods.
+    """Volume of the body of revolution of the tips about z: the most accurate of the three methods.
 
-    Exact in the limit for robots with all tubes on the centreline and free to turn a whole turn, since turning all
-    tubes turns the arm. Cells of the plane at its edge count half, as for `voxel_volume`.
+    Exact in the limit for concentric robots with rotations of a full turn, since turning all tubes turns the arm. Cells
+    at the edge of the meridian count half, as for `voxel_volume`. With a grid of joint values it is a rough estimate:
+    its tips form rows in the meridian, with gaps that depend on the place, so that no cell size fits everywhere.
 
     Args:
         size: edge of the cells, m; by default a quarter of that of `voxels`, or 4/3 of that for a grid of joint
-            values, most of whose tips turn into the same places.
+            values, most of whose tips coincide in the meridian.
         min_margin: only configurations at least as stable count.
 
     Raises:
@@ -90,17 +91,17 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
             "the workspace is not a body of revolution: the robot is "
             "eccentric, or rotations are limited to less than a full turn"
         )
-    # The tips of a grid turn into rows of the plane: cells must be wider than the gaps between the rows.
+    # The tips of a grid form rows in the meridian: cells must be wider than most gaps between the rows.
     finer = 3 / 4 if workspace.method == "grid" else 4
     scale = default_size(workspace) / finer if size is None else positive("size", size)
     seen: dict[bool, Keys] = {}
     for first, table in workspace.chunks():
-        kept = held(table, min_margin)
-        tips = table[kept, -7:-4]
+        stable = has_margin(table, min_margin)
+        tips = table[stable, -7:-4]
         plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), np.zeros(len(tips)), tips[:, 2]])
         index = cells(plane, scale)[:, ::2]
-        for early, found in ((False, index), (True, index[of_first_half(workspace, first, len(table))[kept]])):
-            seen[early] = np.unique(np.concatenate([seen.get(early, found[:0]), found]), axis=0)
+        for early, rows in ((False, index), (True, index[in_first_half(workspace, first, len(table))[stable]])):
+            seen[early] = np.unique(np.concatenate([seen.get(early, rows[:0]), rows]), axis=0)
     if not len(seen[False]):
         raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
     value, surface = _revolved(seen[False], scale)
@@ -109,13 +110,13 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
 
 
 def _revolved(index: Keys, size: float) -> tuple[float, float]:
-    """Volume (m^3) of cells (C, 2) of the meridian turned about its axis, and the half of those on the edge in it."""
+    """Volume of revolution of cells (C, 2) of the meridian, and half of the volume of those on its edge, m^3."""
     filled = np.zeros(index.max(0) - index.min(0) + (3, 3), dtype=bool)
     filled[tuple((index - index.min(0) + 1).T)] = True
-    if index[:, 0].min() == 0:  # beyond the axis lies the other side
+    if index[:, 0].min() == 0:  # beyond the axis is the other side
         filled[0] = filled[1]
     inside = filled[1:-1, 1:-1] & filled[:-2, 1:-1] & filled[2:, 1:-1] & filled[1:-1, :-2] & filled[1:-1, 2:]
-    # Pappus: the area of a cell times the way of its centre around the axis.
+    # Pappus: the area of a cell times the length of the circle of its centre.
     ring = 2 * np.pi * (np.arange(index[:, 0].min(), index[:, 0].max() + 1) + 0.5) * size**3
     whole, core = (float(ring @ part.sum(1)) for part in (filled[1:-1, 1:-1], inside))
     return (whole + core) / 2, (whole - core) / 2
@@ -123,7 +124,7 @@ def _revolved(index: Keys, size: float) -> tuple[float, float]:
 
 @typed
 def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margin: float = 0.0) -> Volume:
-    """Volume of the alpha shape of the tips: of Delaunay's tetrahedra, those whose circumsphere is small.
+    """Volume of the alpha shape of the tips: the Delaunay tetrahedra with a small circumsphere.
 
     Edelsbrunner and Muecke, "Three-dimensional alpha shapes", ACM Trans. Graphics 13(1), 1994.
 
@@ -137,7 +138,7 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
     if radius is not None:
         typical_length("radius", radius, TYPICAL_REGION)
     table = workspace.some(20_000)
-    tips = np.asarray(table[held(table, min_margin), -7:-4])
+    tips = np.asarray(table[has_margin(table, min_margin), -7:-4])
     value, reach = alpha_shape(tips, radius)
     half, _ = alpha_shape(tips[: len(tips) // 2], radius)
     return Volume(value, "alpha", reach, half, float("nan"), float("nan"))
@@ -168,7 +169,7 @@ def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, floa
 
 
 def _mean_distance(size: Array, circumradius: Array, count: int) -> float:
-    """The radius of so many mean distances of points in the shape that it makes itself: a fixed point from above."""
+    """Radius that is five mean distances of points in its own alpha shape, m: a fixed point, iterated from above."""
     reach = 5.0  # radius of the alpha shape in mean distances of its points
     radius = reach * (float(size.sum()) / count) ** (1 / 3)
     for _ in range(50):
@@ -182,12 +183,11 @@ def _mean_distance(size: Array, circumradius: Array, count: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Findings(Displayed):
-    """A workspace and what was found about it; a volume is None where its method has no answer, a loss where it was
-    not asked for."""
+    """Voxels, volumes and loss of a workspace; a volume is None if its method does not apply."""
 
     workspace: Workspace
     voxels: Voxels
-    """That the tips reach."""
+    """Voxels that the tips reach."""
     volume: Volume
     meridian: Volume | None
     """Volume of a body of revolution."""
@@ -207,7 +207,7 @@ def examine(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Findings:
-    """Voxels, volumes and loss of a workspace.
+    """Compute voxels, volumes and loss of a workspace.
 
     Args:
         size: edge length of the voxels; by default a round number for about 15 samples per voxel of
@@ -229,13 +229,9 @@ def examine(
         lost = snapping_loss(
             workspace.robot, loss, size=cubes.size, seed=workspace.seed, reached=workspace, progress=progress
         )
-    meridian, alpha = (_where_there_is_one(method, workspace, min_margin) for method in (meridian_volume, alpha_volume))
+    meridian = alpha = None
+    with suppress(InputError):  # no body of revolution
+        meridian = meridian_volume(workspace, min_margin=min_margin)
+    with suppress(InputError):  # flat
+        alpha = alpha_volume(workspace, min_margin=min_margin)
     return Findings(workspace, cubes, volume_of(cubes), meridian, alpha, lost)
-
-
-def _where_there_is_one(method: Callable[..., Volume], workspace: Workspace, min_margin: float) -> Volume | None:
-    """A volume by a method that some workspaces do not have: flat ones no alpha shape, and not all are round."""
-    try:
-        return method(workspace, min_margin=min_margin)
-    except InputError:
-        return None

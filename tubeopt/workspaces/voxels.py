@@ -1,4 +1,4 @@
-"""The workspace in voxels: where tips are, how many, from how many sides, and by which margin."""
+"""Workspace as voxels: number, directions and largest margin of the tips in each."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from ..arguments import typed
 from ..errors import InputError, positive
 from ..typing import Array, Mask
-from .sampling import Workspace, held, require_samples
+from .sampling import Workspace, has_margin, require_samples
 
 Words = NDArray[np.uint64]
 Keys = NDArray[np.int64]
 
 # They are bits of one word of 64.
 PATCHES = 64
-"""Patches of equal area into which directions are sorted: 8 bands of height by 8 sectors."""
+"""Number of patches of equal area on the sphere of directions: 8 bands of height by 8 sectors."""
 
 # The smallest number at which the stated uncertainty, half of the voxels on the surface, contained the volume of three
 # robots of the library for 1,000 to 100,000 samples. With 12, voxels that no sample hits made the volume too small by
@@ -34,20 +34,20 @@ _HALF = 1 << (_BITS - 1)
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Cubes of edge `size` that hold at least one tip; cube i spans index[i] * size to (index[i] + 1) * size."""
+    """V cubes with at least one tip; cube i spans index[i] * size to (index[i] + 1) * size."""
 
     size: float
-    """m."""
+    """Edge of a cube, m."""
     samples: int
-    """How many tips in all."""
+    """Total number of tips."""
     index: Keys
-    """(V, 3)."""
+    """(V, 3) indices along x, y and z."""
     count: Keys
-    """(V,) tips in each."""
+    """(V,) numbers of tips."""
     early: Keys
-    """(V,) of them of the first half of the samples; of a grid, of a random half."""
+    """(V,) numbers of tips from the first half of the samples; of a grid, from a random half."""
     directions: Keys
-    """(V,) patches of the sphere of directions, of `PATCHES`, in which tips point."""
+    """(V,) numbers of patches of the sphere of directions, out of `PATCHES`, in which tips point."""
     margin: Array
     """(V,) largest stability margin of a tip."""
 
@@ -56,12 +56,12 @@ class Voxels:
 
     @property
     def centres(self) -> Array:
-        """(V, 3) m."""
+        """(V, 3) centres of the voxels, m."""
         return np.asarray((self.index + 0.5) * self.size)
 
     @property
     def dexterity(self) -> Array:
-        """(V,) share of all directions in which tips point: the service sphere of Kumar and Waldron (1981).
+        """(V,) fraction of all directions in which tips point: the service sphere of Kumar and Waldron (1981).
 
         A lower bound, since a voxel of few samples cannot show many directions.
         """
@@ -69,19 +69,19 @@ class Voxels:
 
     @property
     def surface(self) -> Mask:
-        """(V,) whether one of the six neighbours holds no tip."""
+        """(V,) True if one of the six neighbours has no tip."""
         return on_surface(self.index)
 
 
 def on_surface(index: Keys) -> Mask:
-    """(V,) which of the cubes (V, 3) have a neighbour that is none of them."""
+    """(V,) True for cubes (V, 3) with a neighbour that is not one of them."""
     steps = np.vstack([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
     return np.asarray(np.any([~np.isin(keys_of(index + step), keys_of(index)) for step in steps], axis=0))
 
 
 @typed
 def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float = 0.0) -> Voxels:
-    """The tips of a workspace sorted into cubes; memory grows with the cubes, not with the samples.
+    """Sort the tips of a workspace into cubes; memory grows with the cubes, not with the samples.
 
     Args:
         size: edge, m; by default a round number for about 15 samples per voxel of the bounding box.
@@ -94,39 +94,39 @@ def voxels(workspace: Workspace, size: float | None = None, *, min_margin: float
     edge = default_size(workspace) if size is None else positive("size", size)
     store = Store(edge)
     for first, table in workspace.chunks():
-        rows = held(table, min_margin)
-        early = of_first_half(workspace, first, len(table))
+        rows = has_margin(table, min_margin)
+        early = in_first_half(workspace, first, len(table))
         store.add(table[rows, -7:-4], table[rows, -4:-1], table[rows, -1], early[rows])
     if not len(store.keys):
         raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
     return store.voxels()
 
 
-def of_first_half(workspace: Workspace, first: int, count: int) -> Mask:
-    """(count,) whether rows from `first` on are of the first half of the samples; of a grid, of a random half."""
-    if workspace.method == "grid":  # whose first half lies on one side
+def in_first_half(workspace: Workspace, first: int, count: int) -> Mask:
+    """(count,) True for rows from `first` on that are in the first half of the samples; of a grid, in a random half."""
+    if workspace.method == "grid":  # whose first half is on one side
         # Seeded by the row, so that every pass over the table draws the same half.
         return np.asarray(np.random.default_rng(first).random(count) < 0.5)
     return np.arange(first, first + count) < (len(workspace) + 1) // 2
 
 
 def default_size(workspace: Workspace) -> float:
-    """Edge (m) at which the voxels of the bounding box hold about `PER_VOXEL` samples each."""
+    """Edge (m) at which the voxels of the bounding box have about `PER_VOXEL` samples each."""
     low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
     for _, table in workspace.chunks():
-        tips = table[held(table, -np.inf), -7:-4]
+        tips = table[has_margin(table, -np.inf), -7:-4]
         if len(tips):
             low, high, count = np.minimum(low, tips.min(0)), np.maximum(high, tips.max(0)), count + len(tips)
     return size_for(high - low, count)
 
 
 def size_for(extent: Array, count: int) -> float:
-    """The same for so many samples over an extent (3,), m."""
+    """Default edge (m) for a number of samples over an extent (3,), m."""
     longest = float(extent.max())
     if longest <= 0:
         return 1e-3
-    # A workspace that is flat is as thick as a thousandth of its length, so that its voxels are counted on its face.
-    # m^3 of the bounding box.
+    # Volume of the bounding box, m^3. A flat workspace gets a thickness of a thousandth of its length, so that voxels
+    # are counted on its face.
     volume = float(np.prod(np.maximum(extent, longest / 1000)))
     # At most 500 voxels along the longest side, however many samples there are, to bound the memory.
     edge = max((volume * PER_VOXEL / count) ** (1 / 3), longest / 500)
@@ -136,7 +136,7 @@ def size_for(extent: Array, count: int) -> float:
 
 
 class Store:
-    """Voxels that grow chunk by chunk."""
+    """Voxels to which tips are added in chunks."""
 
     def __init__(self, size: float) -> None:
         self.size = size
@@ -146,7 +146,7 @@ class Store:
         self.margin: Array = np.zeros(0)
 
     def add(self, tips: Array, directions: Array, margin: Array, early: Mask) -> None:
-        """Sort in tips (B, 3), their directions (B, 3) and margins (B,)."""
+        """Add tips (B, 3) with their directions (B, 3) and margins (B,)."""
         # Old voxels first: sorting is stable, so that they and the new tips are reduced together.
         keys = np.concatenate([self.keys, keys_of(cells(tips, self.size))])
         ones = np.ones(len(tips), np.int64)
@@ -160,18 +160,18 @@ class Store:
         self.margin = _reduce(np.maximum, [self.margin, margin], order, starts)
 
     def voxels(self) -> Voxels:
-        """What was sorted in."""
+        """Voxels of all added tips."""
         directions, samples = np.bitwise_count(self.patches).astype(np.int64), int(self.count.sum())
         return Voxels(self.size, samples, index_of(self.keys), self.count, self.early, directions, self.margin)
 
 
-def _reduce(how: np.ufunc, parts: Iterable[NDArray[Any]], order: Keys, starts: Keys) -> NDArray[Any]:
+def _reduce(function: np.ufunc, parts: Iterable[NDArray[Any]], order: Keys, starts: Keys) -> NDArray[Any]:
     values = np.concatenate(list(parts))[order]
-    return np.asarray(how.reduceat(values, starts)) if len(values) else values
+    return np.asarray(function.reduceat(values, starts)) if len(values) else values
 
 
 def cells(points: Array, size: float) -> Keys:
-    """(B, 3) index of the cube that each point (B, 3) is in."""
+    """(B, 3) index of the cube of each point (B, 3)."""
     index = np.floor(points / size)
     if len(index) and np.abs(index).max() >= _HALF:
         raise InputError(f"size is {size:g} m; it must be at least a millionth of the workspace's size")
@@ -179,20 +179,20 @@ def cells(points: Array, size: float) -> Keys:
 
 
 def keys_of(index: Keys) -> Keys:
-    """(V,) one number per cube."""
+    """(V,) unique number of each cube (V, 3)."""
     # Shifted to be positive, or the bits of one axis would reach into those of the next.
     x, y, z = (index + _HALF).T
     return np.asarray((x << (2 * _BITS)) | (y << _BITS) | z)
 
 
 def index_of(keys: Keys) -> Keys:
-    """(V, 3) the cubes of such numbers."""
+    """(V, 3) cubes with the numbers `keys_of` (V,)."""
     mask = (1 << _BITS) - 1
     return np.column_stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask]) - _HALF
 
 
 def patch_of(directions: Array) -> Keys:
-    """(B,) the patch of equal area, from 0, in which each unit vector (B, 3) lies (Archimedes: equal heights)."""
+    """(B,) number of the patch of equal area of each unit vector (B, 3) (Archimedes: equal heights)."""
     x, y, z = directions.T
     # Bands of equal height have equal area; z = 1 itself belongs to the last.
     band = np.clip(((z + 1) * 4).astype(np.int64), 0, 7)

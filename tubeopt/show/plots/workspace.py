@@ -13,7 +13,7 @@ from ...files.units import TO_MM
 from ...inverse import InverseSolution
 from ...typing import Array
 from ...workspaces import SnappingLoss, Workspace
-from ...workspaces.sampling import held, require_samples
+from ...workspaces.sampling import has_margin, require_samples
 from ...workspaces.voxels import PATCHES, Keys, Store, index_of
 from ..formatting import counted
 from .labels import legend_above
@@ -202,7 +202,7 @@ def _section(workspace: Workspace, size: float | None) -> _Section:
     edge = _cell_size(workspace) if size is None else positive("size", size)
     store = Store(edge)
     for _, part in workspace.chunks():
-        table = part[held(part, -np.inf)]
+        table = part[has_margin(part, -np.inf)]
         x, y, z = table[:, -7:-4].T
         distance = np.hypot(x, y)
         # On the axis the half-plane is not determined: the tip is not turned.
@@ -235,7 +235,7 @@ def _cell_size(workspace: Workspace) -> float:
     """Edge, m, of cells with `PER_CELL` samples each, if samples are even over their bounding box."""
     low, high, count = np.full(2, np.inf), np.full(2, -np.inf), 0
     for _, part in workspace.chunks():
-        tips = part[held(part, -np.inf), -7:-4]
+        tips = part[has_margin(part, -np.inf), -7:-4]
         if len(tips):
             plane = np.column_stack([np.hypot(tips[:, 0], tips[:, 1]), tips[:, 2]])
             low, high, count = np.minimum(low, plane.min(0)), np.maximum(high, plane.max(0)), count + len(tips)
