@@ -289,33 +289,33 @@ def remark(error: RegistrationError) -> str:
 
 
 def registration_error(model: ArmModel, state: State) -> RegistrationError | None:
-    """The standard errors of the registration of a state; None where it was not found by least squares."""
+    """Standard errors of the registration of a state; None for a registration without least squares."""
     freedoms = FREEDOMS[model.method]
     if not freedoms:
         return None
-    there, here, lever = _pairs(model, state)
+    predicted, measured, lever = _pairs(model, state)
     a = model.directed
-    size = [((there - here)[part] ** 2).sum() for part in (~a, a)]
-    spare = max(3 * int((~a).sum()) + 2 * int(a.sum()) - freedoms, 1) / (3 * (~a).sum() + 2 * a.sum())
+    size = [((predicted - measured)[part] ** 2).sum() for part in (~a, a)]
+    freedom_ratio = max(3 * int((~a).sum()) + 2 * int(a.sum()) - freedoms, 1) / (3 * (~a).sum() + 2 * a.sum())
     counts = (3 * (~a).sum(), 2 * a.sum())
-    variance = [max(s / max(n, 1) / spare, 1e-30) for s, n in zip(size, counts, strict=True)]
+    variance = [max(s / max(n, 1) / freedom_ratio, 1e-30) for s, n in zip(size, counts, strict=True)]
     weight = 1 / np.where(a, variance[1], variance[0])
     turns = np.eye(3)[2:] if freedoms == 1 else np.eye(3)
-    hessian = turn_curvature(here + lever, there + lever, weight, turns)
-    mirror = mirrored(here[~a], there[~a], math.sqrt(size[0] / (~a).sum())) if freedoms == 6 else None
-    narrow = narrowness(there[~a])
+    hessian = turn_curvature(measured + lever, predicted + lever, weight, turns)
+    mirror = mirrored(measured[~a], predicted[~a], math.sqrt(size[0] / (~a).sum())) if freedoms == 6 else None
+    narrow = narrowness(predicted[~a])
     if hessian is None:
         return RegistrationError(math.inf, math.inf, narrow, mirror)
     inverse = np.linalg.inv(hessian)
-    pull = weight[:, None] * np.cross(here + lever, there - here) @ turns.T
-    shift = np.where(a[:, None], 0.0, there - here) / (~a).sum() if freedoms == 6 else np.zeros_like(here)
-    moved = np.hstack([pull @ inverse, shift])  # what each observation moves of turn and shift
+    pull = weight[:, None] * np.cross(measured + lever, predicted - measured) @ turns.T
+    shift = np.where(a[:, None], 0.0, predicted - measured) / (~a).sum() if freedoms == 6 else np.zeros_like(measured)
+    moved = np.hstack([pull @ inverse, shift])  # effect of each observation on rotation and translation
     alone = np.zeros((moved.shape[1],) * 2)
     alone[: len(turns), : len(turns)] = inverse
     if freedoms == 6:
         alone[3:, 3:] = np.eye(3) * variance[0] / (~a).sum()
     both = (alone, _from_blocks(moved, _blocks(model)))
-    centre = there[~a].mean(0) if freedoms == 6 else np.zeros(3)
+    centre = predicted[~a].mean(0) if freedoms == 6 else np.zeros(3)
     errors = [standard_errors(covariance, turns, centre, model.length) for covariance in both]
     turn, reach = np.max(errors, axis=0).tolist()
     return RegistrationError(turn, reach, narrow, mirror)

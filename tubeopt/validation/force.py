@@ -185,7 +185,7 @@ class ForceRecord(Displayed):
     """Forces at the tip over the N rows of a recording."""
 
     robot: Robot
-    """Robot whose arm was measured."""
+    """Measured robot."""
     measurements: Measurements
     """Recording with N rows."""
     noise: Annotated[

@@ -42,7 +42,7 @@ class Workspace(Displayed):
     _brief = ("robot", "method", "seed", "table")
 
     robot: Robot
-    """Robot whose joint values were sampled."""
+    """Sampled robot."""
     method: str
     """Sampling method of the joint values."""
     seed: int
