@@ -24,7 +24,7 @@ from ..errors import (
     vector,
     whole,
 )
-from ..files.field_metadata import POSITIVE, SEEN_WITHIN, OneOf, form, unit, usual_length
+from ..files.field_metadata import POSITIVE, TYPICAL_NOISE, OneOf, form, typical_length, unit
 from ..robots.concentric import ConcentricRobot
 from ..robots.limits import check_target
 from ..robots.load import Load
@@ -228,7 +228,7 @@ def estimate_forces(
     robot: Robot,
     measurements: Measurements,
     *,
-    noise: Annotated[float, unit("mm"), POSITIVE, SEEN_WITHIN] = 1e-3,
+    noise: Annotated[float, unit("mm"), POSITIVE, TYPICAL_NOISE] = 1e-3,
     known: Load | None = None,
     registration: Annotated[str | None, OneOf(("none", "saved"))] = None,
     progress: Progress | None = None,
@@ -267,7 +267,7 @@ def estimate_forces(
         array([0.02, 0.02])
     """
     check_tubes(robot, measurements)
-    usual_length("noise", noise, SEEN_WITHIN)
+    typical_length("noise", noise, TYPICAL_NOISE)
     base, setup = _known(known), Setup.of(robot)
     if any(setup.drives.translation_compliance):
         raise InputError(
@@ -366,7 +366,7 @@ def estimate_force(  # noqa: PLR0913
     """
     alpha, shift = joint_values(robot, rotations, translations)
     places = _measured(
-        float(robot.assembly(shift).total_length), tip_position, points, usual_length("noise", noise, SEEN_WITHIN)
+        float(robot.assembly(shift).total_length), tip_position, points, typical_length("noise", noise, TYPICAL_NOISE)
     )
     return _fitted(robot, (alpha, shift), places, _known(known), start)
 
