@@ -63,7 +63,7 @@ class Longest(CustomRequirement):
     """Length of all tubes."""
 
     limit: float
-    words, unit, factor, size, most = "length of every tube", "mm", 1e3, 1e-2, True
+    words, unit, factor, size, is_upper_bound = "length of every tube", "mm", 1e3, 1e-2, True
 
     def expression(self, q: Quantities) -> Any:
         return self.limit - q.tubes["straight_length"] - q.tubes["curved_length"]
@@ -359,7 +359,7 @@ def aim_under(force: tuple[float, float, float]) -> Objective:
 @dataclass(frozen=True)
 class Strained(CustomRequirement):
     limit: float
-    words, unit, factor, size, most = "strain of all pieces", "%", 1e2, 1e-3, True
+    words, unit, factor, size, is_upper_bound = "strain of all pieces", "%", 1e2, 1e-3, True
 
     def expression(self, q: Quantities) -> Any:
         return self.limit - ca.vertcat(*(q.straightened_strain(i) for i in range(q.n_tubes)))

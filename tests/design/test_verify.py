@@ -270,7 +270,9 @@ def test_the_strain_of_several_poses_is_the_largest_of_each() -> None:
 
 
 def test_an_own_requirement_is_kept_to_a_millionth_of_its_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    one: Any = SimpleNamespace(expression=None, words="own", most=False, limit=1.0, factor=1.0, unit="", size=2.0)
+    one: Any = SimpleNamespace(
+        expression=None, words="own", is_upper_bound=False, limit=1.0, factor=1.0, unit="", size=2.0
+    )
     for left, kept in ((-1.9e-6, True), (-2.1e-6, False)):
         monkeypatch.setattr(verify, "recorded", lambda *_, left=left: lambda look: np.array([0.5, left]))
         assert verify.check_own(one, UNEQUAL, ()).kept == kept

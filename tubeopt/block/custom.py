@@ -1,4 +1,4 @@
-"""Custom requirements and objectives: written outside of the library, treated like the built-in ones."""
+"""Custom requirements and objectives: written outside of the library, and treated like the built-in ones."""
 
 from __future__ import annotations
 
@@ -11,34 +11,30 @@ from .quantities import Quantities
 
 
 class Custom(ABC):
-    """What a custom requirement and a custom objective share; a subclass is a frozen dataclass of its data.
-
-    words: what is limited or wanted.  unit, factor: how it is shown: the unit, and what turns SI into it.
-    """
+    """Base of custom requirements and objectives; a subclass is a frozen dataclass of its data."""
 
     words: str = ""
+    """Description of the quantity, for messages and tables."""
     unit: str = ""
+    """Unit in which it is shown."""
     factor: float = 1.0
+    """Factor from SI to that unit."""
 
     @abstractmethod
     def expression(self, q: Quantities) -> Any:
-        """The CasADi expression, SI."""
+        """CasADi expression of the quantity, SI."""
 
     def checked(self) -> None:
-        """Raise InputError where its words or numbers make no sense."""
-        what = type(self).__name__
+        """Raise InputError for an empty description or a number out of range."""
+        name = type(self).__name__
         if not self.words:
-            raise InputError(f"words of {what} is {self.words!r}; it must be a description")
-        if finite(f"factor of {what}", self.factor) == 0:
-            raise InputError(f"factor of {what} is 0; it must turn SI into the unit that is shown")
+            raise InputError(f"words of {name} is {self.words!r}; it must be a description")
+        if finite(f"factor of {name}", self.factor) == 0:
+            raise InputError(f"factor of {name} is 0; it must turn SI into the unit that is shown")
 
 
 class CustomRequirement(Custom):
-    """A requirement: every number of its `expression` is at least 0 where it is kept.
-
-    limit: the number that the expression is compared with, in its own unit, SI: a field where it may be relaxed.
-    most: whether `limit` is an upper one, so that relaxing raises it.
-    size: change of `limit` that counts as one step when limits are relaxed against each other, SI.
+    """A requirement: every number of its `expression` must be at least 0.
 
     Example:
         >>> import casadi
@@ -55,36 +51,37 @@ class CustomRequirement(Custom):
     """
 
     limit: float = 0.0
-    most: bool = False
+    """Number with which the expression compares its quantity, SI; a field of the dataclass if it may be relaxed."""
+    is_upper_bound: bool = False
+    """True if relaxing the requirement increases `limit`."""
     size: float = 1.0
+    """Change of `limit` that counts as one step when several limits are relaxed, SI."""
 
     def relaxed(self, amount: float) -> Self | None:
-        """The requirement eased by `amount` > 0, SI; None where it cannot be eased: where `limit` is no field."""
+        """The requirement relaxed by `amount` > 0, SI; None if `limit` is no field."""
         if "limit" not in getattr(self, "__dataclass_fields__", ()):
             return None
-        inputs: Any = self
-        eased: Self = replace(inputs, limit=self.limit + (amount if self.most else -amount))
+        dataclass_self: Any = self
+        eased: Self = replace(dataclass_self, limit=self.limit + (amount if self.is_upper_bound else -amount))
         return eased
 
     def checked(self) -> None:
-        """Raise InputError where its words or numbers make no sense."""
+        """Raise InputError for an empty description or a number out of range."""
         super().checked()
         positive(f"size of {type(self).__name__}", self.size)
         finite(f"limit of {type(self).__name__}", self.limit)
 
 
 class CustomObjective(Custom):
-    """An objective: `expression` is one number, SI.
-
-    sign: 1 where less of it is better, -1 where more is.  weight: where there are several objectives, what it is
-    multiplied by before they are added, SI.
-    """
+    """An objective: `expression` is one number, SI."""
 
     sign: int = 1
+    """1 to minimise the expression, -1 to maximise it."""
     weight: float = 1.0
+    """Factor of the expression in a sum of several objectives, SI."""
 
     def checked(self) -> None:
-        """Raise InputError where its words or numbers make no sense."""
+        """Raise InputError for an empty description or a number out of range."""
         super().checked()
         if self.sign not in (1, -1):
             raise InputError(

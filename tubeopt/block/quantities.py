@@ -1,8 +1,8 @@
-"""What a custom requirement or objective may speak of: tubes, poses and certificates, as expressions.
+"""Quantities of custom requirements and objectives: tubes, poses and certificates, as expressions.
 
-An expression is written once, in these quantities. Recorded on symbols, it gives values and derivatives with respect to
-whatever the quantities depend on: where equilibria are solved inside, by the chain rule; in a program of equilibrium
-blocks, as an expression of that; on the numbers of solved equilibria, the value alone.
+An expression is written once, in these quantities, and recorded on symbols. Where equilibria are solved inside, the
+chain rule gives its derivatives. In a program of equilibrium blocks it becomes an expression of the program. On the
+numbers of solved equilibria it has a value only.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ TUBES = (
     "bending_stiffness",
     "torsional_stiffness",
 )
-"""Dimensions and stiffnesses of the tubes, (n,) each, SI."""
+"""Names of dimensions and stiffnesses of the tubes, (n,) each, SI."""
 
 CLEARANCES = 24
-"""Parts of the arm in each of which the clearance is told where it is least."""
+"""Number of parts of the arm, each with its smallest clearance."""
 
 SIZES = {
     "tip_position": 3,
@@ -46,36 +46,37 @@ SIZES = {
     "stroke_force": 1,
     "certificate": 1,
 }
-"""Numbers that a quantity has; the others have one per tube."""
+"""Size of each quantity; those that are not listed have one number per tube."""
 
 
 PoseNumber = int | tuple[int, float]
-"""A pose by its number from 0; with a share, its arm drawn back to this share of its length."""
+"""Pose by its number from 0, or with the fraction of its length to which its arm is retracted."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name; the pose of which it is, or None; and `at`: the fraction of the arm's length, the
-    translations (n,) of a certificate, the tube of a strain, the body of a clearance, the load of a deflection; of a
-    strain held straight the tube and its piece."""
+    """A quantity of the tubes or of a pose."""
 
     name: str
     pose: PoseNumber | None = None
+    """Pose of the quantity; None for tubes and certificates."""
     at: tuple[Any, ...] = ()
+    """Arguments: fraction of the arm, translations (n,) of a certificate, tube of a strain (and piece if it is
+    straightened), body of a clearance, load of a deflection."""
 
     def size(self, n: int) -> int:
-        """Numbers that it has, for n tubes."""
+        """Number of entries for n tubes."""
         if self.name in ("jacobian", "turning"):
             return 6 * n
         return n if self.pose is None and self.name in TUBES else SIZES.get(self.name, n)
 
 
 Look = Callable[[Quantity], Any]
-"""Gives a quantity as an expression or as numbers."""
+"""Function that returns a quantity, as an expression or as numbers."""
 
 
 class Tubes(Mapping[str, Any]):
-    """Every one of TUBES by its name, (n,) inner to outer."""
+    """TUBES by name, (n,) each, inner to outer."""
 
     def __init__(self, look: Look) -> None:
         self._look = look
@@ -93,7 +94,7 @@ class Tubes(Mapping[str, Any]):
 
 
 class PoseQuantities:
-    """One solved pose: SI units, plate frame."""
+    """Quantities of one solved pose, in SI units and the plate frame."""
 
     def __init__(self, look: Look, number: PoseNumber, n_tubes: int) -> None:
         self._look, self._number, self._n_tubes = look, number, n_tubes
@@ -103,78 +104,90 @@ class PoseQuantities:
 
     @property
     def rotations(self) -> Any:
-        """(n,) rad."""
+        """Rotations (n,), rad."""
         return self._of("rotations")
 
     @property
     def translations(self) -> Any:
-        """(n,) m."""
+        """Translations (n,), m."""
         return self._of("translations")
 
     @property
     def tip_position(self) -> Any:
-        """(3,) m."""
+        """Position (3,) of the tip, m."""
         return self._of("tip_position")
 
     @property
     def tip_direction(self) -> Any:
-        """(3,) unit vector along which the tip points."""
+        """Unit vector (3,) along the arm at the tip."""
         return self._of("tip_direction")
 
     @property
     def margin(self) -> Any:
-        """Stability margin."""
+        """Stability margin, at most 1."""
         return self._of("margin")
 
     def position(self, fraction: float) -> Any:
-        """(3,) m, at a fraction of the arm's length in front of the plate: 0 the plate, 1 the tip."""
+        """Position (3,), m, at a fraction of the arm's length in front of the plate: 0 the plate, 1 the tip."""
         return self._of("position", _fraction(fraction))
 
     def curvature(self, fraction: float) -> Any:
-        """(2,) of the arm in its Bishop frame, 1/m, at a fraction of its length."""
+        """Curvature (2,) of the arm in its Bishop frame, 1/m, at a fraction of its length."""
         return self._of("curvature", _fraction(fraction))
 
     def strain(self, tube: int) -> Any:
-        """Largest bending strain at the surface of a tube (0 is the innermost), with its slots where they are told. For
-        designs only."""
+        """Largest bending strain at the surface of a tube (0 is the innermost), with its slots. For designs only."""
         return self._of("strain", int(tube))
 
     def clearance(self, body: Any) -> Any:
-        """(CLEARANCES,) least distance of the arm's surface from a body in parts of the arm, m. For designs only.
+        """Smallest distance (CLEARANCES,) of the surface of each part of the arm from a body, m. For designs only.
 
-        `body` has `signed_distance` and `gradient` of points, as those of `tubeopt.bodies` have.
+        Args:
+            body: one of `tubeopt.bodies`, or an object with `signed_distance` and `gradient` of points.
         """
         return self._of("clearance", body)
 
     def deflection(self, load: Any) -> Any:
-        """(3,) m, how far a `Load`, or a force (3,) on the tip, N, which keeps its direction, moves the tip. For
-        designs only."""
+        """Displacement (3,) of the tip by a load, m. For designs only.
+
+        Args:
+            load: a `Load`, or a dead force (3,) at the tip, N.
+        """
         return self._of("deflection", _load(load))
 
     def margin_under(self, load: Any) -> Any:
-        """Stability margin under a `Load`, or a force (3,) on the tip, N; under moments the least eigenvalue of the
-        symmetric part of the linearised equations, which is at most the margin. For designs only."""
+        """Stability margin under a load. For designs only.
+
+        Under moments it is the smallest eigenvalue of the symmetric part of the linearised equations, a lower bound.
+
+        Args:
+            load: a `Load`, or a dead force (3,) at the tip, N.
+        """
         return self._of("margin_under", _load(load))
 
     @property
     def stroke_force(self) -> Any:
-        """Largest force, N, with which the tip can push along itself before the arm buckles or snaps; 10 N where it
-        bears that. Of poses with given joint values, in designs only."""
+        """Largest axial force of the tip before the arm buckles or snaps, N; at most 10 N.
+
+        For poses with fixed joint values in designs only.
+        """
         return self._of("stroke_force")
 
     @property
     def jacobian(self) -> Any:
-        """(3, 2 n) change of the tip's place with rotations, m/rad, and translations. For designs only."""
+        """Derivative (3, 2 n) of the tip's position by rotations, m/rad, and translations. For designs only."""
         return ca.reshape(self._of("jacobian"), 3, 2 * self._n_tubes)
 
     @property
     def turning(self) -> Any:
-        """(3, 2 n) turn vector of the tip's frame with rotations, and translations, rad/m. For designs only."""
+        """Rotation vector (3, 2 n) of the tip's frame per rotations, and translations, rad/m. For designs only."""
         return ca.reshape(self._of("turning"), 3, 2 * self._n_tubes)
 
     def drawn(self, share: float) -> PoseQuantities:
-        """The arm on its way out: every tube as in the pose, or drawn back straight so that it ends at this share of
-        the arm's length. For designs only."""
+        """Quantities of the arm while it is deployed, at a fraction of its length. For designs only.
+
+        Every tube is as in the pose, or retracted without rotation so that it ends at this fraction.
+        """
         if not isinstance(self._number, int):
             raise InputError("the arm is already retracted; give the fraction of the whole arm")
         if not 0 < finite("share", share) < 1:
@@ -195,10 +208,10 @@ def _fraction(value: float) -> float:
 
 
 class Quantities:
-    """Everything that an expression may speak of.
+    """Quantities of an expression.
 
     Attributes:
-        n_tubes: number of tubes n.  tubes: every one of TUBES by name, (n,).  poses: in order.
+        n_tubes: number of tubes n.  tubes: TUBES by name, (n,) each.  poses: quantities of the poses, in order.
     """
 
     def __init__(self, look: Look, n_tubes: int, n_poses: int, pieces: Sequence[int] = ()) -> None:
@@ -207,7 +220,7 @@ class Quantities:
         self.poses = tuple(PoseQuantities(look, k, n_tubes) for k in range(n_poses))
 
     def certificate(self, translations: Any = None) -> Any:
-        """Snap-free certificate mu_cert at given translations (n,), m, which are numbers; None is all 0."""
+        """Snap-free certificate at translations (n,), m, which must be numbers; None is all 0."""
         inputs = np.zeros(self.n_tubes) if translations is None else translations
         if isinstance(inputs, (ca.SX, ca.MX)):
             raise InputError("translations of a certificate must be numbers")
@@ -215,8 +228,10 @@ class Quantities:
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
 
     def straightened_strain(self, tube: int) -> Any:
-        """(pieces,) largest strain of every piece of a tube (0 is the innermost) that is held straight, with its slots
-        where they are told; a tube of one curvature is one piece. For designs only."""
+        """Largest strain (pieces,) of every piece of a straightened tube, with its slots if known. For designs only.
+
+        Tube 0 is the innermost; a tube of one curvature is one piece.
+        """
         if not self._pieces:
             raise InputError("the strain of a straightened tube is available in designs only")
         pieces = range(self._pieces[tube])
@@ -225,41 +240,40 @@ class Quantities:
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """A recorded expression of K numbers.
-
-    quantities: what it speaks of, Q numbers in this order.  value: function (Q,) -> (K,).  both: -> (K,) and (K, Q),
-    its slope.
-    """
+    """A recorded expression of K numbers."""
 
     quantities: tuple[Quantity, ...]
+    """Quantities of the expression, with Q numbers in total."""
     value: Any
-    both: Any
+    """Function (Q,) -> value (K,)."""
+    value_and_slope: Any
+    """Function (Q,) -> value (K,), derivative (K, Q)."""
 
     def __call__(self, look: Look) -> Any:
-        """Its value in terms of the given quantities: expressions give an expression, arrays an array (K,).
+        """Value in terms of quantities: an expression for expressions, an array (K,) for arrays.
 
         Raises:
-            FloatingPointError: it is not finite at these numbers.
+            FloatingPointError: the value is not finite.
         """
-        inputs = [look(one) for one in self.quantities]
-        if any(isinstance(one, (ca.SX, ca.MX)) for one in inputs):
+        inputs = [look(quantity) for quantity in self.quantities]
+        if any(isinstance(value, (ca.SX, ca.MX)) for value in inputs):
             return self.value(ca.vertcat(*inputs))
-        return _checked(self.value(np.concatenate([np.ravel(one) for one in inputs])))[:, 0]
+        return _finite(self.value(np.concatenate([np.ravel(value) for value in inputs])))[:, 0]
 
     def linear(self, look: Callable[[Quantity], tuple[Array, Array]]) -> tuple[Array, Array]:
-        """Value (K,) and change (K, X), from the values and the change (.., X) of the quantities.
+        """Value (K,) and change (K, X), from values and changes (.., X) of the quantities.
 
         Raises:
-            FloatingPointError: one of them is not finite.
+            FloatingPointError: a result is not finite.
         """
-        inputs = [look(one) for one in self.quantities]
+        inputs = [look(quantity) for quantity in self.quantities]
         at = np.concatenate([np.ravel(value) for value, _ in inputs])
         change = np.concatenate([np.atleast_2d(slope) for _, slope in inputs])
-        value, slope = map(_checked, self.both(at))
+        value, slope = map(_finite, self.value_and_slope(at))
         return value[:, 0], slope @ change
 
 
-def _checked(value: Any) -> Array:
+def _finite(value: Any) -> Array:
     result = np.asarray(value.full(), dtype=float)
     if not np.isfinite(result).all():
         raise FloatingPointError("an expression is not finite")
@@ -269,19 +283,22 @@ def _checked(value: Any) -> Array:
 def recorded(
     function: Callable[[Quantities], Any], n_tubes: int, n_poses: int, labels: str, pieces: Sequence[int] = ()
 ) -> Expression:
-    """An expression of quantities. `labels` name its owner in error messages; `pieces` are the numbers of pieces of the
-    tubes, if it may use them.
+    """Record an expression of quantities.
+
+    Args:
+        labels: name of its owner in error messages.
+        pieces: number of pieces of each tube, if the expression may use them.
 
     Raises:
-        InputError: it is no expression, speaks of nothing or of a pose that is not there.
+        InputError: no expression, one without quantities, or one of a pose that does not exist.
     """
     symbols: dict[Quantity, Any] = {}
 
-    def look(one: Quantity) -> Any:
-        """The symbol of a quantity, made where it is first asked for."""
-        if one not in symbols:
-            symbols[one] = ca.SX.sym(one.name, one.size(n_tubes))
-        return symbols[one]
+    def look(quantity: Quantity) -> Any:
+        """Symbol of a quantity, created on first use."""
+        if quantity not in symbols:
+            symbols[quantity] = ca.SX.sym(quantity.name, quantity.size(n_tubes))
+        return symbols[quantity]
 
     try:
         result = function(Quantities(look, n_tubes, n_poses, pieces))
@@ -295,4 +312,4 @@ def recorded(
     column, x = ca.densify(ca.vec(column)), ca.vertcat(*symbols.values())
     slope = ca.densify(ca.jacobian(column, x))
     value = ca.Function("value", [x], [column], {"cse": True})
-    return Expression(tuple(symbols), value, ca.Function("both", [x], [column, slope], {"cse": True}))
+    return Expression(tuple(symbols), value, ca.Function("value_and_slope", [x], [column, slope], {"cse": True}))

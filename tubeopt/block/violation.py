@@ -1,4 +1,4 @@
-"""Constraints that a point violates, in words."""
+"""Violated constraints by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..typing import Array
 
 @dataclass(frozen=True)
 class Violation:
-    """A constraint that does not hold."""
+    """A violated constraint."""
 
     name: str
     amount: float
@@ -27,14 +27,14 @@ class Violation:
 def violations_of(
     names: Sequence[str], values: Array, bounds: tuple[Array, Array], scale: Array, tolerance: float
 ) -> list[Violation]:
-    """Those of the constraints lower <= values <= upper that are violated by more than `tolerance` of their scale."""
+    """Constraints lower <= values <= upper that are violated by more than `tolerance` times their scale."""
     lower, upper = bounds
     amount = np.maximum(lower - values, values - upper)
     amount = np.where(np.isfinite(values), amount, np.inf)
-    wrong = np.flatnonzero(amount > tolerance * scale)
-    return [Violation(names[k], float(amount[k]), float(amount[k] / scale[k])) for k in wrong.tolist()]
+    violated = np.flatnonzero(amount > tolerance * scale)
+    return [Violation(names[k], float(amount[k]), float(amount[k] / scale[k])) for k in violated.tolist()]
 
 
 def worst(violations: Iterable[Violation], count: int) -> tuple[Violation, ...]:
-    """The largest, over their scales, first."""
+    """The `count` largest violations relative to their scales, largest first."""
     return tuple(sorted(violations, key=lambda each: -each.relative)[:count])

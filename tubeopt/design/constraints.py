@@ -102,7 +102,9 @@ def _stated(one: Requirement, n: int, poses: Poses, points: Points) -> Stated:
     match one:
         case CustomRequirement():
             movable = one.relaxed(one.size) is not None
-            limit = Limit(one.words, float(one.limit), bool(one.most), one.unit, one.factor, one.size, movable)
+            limit = Limit(
+                one.words, float(one.limit), bool(one.is_upper_bound), one.unit, one.factor, one.size, movable
+            )
             yield limit, one.expression, None
         case SnapFree(floor=least):
             limit = Limit("certified margin", least, False, "", 1.0, 0.1)

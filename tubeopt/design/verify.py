@@ -200,7 +200,7 @@ def check_own(one: CustomRequirement, robot: ConcentricRobot, equilibria: Sequen
         least = float(expression(numbers_of(robot, equilibria)).min())
     except FloatingPointError:
         return Check(one.words, "not a finite number", False)
-    value = one.limit - least if one.most else one.limit + least
+    value = one.limit - least if one.is_upper_bound else one.limit + least
     return Check(one.words, f"{value * one.factor:.6g} {one.unit}".strip(), least >= -MISSED * one.size)
 
 

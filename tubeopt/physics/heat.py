@@ -1,20 +1,20 @@
-"""Heat at one instant in half a tube that its own resistance warms in a mold: finite volumes as CasADi expressions.
+"""Heat flows at one instant in half a tube that is heated by its resistance in a mold: finite volumes in CasADi.
 
 Along the tube, from the outer end of a clamp to the middle of the curved part:
 
     rho c(T) A T_t = (k(T) A T_x)_x + d I^2 rho_e(T) / A - q
 
-with q the heat that leaves per length: into the clamp where the tube is gripped, to the air (convection and radiation)
-where it is bare, through the gap into the mold where it is covered, and to the air through vents. Around every covered
-cell lie shells of mold, conducting to one another in radius and along the tube; the outermost cools in air. The clamps
-are lumps. d is the duty, I the current while the MOSFET conducts:
+with the heat loss q per length: to the clamp where the tube is gripped, to the air (convection and radiation) where it
+is bare, through the gap to the mold where it is covered, and to the air through vents. Shells of mold around every
+covered cell conduct heat in radial direction and along the tube; the outermost cools in air. The clamps are lumped. The
+duty is d, and I is the current while the MOSFET conducts:
 
     I (R_battery + R_series + R) = V(charge) - V_sag,   charge' = -d I / capacity,   tau V_sag' = d I R_sag - V_sag
 
-and R the tube's resistance, beside that of a mold which conducts.
+and R the resistance of the tube, in parallel with that of a conducting mold.
 
-Everything here takes numbers or symbols: the program of the ideal schedule keeps current and resistance as unknowns of
-their own, the simulation eliminates them.
+All functions take numbers or symbols: the program of the ideal schedule keeps current and resistance as unknowns, the
+simulation eliminates them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -37,18 +37,20 @@ PROPERTIES = (
     "clamp_loss", "voltage", "voltage_slope", "internal", "sag", "sag_time", "capacity", "lost", "ambient", "grip",
     "curved",
 )  # fmt: skip
-"""Numbers of tube and rig, SI. Of the tube per length, at the temperature `reference`: heat capacity, conductivity
-times section, resistance, with their relative slopes per K; heat transfer per length to clamp, air (and radiation) and
-through the gap. Of the mold: resistance of its innermost half shell to heat, conductivity, heat capacity per volume,
-transfer from the outermost shell per length, and conductance beside the tube to current. Resistances in series with
-the tube, and the contacts' part of them; heat capacity and loss of a clamp; the battery; the part of a period
-that every pulse loses while the current rises; lengths of clamp and half of the curved part."""
+"""Constants of tube and rig, SI.
+
+Tube, per length, at the temperature `reference`: heat capacity, conductivity times section, electric resistance, with
+their relative slopes per K; heat transfer to clamp, to air, by radiation and through the gap. Mold: thermal resistance
+of its innermost half shell, conductivity, heat capacity per volume, heat transfer from the outermost shell per length,
+and electric conductance in parallel with the tube. Circuit: resistances in series with the tube, and of the contacts
+alone. Heat capacity and heat loss of a clamp; the battery; the part of a period that every pulse loses while the
+current rises; lengths of clamp and half of the curved part."""
 
 Properties = dict[str, Any]
 
 
 def named(column: Any) -> Properties:
-    """Properties by name, from a column of their values."""
+    """PROPERTIES by name, from a column of their values."""
     return dict(zip(PROPERTIES, ca.vertsplit(column), strict=True))
 
 
@@ -63,27 +65,27 @@ class Resolution:
     shells: int = 7
 
     @property
-    def counts(self) -> tuple[int, int, int, int]:
-        """Cells of each zone, from the clamp to the middle."""
+    def counts(self) -> tuple[int, ...]:
+        """Number of cells (4,) of each zone, from the clamp to the middle."""
         return self.grip, self.clearance, self.lead, self.curved
 
     @property
     def cells(self) -> int:
-        """n."""
+        """Number n of cells."""
         return sum(self.counts)
 
     @property
     def covered(self) -> int:
-        """c, cells in the mold, the last ones."""
+        """Number c of cells in the mold, the last ones."""
         return self.lead + self.curved
 
 
 @lru_cache(maxsize=16)
 def zones(resolution: Resolution) -> NDArray[np.intp]:
-    """(n,) zone of each cell: GRIP, CLEARANCE, LEAD or CURVED; not to be written to."""
-    found = np.repeat(np.arange(4), resolution.counts)
-    found.flags.writeable = False
-    return found
+    """Zone (n,) of each cell: GRIP, CLEARANCE, LEAD or CURVED; a read-only array."""
+    zone = np.repeat(np.arange(4), resolution.counts)
+    zone.flags.writeable = False
+    return zone
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +93,14 @@ class Volumes:
     """Coefficients of the finite volumes; n cells of the tube, of which the last c are in the mold, and M shells.
 
     Attributes:
-        heat: (n,) heat capacity at the reference temperature, J/K. resistance: (n,) then, 0 in the clamp, ohm.
-        conduction: (n-1,) between neighbours then, W/K.
-        to_clamp, to_air, radiating: (n,) W/K, W/K, W/K^4. to_mold: (c,) into the first shell, W/K.
-        shell_heat: (c, M) J/K. radial: (c, M-1) W/K. outer: (c,) W/K.
-        axial: (c-1, M) W/K between shells of neighbouring cells.
-        grip_share: (n,) part of the clamp around each cell. cover_share: (c,) part of the mold.
+        heat: heat capacity (n,) at the reference temperature, J/K.
+        resistance: electric resistance (n,) at the reference temperature, 0 in the clamp, ohm.
+        conduction: conductance (n-1,) between neighbours at the reference temperature, W/K.
+        to_clamp, to_air, radiating: heat transfer (n,), W/K, W/K, W/K^4. to_mold: to the first shell (c,), W/K.
+        shell_heat: heat capacity (c, M) of the shells, J/K.
+        radial: conductance (c, M-1) between shells, W/K. outer: heat transfer (c,) to the air, W/K.
+        axial: conductance (c-1, M) between shells of neighbouring cells, W/K.
+        grip_share: fraction (n,) of the clamp around each cell. cover_share: fraction (c,) of the mold.
     """
 
     heat: Any
@@ -115,12 +119,12 @@ class Volumes:
 
     @property
     def column(self) -> Any:
-        """All of them, by column in this order."""
+        """All coefficients in one column, in the order of the fields."""
         return ca.veccat(*(ca.densify(getattr(self, item.name)) for item in fields(self)))
 
     @classmethod
     def of(cls, column: Any, resolution: Resolution) -> Volumes:
-        """From `column`."""
+        """Coefficients from their `column`."""
         shapes = volume_shapes(resolution)
         ends = np.cumsum([0, *(rows * columns for rows, columns in shapes.values())]).tolist()
         parts = zip(shapes.items(), ca.vertsplit(column, ends), strict=True)
@@ -138,10 +142,10 @@ def volume_shapes(resolution: Resolution) -> dict[str, tuple[int, int]]:
 
 
 def volumes(g: Properties, width: Any, vent: Any, shells: tuple[Any, Any], resolution: Resolution) -> Volumes:
-    """The coefficients.
+    """Coefficients of the finite volumes.
 
     Args:
-        g: numbers by the names of PROPERTIES. width: (n,) of the cells, m.
+        g: constants by the names of PROPERTIES. width: (n,) of the cells, m.
         vent: (c,) fraction of the tube's surface that the mold leaves open.
         shells: (M,) cross-section of each, m^2, and (M-1,) logarithms of the ratios of their radii.
     """
@@ -176,45 +180,49 @@ def volumes(g: Properties, width: Any, vent: Any, shells: tuple[Any, Any], resol
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """half: resistance of half the tube, ohm. mean: current of the battery, A. drive: duty times current squared,
-    A^2."""
+    """Electric load of the battery."""
 
     half: Any
+    """Resistance of half the tube, ohm."""
     mean: Any
+    """Mean current of the battery, A."""
     drive: Any
+    """Mean square of the current: duty times current squared, A^2."""
 
 
 def resistances(tube: Any, v: Volumes, g: Properties) -> Any:
-    """(n,) ohm of the cells at temperatures (n,), K."""
+    """Resistances (n,) of the cells at temperatures (n,), K, in ohm."""
     return v.resistance * (1 + g["resistance_slope"] * (tube - g["reference"]))
 
 
 def tube_share(half: Any, g: Properties) -> Any:
-    """Part of the current that flows through the tube and not through the mold."""
+    """Fraction of the current that flows through the tube; the rest flows through the mold."""
     # R = 2 half in parallel with 1 / leak: I_tube / I = (1 / R) / (1 / R + leak).
     return 1 / (1 + 2 * half * g["leak"])
 
 
 def source_voltage(used: Any, g: Properties) -> Any:
-    """Of the battery at rest, V, when `used` of its charge was drawn."""
+    """Open-circuit voltage of the battery, V, after the fraction `used` of its charge was drawn."""
     return g["voltage"] - g["voltage_slope"] * used
 
 
 def loop_resistance(half: Any, g: Properties) -> Any:
-    """Everything that the battery feeds, with its own resistance, ohm."""
+    """Resistance of the whole circuit, including that of the battery, ohm."""
     # R / (1 + R leak) is the resistance of tube and mold in parallel.
     return g["internal"] + g["series"] + 2 * half * tube_share(half, g)
 
 
 def conducting(duty: Any, g: Properties) -> Any:
-    """Part of the time in which the full current would give the power of pulses of this duty: less than the duty, since
-    the loop's inductance lets the current rise late; a switch that is never off loses nothing."""
-    # Pulses shorter than the loss would else give negative power.
+    """Effective duty: fraction of the time in which the full current gives the power of the pulses.
+
+    The inductance of the circuit delays the rise of the current in every pulse; at a duty of 1 there are no pulses.
+    """
+    # A pulse shorter than the delay has no power.
     return ca.if_else(duty < 1, ca.fmax(duty - g["lost"], 0.0), duty)
 
 
 def battery_rates(load: Load, sagged: Any, g: Properties) -> tuple[Any, Any]:
-    """Rates of charge used (1/s) and sag (V/s)."""
+    """Rates of the used charge (1/s) and of the voltage sag (V/s)."""
     return load.mean / g["capacity"], (load.mean * g["sag"] - sagged) / g["sag_time"]
 
 
@@ -223,7 +231,7 @@ def battery_rates(load: Load, sagged: Any, g: Properties) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """tube (n,), mold (c, M), clamp; K."""
+    """Temperatures of tube (n,), mold (c, M) and clamp, K."""
 
     tube: Any
     mold: Any
@@ -232,7 +240,7 @@ class Temperatures:
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """What tube (n,), mold (c, M) and one clamp gain, and half of the rig gives off to the surroundings, W."""
+    """Net heat flows into tube (n,), mold (c, M) and one clamp, and from half of the rig to the surroundings, W."""
 
     tube: Any
     mold: Any
@@ -241,17 +249,18 @@ class Flows:
 
 
 def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows:
-    """The balance of half the tube, half the mold and one clamp."""
+    """Heat balance of half the tube, half the mold and one clamp."""
     first, ambient = at.tube.numel() - at.mold.size1(), g["ambient"]
     into_mold = v.to_mold * (at.tube[first:] - at.mold[:, 0])
-    gain, into_clamp, air = cell_gains(at.tube, at.clamp, load, v, g)
-    along = _gain(heat_along(at.tube[:-1], at.tube[1:], v.conduction, g))
+    cells = cell_flows(at.tube, at.clamp, load, v, g)
+    along = _net(heat_along(at.tube[:-1], at.tube[1:], v.conduction, g))
     outward = v.radial * (at.mold[:, :-1] - at.mold[:, 1:])
     outside = v.outer * (at.mold[:, -1] - ambient)
-    sideways = _gain(v.axial * (at.mold[1:, :] - at.mold[:-1, :]))
-    clamp, surroundings = lump_gains(at.clamp, ca.sum1(into_clamp), ca.sum1(air) + ca.sum1(outside), load, g)
+    sideways = _net(v.axial * (at.mold[1:, :] - at.mold[:-1, :]))
+    q_clamp, q_air = ca.sum1(cells.q_clamp), ca.sum1(cells.q_air) + ca.sum1(outside)
+    clamp, surroundings = lump_flows(at.clamp, q_clamp, q_air, load, g)
     return Flows(
-        tube=gain + along - ca.vertcat(ca.DM(first, 1), into_mold),
+        tube=cells.net + along - ca.vertcat(ca.DM(first, 1), into_mold),
         mold=ca.horzcat(into_mold + stray_heat(load, v.cover_share, g), outward)
         - ca.horzcat(outward, outside)
         + sideways,
@@ -260,58 +269,74 @@ def heat_flows(at: Temperatures, load: Load, v: Volumes, g: Properties) -> Flows
     )
 
 
-def cell_gains(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> tuple[Any, Any, Any]:
-    """What cells gain but for what passes to the next ones and into the mold, and of that, what goes into the clamp and
-    to the air, W."""
-    ambient = g["ambient"]
-    into_clamp = v.to_clamp * (tube - clamp)
-    air = heat_to_air(tube, ambient, v.to_air, v.radiating)
-    # Heat follows the square of the tube's own current, hence its share squared.
-    joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
-    return joule - into_clamp - air + contact_heat(load, g) * v.grip_share, into_clamp, air
+class CellFlows(NamedTuple):
+    """Heat flows of cells of the tube, W, without conduction along the tube and into the mold."""
+
+    net: Any
+    """Joule heat and contact heat, less the losses."""
+    q_clamp: Any
+    """Loss to the clamp."""
+    q_air: Any
+    """Loss to the air."""
+
+
+def cell_flows(tube: Any, clamp: Any, load: Load, v: Volumes, g: Properties) -> CellFlows:
+    """Heat flows of cells at temperatures `tube`, K."""
+    q_clamp = v.to_clamp * (tube - clamp)
+    q_air = heat_to_air(tube, g["ambient"], v.to_air, v.radiating)
+    # Joule heat is quadratic in the tube's current, which is the fraction `tube_share` of the whole current.
+    q_joule = load.drive * tube_share(load.half, g) ** 2 * resistances(tube, v, g)
+    return CellFlows(q_joule - q_clamp - q_air + contact_heat(load, g) * v.grip_share, q_clamp, q_air)
 
 
 def heat_to_air(hot: Any, ambient: Any, convection: Any, radiation: Any) -> Any:
-    """What passes to air, W or W/m^2, from surfaces at `hot` into surroundings at `ambient`, K, by convection (W/K or
-    W/(m^2 K)) and by radiation (W/K^4 or W/(m^2 K^4))."""
+    """Heat flow to the air, W or W/m^2, from surfaces at `hot`, K, into surroundings at `ambient`, K.
+
+    Args:
+        convection: W/K or W/(m^2 K).  radiation: W/K^4 or W/(m^2 K^4).
+    """
     return convection * (hot - ambient) + radiation * (hot**4 - ambient**4)
 
 
 def heat_along(left: Any, right: Any, conduction: Any, g: Properties) -> Any:
-    """What passes along the tube from a cell at `right` to the one before at `left`, W."""
+    """Conductive heat flow between neighbouring cells of the tube, from `right` to `left`, W."""
     # k is linear in T, so its value at the mean is its exact average between both temperatures.
     slope = 1 + g["conduction_slope"] * (0.5 * (right + left) - g["reference"])
     return conduction * slope * (right - left)
 
 
 def contact_heat(load: Load, g: Properties) -> Any:
-    """What a contact of the clamps makes, W: half into the tube's end, half into the clamp."""
-    # Two contacts have half of the resistance each, and half of each one's heat goes to either side.
+    """Heat of one clamp contact that flows into the tube, W; the same flows into the clamp."""
+    # Two contacts have half of the resistance each, and half of the heat of each goes to either side.
     return 0.25 * load.drive * g["contact"]
 
 
 def stray_heat(load: Load, cover_share: Any, g: Properties) -> Any:
-    """What the current beside the tube makes in parts of the mold, W."""
-    # The current I (1 - share) beside half of the tube falls by its voltage, I share R / 2.
-    share = tube_share(load.half, g)
-    return load.drive * (1 - share) * share * load.half * cover_share
+    """Joule heat in parts of the mold, by the current that flows through it, W."""
+    # The current I (1 - f) flows through half of the mold at the voltage I f R / 2 of half of the tube.
+    fraction = tube_share(load.half, g)
+    return load.drive * (1 - fraction) * fraction * load.half * cover_share
 
 
-def lump_gains(clamp: Any, into_clamp: Any, off: Any, load: Load, g: Properties) -> tuple[Any, Any]:
-    """What one clamp and the surroundings of half the rig gain, W, where the tube gives so much into the clamp, and
-    tube and mold so much `off`."""
+def lump_flows(clamp: Any, q_clamp: Any, q_air: Any, load: Load, g: Properties) -> tuple[Any, Any]:
+    """Net heat flows into one clamp, and from half of the rig to its surroundings, W.
+
+    Args:
+        clamp: temperature of the clamp, K.
+        q_clamp: heat flow from tube to clamp, W.  q_air: heat flow from tube and mold to the air, W.
+    """
     cooling = g["clamp_loss"] * (clamp - g["ambient"])
-    return into_clamp + contact_heat(load, g) - cooling, off + cooling
+    return q_clamp + contact_heat(load, g) - cooling, q_air + cooling
 
 
-def _gain(flow: Any) -> Any:
-    """What cells gain, by row, from flows (n-1, ...) that run from every next one to the one before."""
-    nothing = ca.DM(1, flow.size2())
-    return ca.vertcat(flow, nothing) - ca.vertcat(nothing, flow)
+def _net(flow: Any) -> Any:
+    """Net inflow (n, ...) of cells from flows (n-1, ...) between them, each from the next cell to the one before."""
+    none = ca.DM(1, flow.size2())
+    return ca.vertcat(flow, none) - ca.vertcat(none, flow)
 
 
 def tube_capacity(tube: Any, v: Volumes, g: Properties) -> Any:
-    """(n,) J/K at temperatures (n,), K; that of the shells does not depend on them."""
+    """Heat capacities (n,) of the cells at temperatures (n,), K, in J/K; those of the shells are constant."""
     return v.heat * (1 + g["heat_slope"] * (tube - g["reference"]))
 
 
@@ -324,22 +349,33 @@ def stored_heat(at: Temperatures, v: Volumes, g: Properties) -> Any:
     return metal + ca.dot(v.shell_heat, at.mold - ambient) + g["clamp_heat"] * (at.clamp - ambient)
 
 
-def frozen_jacobian(at: Temperatures, cells: Any, v: Volumes, g: Properties) -> tuple[Any, Any, Any]:
-    """Jacobian of the flows into `cells` (1 + M, n) of which `at` consists, at no current: what an implicit step needs,
-    short of what it can do without. Symmetric but for the slope of the conductivity.
+class FrozenJacobian(NamedTuple):
+    """Entries of the Jacobian of the heat flows into cells (1 + M, n), W/K, above its diagonal and on it."""
 
-    Returns:
-        own: (1 + M, n) W/K. inward: (1 + M, n) with the next in the same cell, 0 in the last row.
-        along: (1 + M, n-1) with the same in the next cell.
+    diagonal: Any
+    """Entries (1 + M, n) of a cell with itself."""
+    outward: Any
+    """Entries (1 + M, n) with the next shell of the same cell, 0 in the last row."""
+    along: Any
+    """Entries (1 + M, n-1) with the same shell of the next cell."""
+
+
+def frozen_jacobian(at: Temperatures, cells: Any, v: Volumes, g: Properties) -> FrozenJacobian:
+    """Approximate Jacobian of the heat flows for an implicit step: without Joule heat.
+
+    It is symmetric but for the slope of the conductivity. `cells` (1 + M, n) are the symbols in `at`.
     """
     # The current depends on the resistance of all cells, so that with it the Jacobian would be full.
-    nothing = Load(0.0, 0.0, 0.0)
-    flows = heat_flows(at, nothing, v, g)
+    flows = heat_flows(at, Load(0.0, 0.0, 0.0), v, g)
     rows, n = cells.shape
     J = ca.jacobian(ca.vec(by_cell(flows.tube, flows.mold)), ca.vec(cells))
     # By columns, a shell is 1 entry from the next one outward and `rows` entries from the next cell.
-    own, inward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
-    return ca.reshape(own, rows, n), ca.reshape(ca.vertcat(inward, 0), rows, n), ca.reshape(along, rows, n - 1)
+    diagonal, outward, along = (_diagonal(J, offset) for offset in (0, 1, rows))
+    return FrozenJacobian(
+        diagonal=ca.reshape(diagonal, rows, n),
+        outward=ca.reshape(ca.vertcat(outward, 0), rows, n),
+        along=ca.reshape(along, rows, n - 1),
+    )
 
 
 def _diagonal(matrix: Any, offset: int) -> Any:
@@ -350,6 +386,6 @@ def _diagonal(matrix: Any, offset: int) -> Any:
 
 
 def by_cell(tube: Any, mold: Any, bare: float = 0.0) -> Any:
-    """(1 + M, n) values of the tube (first row) and the shells around it, `bare` where there is no mold."""
+    """Values (1 + M, n) of the tube (first row) and the shells around it; `bare` where there is no mold."""
     outside = bare * ca.DM.ones(mold.size2(), tube.numel() - mold.size1())
     return ca.densify(ca.vertcat(tube.T, ca.horzcat(outside, mold.T)))

@@ -1,4 +1,4 @@
-"""The balance of heat at one instant, and a step in time, as functions for a simulation that eliminates the current."""
+"""Heat balance at one instant and over a time step, as functions for a simulation that eliminates the current."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from .heat import PROPERTIES, Resolution, named
 
 CLAMP, CHARGE, SAG, DRAWN, CIRCUIT, LOST = range(6)
 """Entries of the lumped state: clamp temperature (K), charge used (fraction), sag (V), and energies of the rig
-(J): drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, given off to the surroundings."""
+(J): drawn from the battery's chemistry, turned to heat in battery, cables and MOSFET, lost to the surroundings."""
 
 LUMPED = 6
 
 GAMMA = 1 - 1 / math.sqrt(2)
-"""Of ROS2, which is of order 2 for any approximation of the Jacobian and L-stable with the exact one (Verwer, Spee,
-Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)): the root with the small error, which asks for a Jacobian that is
-at most a sixth too small."""
+"""Coefficient gamma of ROS2 (Verwer, Spee, Blom and Hundsdorfer, SIAM J. Sci. Comput. 20 (1999)).
+
+The method has order 2 for any approximation of the Jacobian, and is L-stable with the exact one. Of its two values this
+one has the smaller error; the Jacobian may then be at most a sixth too small."""
 
 
 OF_A_CELL = ("heat", "resistance", "to_clamp", "to_air", "radiating", "grip_share")
@@ -31,24 +32,26 @@ OF_A_CELL = ("heat", "resistance", "to_clamp", "to_air", "radiating", "grip_shar
 
 @lru_cache(maxsize=16)
 def volumes_function(resolution: Resolution) -> ca.Function:
-    """(properties, widths, vents, rings, log ratios) -> the column of all coefficients."""
+    """Function (properties, widths, vents, rings, log ratios) -> column of all coefficients."""
     m = resolution.shells
     sizes = (len(PROPERTIES), resolution.cells, resolution.covered, m, m - 1)
     symbols = [ca.SX.sym(name, size) for name, size in zip("pwvrl", sizes, strict=True)]
     p, width, vent, *shells = symbols
-    found = heat.volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
-    return ca.Function("volumes", symbols, [found.column])
+    volumes = heat.volumes(named(p), width, vent, (shells[0], shells[1]), resolution)
+    return ca.Function("volumes", symbols, [volumes.column])
 
 
 @lru_cache(maxsize=16)
 def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
-    """What a simulation asks of one rig, as functions of temperatures, lumped state and duty (those that matter),
-    properties and the column of volumes; cells are (1 + M, n), of which the shells without a mold do not count.
+    """Functions of one rig at an instant, by name.
 
-    rates: of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of the
-    tube without and with full duty, and the current while the MOSFET conducts. current, at temperatures of the tube
-    (n,): this one, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised:
-    heat capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
+    Arguments are those of temperatures, lumped state and duty on which a function depends, then properties and the
+    column of volumes. Cells are (1 + M, n); entries of shells without a mold have no effect.
+
+    rates: rates of cells and lumped state. warming: rates of the first two rows, which a current heats. span: rates of
+    the tube at duty 0 and 1, and the current while the MOSFET conducts. current, at temperatures of the tube (n,): this
+    current, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised: heat
+    capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
     """
     rows, n = 1 + resolution.shells, resolution.cells
     cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
@@ -66,26 +69,26 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     half = ca.sum1(heat.resistances(tube, v, g))
     now = _loaded(half, lumped, duty, g)[1]
     terminal = heat.source_voltage(lumped[CHARGE], g) - lumped[SAG] - g["internal"] * now
-    seen = ca.vertcat(now, now * heat.tube_share(half, g), terminal, half)
-    found = {
+    measured = ca.vertcat(now, now * heat.tube_share(half, g), terminal, half)
+    table = {
         "rates": ([cells, lumped, duty, p, q], [cell_rates, slow]),
         # Joule heat enters the tube, stray heat the first shell; the other rows do not depend on duty.
         "warming": ([cells, lumped, duty, p, q], [cell_rates[:2, :]]),
-        "current": ([tube, lumped, p, q], [seen]),
+        "current": ([tube, lumped, p, q], [measured]),
         "linearised": ([cells, p, q], [capacity, *heat.frozen_jacobian(at, cells, v, g)]),
         "stored": ([cells, lumped, p, q], [2 * heat.stored_heat(at, v, g)]),
     }
-    warming = ca.Function("warming", *found["warming"])
+    warming = ca.Function("warming", *table["warming"])
     ends = [warming(cells, lumped, level, p, q)[0, :].T for level in (0.0, 1.0)]
-    found["span"] = [cells, lumped, p, q], [*ends, total]
+    table["span"] = [cells, lumped, p, q], [*ends, total]
     return {
         name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
-        for name, (inputs, outputs) in found.items()
+        for name, (inputs, outputs) in table.items()
     }
 
 
 def _loaded(half: ca.SX, lumped: ca.SX, duty: ca.SX, g: heat.Properties) -> tuple[heat.Load, ca.SX]:
-    """The load of a duty where half the tube has `half` ohm, and the current while the MOSFET conducts."""
+    """Electric load at a duty, and the current while the MOSFET conducts, A; `half` of the tube has that many ohm."""
     total = (heat.source_voltage(lumped[CHARGE], g) - lumped[SAG]) / heat.loop_resistance(half, g)
     on = heat.conducting(duty, g)
     # The mean square of a pulsed current is d I^2, not (d I)^2.
@@ -93,7 +96,7 @@ def _loaded(half: ca.SX, lumped: ca.SX, duty: ca.SX, g: heat.Properties) -> tupl
 
 
 def _slow(clamp: ca.SX, surroundings: ca.SX, load: heat.Load, total: ca.SX, lumped: ca.SX, g: heat.Properties) -> ca.SX:
-    """Rates of the lumped state, where a clamp and the surroundings of half the rig gain so much, W."""
+    """Rates of the lumped state, with the heat flows into a clamp, and from half the rig to its surroundings, W."""
     discharge, sagging = heat.battery_rates(load, lumped[SAG], g)
     # The contacts' heat goes into tube and clamps, not into cables.
     outside_tube = g["internal"] + g["series"] - g["contact"]
@@ -111,12 +114,12 @@ def _slow(clamp: ca.SX, surroundings: ca.SX, load: heat.Load, total: ca.SX, lump
 
 @lru_cache(maxsize=1)
 def cell_functions() -> tuple[ca.Function, ...]:
-    """The laws of one cell, of which the compiled kernel makes the same step as `step_function` on grids of any size.
+    """Functions of one cell, from which the compiled kernel makes the step of `step_function` on grids of any size.
 
-    ohm: of a cell. load: of a duty, with the current while the MOSFET conducts. cell: what a cell gains by itself, what
-    its part of the mold gains from the current beside the tube, what of the first goes into the clamp and to the air,
-    its heat capacity, and how fast what leaves grows with its temperature. link: what passes to a cell from the next
-    one, and its slopes in both temperatures. lumps: rates of the lumped state.
+    ohm: resistance of a cell. load: electric load of a duty, with the current while the MOSFET conducts. cell: net heat
+    flow of a cell, Joule heat in its part of the mold, heat flows to clamp and air, heat capacity, and derivative of
+    the losses by its temperature. link: heat flow from the next cell, and its slopes in both temperatures. lumps: rates
+    of the lumped state.
     """
     scalars = ("tube", "other", "clamp", "into_clamp", "off", "half", "duty", "coefficient")
     tube, other, clamp, into_clamp, off, half, duty, coefficient = (ca.SX.sym(name) for name in scalars)
@@ -125,11 +128,11 @@ def cell_functions() -> tuple[ca.Function, ...]:
     own = {name: ca.SX.sym(name) for name in OF_A_CELL}
     # A law of one cell that took another coefficient would fail at once on None.
     v = heat.Volumes(**{item.name: own.get(item.name) for item in fields(heat.Volumes)})
-    gain, given, air = heat.cell_gains(tube, clamp, load, v, g)
+    gain, given, air = heat.cell_flows(tube, clamp, load, v, g)
     stray = heat.stray_heat(load, coefficient, g)
     begun, total = _loaded(half, lumped, duty, g)
     link = heat.heat_along(tube, other, coefficient, g)
-    gains = heat.lump_gains(clamp, into_clamp, off, load, g)
+    gains = heat.lump_flows(clamp, into_clamp, off, load, g)
     laws = {
         "ohm": ([tube, own["resistance"], p], [heat.resistances(tube, v, g)]),
         "load": ([half, lumped, duty, p], [ca.vertcat(begun.half, begun.mean, begun.drive, total)]),

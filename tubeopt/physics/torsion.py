@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -50,7 +50,7 @@ def cross_section(
     Returns:
         curvature u (2,), stretch g (n,), moment M (n,), bending energy per centreline length (N).
     """
-    total = ca.sum1(_pulls(theta, moment)).T
+    total = ca.sum1(natural_moments(theta, moment)).T
     if offset is None:
         u = (total + load) / ca.sum1(stiffness)
         return _at_curvature(u, theta, stiffness, moment, ca.DM.ones(theta.shape[0]))
@@ -58,8 +58,8 @@ def cross_section(
     return _at_curvature(u, theta, stiffness, moment, _stretch(u, offset, angle))
 
 
-def _pulls(theta: Any, moment: Any) -> Any:
-    """(n, 2) m_i (cos theta_i, sin theta_i), or both moments of a tube turned by theta_i."""
+def natural_moments(theta: Any, moment: Any) -> Any:
+    """Moments (n, 2) m_i (cos theta_i, sin theta_i), N m; of tubes with precurvature about both axes, both parts."""
     cos, sin = ca.cos(theta), ca.sin(theta)
     about_x = ca.horzcat(moment[:, 0] * cos, moment[:, 0] * sin)
     if moment.shape[1] == 1:
@@ -68,22 +68,22 @@ def _pulls(theta: Any, moment: Any) -> Any:
 
 
 def _stretch(u: Any, offset: Any, angle: Any) -> Any:
-    """g (n,) at curvature u."""
+    """Stretch g (n,) at curvature u."""
     return 1 + offset * (u[0] * ca.sin(angle) - u[1] * ca.cos(angle))
 
 
 def _at_curvature(u: Any, theta: Any, stiffness: Any, moment: Any, stretch: Any) -> CrossSection:
-    pulls = _pulls(theta, moment)
+    natural = natural_moments(theta, moment)
     # kb |u / g - kappa|^2 / 2 per length of the tube, expanded; g turns it to the arm's length.
     tube_u = ca.repmat(u.T, theta.shape[0], 1) / ca.horzcat(stretch, stretch)
-    bend = ca.sum2(tube_u**2) * stiffness / 2 - ca.sum2(tube_u * pulls)
-    # m^2 / kb, with kb = 0 for a tube that is not there.
-    natural = ca.sum2(moment**2) / ca.if_else(stiffness > 0, stiffness, 1) / 2
-    return CrossSection(u, stretch, u[0] * pulls[:, 1] - u[1] * pulls[:, 0], ca.dot(bend + natural, stretch))
+    bend = ca.sum2(tube_u**2) * stiffness / 2 - ca.sum2(tube_u * natural)
+    # m^2 / kb; an absent tube has kb = m = 0.
+    constant = ca.sum2(moment**2) / ca.if_else(stiffness > 0, stiffness, 1) / 2
+    return CrossSection(u, stretch, u[0] * natural[:, 1] - u[1] * natural[:, 0], ca.dot(bend + constant, stretch))
 
 
 def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> Any:
-    """Curvature u of tubes at offsets: Newton on u sum kb / g(u) = total, from two steps of plain iteration."""
+    """Curvature u (2,) of tubes at offsets: Newton's method on u sum kb / g(u) = total, after two fixed-point steps."""
     # g = 1 + across . u, so one pass of u = total / sum(kb / g) shrinks the error by about d |u|.
     across = offset * ca.sin(angle), -offset * ca.cos(angle)
     u = total / ca.sum1(stiffness)
@@ -94,48 +94,57 @@ def _offset_curvature(total: Any, stiffness: Any, offset: Any, angle: Any) -> An
         resistance, loss = ca.sum1(weights), weights * inverse
         slope = ca.dot(loss, across[0]), ca.dot(loss, across[1])
         # d(resistance) / du = -slope, since dg / du = across.
-        gap = u * resistance - total
+        residual = u * resistance - total
         # The Jacobian is resistance * 1 - u slope': its inverse by Sherman and Morrison.
-        factor = (slope[0] * gap[0] + slope[1] * gap[1]) / (resistance - slope[0] * u[0] - slope[1] * u[1])
-        u = u - (gap + u * factor) / resistance
+        factor = (slope[0] * residual[0] + slope[1] * residual[1]) / (resistance - slope[0] * u[0] - slope[1] * u[1])
+        u = u - (residual + u * factor) / resistance
     return u
 
 
-def _slopes(here: CrossSection, inputs: list[Any], wrt: Any) -> tuple[Any, Any, Any]:
-    """Jacobians of curvature, moment and stretch of a cross-section with respect to `wrt`, dense.
+class SectionSlopes(NamedTuple):
+    """Derivatives of a cross-section by some of its inputs, dense."""
 
-    Of tubes at offsets, whose curvature is the root of an equation, by the implicit function theorem.
+    curvature: Any
+    moment: Any
+    stretch: Any
+
+
+def _slopes(section: CrossSection, inputs: list[Any], wrt: Any) -> SectionSlopes:
+    """Derivatives of a cross-section by `wrt`.
+
+    The curvature of tubes at offsets is the root of an equation: its derivative is by the implicit function theorem.
     """
-    theta, stiffness, moment, *place = inputs
-    if not place:
-        flat = [ca.jacobian(value, wrt) for value in (here.curvature, here.moment)]
-        return ca.densify(flat[0]), ca.densify(flat[1]), ca.DM.zeros(theta.shape[0], wrt.numel())
+    theta, stiffness, moment, *offsets = inputs
+    if not offsets:
+        flat = [ca.densify(ca.jacobian(value, wrt)) for value in (section.curvature, section.moment)]
+        return SectionSlopes(*flat, ca.DM.zeros(theta.shape[0], wrt.numel()))
     u = ca.SX.sym("u", 2)
-    stretch = _stretch(u, *place)
-    balance = u * ca.sum1(stiffness / stretch) - ca.sum1(_pulls(theta, moment)).T
+    stretch = _stretch(u, *offsets)
+    balance = u * ca.sum1(stiffness / stretch) - ca.sum1(natural_moments(theta, moment)).T
     at = _at_curvature(u, theta, stiffness, moment, stretch)
     # F(u, w) = 0 gives du/dw = -F_u^-1 F_w, exact at the root and without the Newton steps.
     turned = -ca.inv(ca.jacobian(balance, u)) @ ca.jacobian(balance, wrt)
     moments = ca.jacobian(at.moment, wrt) + ca.jacobian(at.moment, u) @ turned
     slopes = [ca.densify(part) for part in (turned, moments, ca.jacobian(stretch, u) @ turned)]
-    out = ca.Function("slopes", [u, *inputs], slopes)(here.curvature, *inputs)
-    return out[0], out[1], out[2]
+    return SectionSlopes(*ca.Function("slopes", [u, *inputs], slopes)(section.curvature, *inputs))
 
 
-def symbolic_section(theta: Any, stiffness: Any, moment: Any, *place: Any, load: Any = None) -> CrossSection:
-    """`cross_section` of `SX` symbols, written out by a function that is built once: where one expression has many."""
-    given = [theta, stiffness, moment, *place, *([] if load is None else [load])]
-    return CrossSection(*_written_section(theta.shape[0], moment.shape[1], bool(place), load is not None).call(given))
+def symbolic_section(theta: Any, stiffness: Any, moment: Any, *offsets: Any, load: Any = None) -> CrossSection:
+    """`cross_section` of `SX` expressions, by a function that is built once: for expressions with many sections."""
+    inputs = [theta, stiffness, moment, *offsets, *([] if load is None else [load])]
+    return CrossSection(
+        *_section_function(theta.shape[0], moment.shape[1], bool(offsets), load is not None).call(inputs)
+    )
 
 
 @lru_cache(maxsize=32)
-def _written_section(n: int, moments: int, eccentric: bool, loaded: bool) -> ca.Function:
+def _section_function(n: int, moments: int, eccentric: bool, loaded: bool) -> ca.Function:
     theta, stiffness, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "d", "phi"))
     moment, load = ca.SX.sym("m", n, moments), ca.SX.sym("load", 2)
-    given = [theta, stiffness, moment, *([offset, angle] if eccentric else [])]
-    here = cross_section(*given, load=load if loaded else 0.0)
-    outputs = [here.curvature, ca.SX(here.stretch), here.moment, here.bending_energy]
-    return ca.Function("section", [*given, *([load] if loaded else [])], outputs)
+    inputs = [theta, stiffness, moment, *([offset, angle] if eccentric else [])]
+    section = cross_section(*inputs, load=load if loaded else 0.0)
+    outputs = [section.curvature, ca.SX(section.stretch), section.moment, section.bending_energy]
+    return ca.Function("section", [*inputs, *([load] if loaded else [])], outputs)
 
 
 @lru_cache(maxsize=32)
@@ -153,72 +162,71 @@ def section_functions(n: int, eccentric: bool) -> dict[str, ca.Function]:
     """
     theta, stiffness, moment, offset, angle = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "d", "phi"))
     inputs = [theta, stiffness, moment] + ([offset, angle] if eccentric else [])
-    here = cross_section(theta, stiffness, moment, offset, angle) if eccentric else cross_section(*inputs)
-    given = ca.vertcat(theta, stiffness, moment)
-    slopes = _slopes(here, inputs, given)
-    turned, stiff, stretched = (part[:, :n] for part in slopes)
-    outputs = [here.moment, stiff, here.bending_energy] + ([here.stretch, stretched] if eccentric else [])
+    section = cross_section(*inputs)
+    data = ca.vertcat(theta, stiffness, moment)
+    slopes = _slopes(section, inputs, data)
+    u_theta, m_theta, g_theta = (part[:, :n] for part in slopes)
+    outputs = [section.moment, m_theta, section.bending_energy] + ([section.stretch, g_theta] if eccentric else [])
     y = ca.SX.sym("y", n)
-    form = ca.bilin(stiff, y, y)
-    bent = ca.densify(ca.gradient(here.bending_energy, given).T)
-    values = [here.moment, ca.SX(here.stretch), here.curvature, here.bending_energy]
+    form = ca.bilin(m_theta, y, y)
+    energy_slope = ca.densify(ca.gradient(section.bending_energy, data).T)
+    values = [section.moment, ca.SX(section.stretch), section.curvature, section.bending_energy]
     table = {
-        "curvature": (inputs, [here.curvature]),
-        "curvature_slope": (inputs, [turned]),
+        "curvature": (inputs, [section.curvature]),
+        "curvature_slope": (inputs, [u_theta]),
         "balance": (inputs, outputs),
-        "moment": (inputs, [here.moment] + ([here.stretch] if eccentric else [])),
+        "moment": (inputs, [section.moment] + ([section.stretch] if eccentric else [])),
         "section": (inputs, values),
-        "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, given))]),
-        "linear": (inputs, [*values, slopes[1], ca.SX(slopes[2]), slopes[0], bent]),
+        "variation": ([*inputs, y], [form, ca.densify(ca.gradient(form, data))]),
+        "linear": (inputs, [*values, slopes.moment, ca.SX(slopes.stretch), slopes.curvature, energy_slope]),
     }
     if not eccentric:
         # u is a sum of terms in one theta_i each, so that its mixed second derivatives vanish.
-        second = ca.vertcat(*(ca.diag(ca.hessian(here.curvature[j], theta)[0]).T for j in range(2)))
-        bending = [here.bending_energy, here.moment, stiff, here.curvature, turned, second]
+        second = ca.vertcat(*(ca.diag(ca.hessian(section.curvature[j], theta)[0]).T for j in range(2)))
+        bending = [section.bending_energy, section.moment, m_theta, section.curvature, u_theta, second]
         table["bending"] = (inputs, [ca.densify(part) for part in bending])
     if eccentric:
         weights = [ca.SX.sym(name, n) for name in "bce"]
-        mode = sum(ca.dot(w, v) for w, v in zip(weights, (stiff @ y, stretched @ y, here.stretch), strict=True))
-        table["mode"] = ([*inputs, y, *weights], [mode, ca.densify(ca.gradient(mode, given))])
+        mode = sum(ca.dot(w, v) for w, v in zip(weights, (m_theta @ y, g_theta @ y, section.stretch), strict=True))
+        table["mode"] = ([*inputs, y, *weights], [mode, ca.densify(ca.gradient(mode, data))])
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
 
 
 @lru_cache(maxsize=32)
 def bent_functions(n: int) -> dict[str, ca.Function]:
-    """CasADi functions of (theta, kb, m, b) at one cross-section of n concentric tubes that bears a bending moment b
-    (2,), N m.
+    """CasADi functions of (theta, kb, m, b) at a cross-section of n concentric tubes with a bending moment b (2,), N m.
 
     `section`: M above u, bending energy.  `linear`: these and their derivatives, transposed, (n + 2, n + 2), (n + 2, 1)
     with respect to theta and b; `linear_data`: those (2 n, n + 2), (2 n, 1) with respect to kb and m.  `mode`, with
-    further arguments g (2,), y (n,) and a softness c: what a mode of the second variation that turns the tubes by y and
-    bends by the moment g has per length,
+    further arguments g (2,), y (n,) and a softness c: second variation per length along a mode that turns the tubes by
+    y and bends by the moment g,
 
         y' (dM/dtheta) y - 2 g'(du/dtheta) y - c |g|^2 / sum kb,
 
     and its gradient (n + 4) with respect to theta, b and g; `mode_data`: that (2 n) with respect to kb and m.
     """
     theta, stiffness, moment, y = (ca.SX.sym(s, n) for s in ("theta", "kb", "m", "y"))
-    bent, felt, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
-    inputs, given, data = [theta, stiffness, moment, bent], ca.vertcat(theta, bent), ca.vertcat(stiffness, moment)
-    here = cross_section(theta, stiffness, moment, load=bent)
-    values = [ca.vertcat(here.moment, here.curvature), here.bending_energy]
-    stiff, turned = ca.jacobian(here.moment, theta), ca.jacobian(here.curvature, theta)
-    mode = ca.bilin(stiff, y, y) - 2 * felt.T @ turned @ y - softness * ca.sumsqr(felt) / ca.sum1(stiffness)
-    of_mode = [*inputs, felt, y, softness]
+    load, g, softness = ca.SX.sym("b", 2), ca.SX.sym("g", 2), ca.SX.sym("c")
+    inputs, state, data = [theta, stiffness, moment, load], ca.vertcat(theta, load), ca.vertcat(stiffness, moment)
+    section = cross_section(theta, stiffness, moment, load=load)
+    values = [ca.vertcat(section.moment, section.curvature), section.bending_energy]
+    m_theta, u_theta = ca.jacobian(section.moment, theta), ca.jacobian(section.curvature, theta)
+    mode = ca.bilin(m_theta, y, y) - 2 * g.T @ u_theta @ y - softness * ca.sumsqr(g) / ca.sum1(stiffness)
+    mode_inputs = [*inputs, g, y, softness]
     table = {
         "section": (inputs, values),
-        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, given).T) for value in values)]),
+        "linear": (inputs, [*values, *(ca.densify(ca.jacobian(value, state).T) for value in values)]),
         "linear_data": (inputs, [ca.densify(ca.jacobian(value, data).T) for value in values]),
-        "mode": (of_mode, [mode, ca.densify(ca.gradient(mode, ca.vertcat(given, felt)))]),
-        "mode_data": (of_mode, [ca.densify(ca.gradient(mode, data))]),
+        "mode": (mode_inputs, [mode, ca.densify(ca.gradient(mode, ca.vertcat(state, g)))]),
+        "mode_data": (mode_inputs, [ca.densify(ca.gradient(mode, data))]),
     }
     return {name: ca.Function(name, *signature, {"cse": True}) for name, signature in table.items()}
 
 
 @lru_cache(maxsize=16)
 def bent_anyhow(n: int) -> ca.Function:
-    """(theta, kb, m (n, 2)) -> M, dM/dtheta (n, n) of n concentric tubes with precurvature about both of their axes."""
+    """Function (theta, kb, m (n, 2)) -> M, dM/dtheta (n, n) of n concentric tubes with precurvature about both axes."""
     theta, stiffness, moment = ca.SX.sym("theta", n), ca.SX.sym("kb", n), ca.SX.sym("m", n, 2)
-    here = cross_section(theta, stiffness, moment)
-    slope = ca.densify(ca.jacobian(here.moment, theta))
-    return ca.Function("balance", [theta, stiffness, moment], [here.moment, slope], {"cse": True})
+    section = cross_section(theta, stiffness, moment)
+    slope = ca.densify(ca.jacobian(section.moment, theta))
+    return ca.Function("balance", [theta, stiffness, moment], [section.moment, slope], {"cse": True})

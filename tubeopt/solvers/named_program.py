@@ -1,4 +1,4 @@
-"""A nonlinear program in which everything has a name: what is composed from blocks, and how it is solved."""
+"""A nonlinear program with named variables and constraints, its solution, and one solve of it by IPOPT."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ from .time_limit import LEAST_SECONDS, check_time, time_left
 
 # --- Solution ---------------------------------------------------------------------------------------------------------
 
-# How the solve of a program ended, and its solution: plain numbers by name, saved as JSON + npz.
-
 
 class ProblemStatus(StatusEnum):
     """Result of the solve of a program; every value reads as a sentence."""
@@ -45,8 +43,8 @@ class ProblemStatus(StatusEnum):
 
     @classmethod
     def of(cls, verdict: str) -> ProblemStatus:
-        """The status behind a return status of IPOPT."""
-        known = {
+        """Status for a return status of IPOPT."""
+        statuses = {
             "Solve_Succeeded": cls.SOLVED,
             "Infeasible_Problem_Detected": cls.INFEASIBLE,
             "Maximum_Iterations_Exceeded": cls.TOO_MANY_ITERATIONS,
@@ -54,14 +52,14 @@ class ProblemStatus(StatusEnum):
             "Diverging_Iterates": cls.UNBOUNDED,
             "Invalid_Number_Detected": cls.NOT_A_NUMBER,
         }
-        return known.get(verdict, cls.STOPPED)
+        return statuses.get(verdict, cls.STOPPED)
 
 
 class Evaluates(Protocol):
-    """A program whose expressions have numbers where it is solved."""
+    """A program that evaluates its expressions."""
 
     def evaluate(self, expression: Any, values: dict[str, Array], parameters: dict[str, Array]) -> Array:
-        """An expression at numbers of the variables and parameters."""
+        """Value of an expression at numbers of the variables and parameters."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +76,10 @@ class ProblemStatistics:
     constraints: int
     reorderings: int = 0
     """Number of swaps of breakpoints."""
+    solves: int = 1
+    """Number of solves; swaps of breakpoints need further ones."""
+    gained: float = 0.0
+    """Decrease of the objective by swaps of breakpoints."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class ProblemSolution(Displayed):
     status: ProblemStatus
     """Result of the solve."""
     objective: Annotated[float, form(".6g"), "objective"]
-    """In its own unit."""
+    """Objective at the solution, in its own unit."""
     values: dict[str, Array]
     """Values of the variables, by name, in their own units."""
     multipliers: dict[str, Array]
@@ -117,9 +119,9 @@ class ProblemSolution(Displayed):
     bound_multipliers: dict[str, Array]
     """Multipliers of the bounds of variables, by name, with the same meaning."""
     parameters: dict[str, Array]
-    """The numbers that were given, by name."""
+    """Values of the parameters, by name."""
     violations: tuple[Violation, ...]
-    """Constraints that do not hold, the worst first: none of a solved program."""
+    """Violated constraints, worst first; none if the program is solved."""
     statistics: ProblemStatistics
     """Effort of the solve."""
     attempts: Attempts | None = None
@@ -128,16 +130,16 @@ class ProblemSolution(Displayed):
     """Program for evaluating expressions; None for a solution that was loaded or unpickled."""
 
     def value(self, what: Any) -> Any:
-        """The number, (n,) or (n, m) numbers of a variable by its name, or of an expression of the problem.
+        """Value of a variable or parameter by its name, or of an expression of the problem: a number or an array.
 
         Raises:
             InputError: an unknown name, or an expression of another program or after loading.
         """
         if isinstance(what, str):
-            known = self.values | self.parameters
-            if what not in known:
-                raise InputError(f"there is no variable {what!r}{nearest(what, known)}")
-            return _plain(known[what])
+            table = self.values | self.parameters
+            if what not in table:
+                raise InputError(f"there is no variable {what!r}{nearest(what, table)}")
+            return _plain(table[what])
         if not isinstance(what, ca.MX):
             return _plain(np.array(ca.DM(what)))
         if self.program is None:
@@ -145,15 +147,15 @@ class ProblemSolution(Displayed):
         return _plain(self.program.evaluate(what, self.values, self.parameters))
 
     def multiplier(self, name: str) -> Any:
-        """The multiplier of a constraint, or of the bounds of a variable, by its name.
+        """Multiplier of a constraint, or of the bounds of a variable, by its name.
 
         Raises:
             InputError: an unknown name.
         """
-        known = self.bound_multipliers | self.multipliers
-        if name not in known:
-            raise InputError(f"there is no constraint or variable {name!r}{nearest(name, known)}")
-        return _plain(known[name])
+        table = self.bound_multipliers | self.multipliers
+        if name not in table:
+            raise InputError(f"there is no constraint or variable {name!r}{nearest(name, table)}")
+        return _plain(table[name])
 
     def save(self, directory: str | PathLike[str]) -> None:
         """Write `result.json` and `arrays.npz` into `directory`; `load_problem_solution` reads them back.
@@ -177,13 +179,13 @@ class ProblemSolution(Displayed):
         write_text(Path(directory) / "result.json", json.dumps(record, indent=2) + "\n")
 
     def __getstate__(self) -> dict[str, Any]:
-        # Symbols do not travel: what is unpickled has values by name.
+        # Symbols of CasADi cannot be pickled.
         return {**self.__dict__, "program": None}
 
 
 @typed
 def load_problem_solution(directory: str | PathLike[str]) -> ProblemSolution:
-    """The solution that `ProblemSolution.save` wrote into `directory`: values by name, good as the start of a solve.
+    """Read a solution that `ProblemSolution.save` wrote; it can start a solve.
 
     Raises:
         InputError: a file is missing or is not what was written.
@@ -234,15 +236,16 @@ def _plain(value: Array) -> Any:
 
 # --- Program as one function of IPOPT ---------------------------------------------------------------------------------
 
-# A program with names is closed as one function of IPOPT: everything in one column, over its scale.
 
 DIRECTIONS = 8
-"""Derivatives in so many directions are written out at once, in place of CasADi's 64: evaluated as fast, and built in a
-fraction of the time where the cross-section of many tubes is differentiated twice."""
+"""Number of directions in which CasADi differentiates at once, instead of 64.
+
+Derivatives are evaluated as fast, and are built in a fraction of the time for cross-sections of many tubes.
+"""
 
 
 class Stacked:
-    """Scales and bounds of variables or constraints, one below the other."""
+    """Scales and bounds of all variables, or of all constraints, as columns."""
 
     def __init__(self, parts: Sequence[Any]) -> None:
         columns = [
@@ -259,8 +262,14 @@ def ipopt_function(
     settings: Ipopt,
     *,
     warm: bool,
+    derivatives: ca.Function | None = None,
 ) -> ca.Function:
-    """The solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program."""
+    """Solver (x0, p, bounds) -> x, f, g, multipliers of the scaled program.
+
+    Args:
+        warm: True for a start with multipliers.
+        derivatives: another solver of the same program and settings, the derivatives of which are used again.
+    """
     symbols = [each.symbol for each in variables]
     whole = function_of(
         [*symbols, *parameters], [objective, *(each.expression / ca.DM(each.scale) for each in constraints)]
@@ -276,17 +285,21 @@ def ipopt_function(
             flat = ca.Function("flat", [x, p], [f, *rows]).expand()
             x, p = flat.sx_in()
             f, *rows = flat.call([x, p], True, False)
-        if settings.expand and settings.hessian == "limited-memory":
-            # Each constraint by itself: the rows of a few that depend on everything are cheap in reverse, and would
-            # spoil the colouring of all that are local.
-            slopes = ca.vertcat(ca.SX(0, x.numel()), *(ca.jacobian(each, x) for each in rows))
-            both = [ca.vertcat(ca.SX(0, 1), *rows), slopes]
-            options["jac_g"] = ca.Function("jac_g", [x, p], both, ["x", "p"], ["g", "jac_g_x"])
+        if derivatives is not None:
+            for option, function in (("grad_f", "nlp_grad_f"), ("jac_g", "nlp_jac_g"), ("hess_lag", "nlp_hess_l")):
+                if derivatives.has_function(function):
+                    options[option] = derivatives.get_function(function)
+        elif settings.expand and settings.hessian == "limited-memory":
+            # Constraint by constraint: rows of a few constraints that depend on all variables are cheap in reverse
+            # mode, and would spoil the colouring of the others, which are local.
+            slopes = ca.vertcat(ca.SX(0, x.numel()), *(ca.jacobian(row, x) for row in rows))
+            outputs = [ca.vertcat(ca.SX(0, 1), *rows), slopes]
+            options["jac_g"] = ca.Function("jac_g", [x, p], outputs, ["x", "p"], ["g", "jac_g_x"])
         return ca.nlpsol("program", "ipopt", {"x": x, "p": p, "f": f, "g": ca.vertcat(*rows)}, options)
 
 
 def function_of(symbols: list[Any], expressions: list[Any]) -> ca.Function:
-    """Symbols -> expressions; raises InputError where these have others."""
+    """Function from symbols to expressions; raises InputError if these contain other symbols."""
     function: ca.Function = ca.Function("program", symbols, expressions, {"allow_free": True})
     if function.has_free():
         raise InputError(f"an expression has symbols that are not the problem's: {', '.join(function.get_free())}")
@@ -300,7 +313,7 @@ def _parted(column: Any, symbols: list[Any]) -> list[Any]:
 
 @contextmanager
 def few_directions() -> Iterator[None]:
-    """Within, CasADi writes out derivatives in `DIRECTIONS` at once, also of a `casadi.Opti` that is solved there."""
+    """Context in which CasADi differentiates in `DIRECTIONS` at once, also for a `casadi.Opti` that is solved in it."""
     before = ca.GlobalOptions.getMaxNumDir()
     ca.GlobalOptions.setMaxNumDir(DIRECTIONS)
     try:
@@ -309,11 +322,14 @@ def few_directions() -> Iterator[None]:
         ca.GlobalOptions.setMaxNumDir(before)
 
 
-MENTIONED = 3
-"""Constraints that the message of a failed solve names."""
+NAMED_VIOLATIONS = 3
+"""Number of constraints that the message of a failed solve names."""
 
-MOST_SOLVERS = 2
-"""Solvers that a program keeps, as one for a cold and one for a warm start; each may take 60 MB."""
+MAX_SOLVERS = 2
+"""Number of solvers that a program keeps, such as one for cold and one for warm starts; each may take 60 MB."""
+
+MAX_FUNCTIONS = 256
+"""Number of expressions that a program keeps as functions to evaluate them again."""
 
 
 @dataclass(eq=False)
@@ -346,6 +362,7 @@ class NamedProgram:
         self._parameters: dict[str, tuple[Any, Array]] = {}
         self._objective: Any = ca.MX(0.0)
         self._solvers: dict[tuple[Ipopt, bool], Any] = {}
+        self._functions: dict[int, tuple[Any, ca.Function]] = {}
 
     # --- composition --------------------------------------------------------------------------------------------------
 
@@ -359,7 +376,7 @@ class NamedProgram:
         upper: ArrayLike = np.inf,
         scale: ArrayLike = 1.0,
     ) -> Any:
-        """A column of `size` unknowns.
+        """Column of `size` unknowns.
 
         Args:
             guess, lower, upper, scale: a number for all, or one each, in the variable's own units.
@@ -374,11 +391,11 @@ class NamedProgram:
         table = {key: _table(f"{key} of {name!r}", value, size) for key, value in numbers.items()}
         _ordered(name, table)
         self.variables[name] = _Variable(ca.MX.sym(name, size), **table)
-        self._solvers.clear()
+        self._changed()
         return self.variables[name].symbol
 
     def parameter(self, name: str, value: ArrayLike) -> Any:
-        """A column of numbers that may be changed between solves by `set_value`.
+        """Column of numbers that may be changed between solves by `set_value`.
 
         Raises:
             InputError: a name that is taken, or a value that is not finite numbers.
@@ -386,7 +403,7 @@ class NamedProgram:
         self._free(name)
         numbers = np.asarray(value, dtype=float).ravel()
         self._parameters[name] = ca.MX.sym(name, len(numbers)), _table(f"value of {name!r}", numbers, len(numbers))
-        self._solvers.clear()
+        self._changed()
         return self._parameters[name][0]
 
     def subject_to(
@@ -399,12 +416,12 @@ class NamedProgram:
         scale: ArrayLike = 1.0,
         entries: Sequence[str] | None = None,
     ) -> None:
-        """Demand lower <= expression <= upper, or a comparison: `a == b`, `a >= b`, `a <= b`.
+        """Constrain lower <= expression <= upper, or a comparison: `a == b`, `a >= b`, `a <= b`.
 
         Args:
             expression: of any shape; by default it must be at least 0.
-            scale: its typical size, by which violations are judged.
-            entries: words for each of its rows; by default the name and a number.
+            scale: its typical size; the tolerance on violations is relative to it.
+            entries: labels of its rows; by default the name and a number.
 
         Raises:
             InputError: a name that is taken, a wrong size, or an expression without symbols.
@@ -423,49 +440,49 @@ class NamedProgram:
         if len(labels) != size:
             raise InputError(f"entries of {name!r} are {len(labels)} words; the constraint has {size} rows")
         self._constraints[name] = _Constraint(ca.vec(expression), **table, entries=tuple(labels))
-        self._solvers.clear()
+        self._changed()
 
     def minimize(self, expression: Any) -> None:
-        """Make `expression` the objective."""
+        """Make `expression`, one number, the objective."""
         if ca.MX(expression).numel() != 1:
             raise InputError(f"the objective has shape {ca.MX(expression).shape}; it must be one number")
         self._objective = ca.MX(expression)
-        self._solvers.clear()
+        self._changed()
 
     def maximize(self, expression: Any) -> None:
-        """Make minus `expression` the objective."""
+        """Make `-expression` the objective, which is minimised."""
         self.minimize(-expression)
 
     def set_value(self, parameter: Any, value: ArrayLike) -> None:
-        """Give a parameter, by its symbol or its name, other numbers."""
+        """Set the numbers of a parameter, by its symbol or name."""
         name = self._name_of(parameter, {key: symbol for key, (symbol, _) in self._parameters.items()}, "parameter")
         symbol, old = self._parameters[name]
         self._parameters[name] = symbol, _table(f"value of {name!r}", value, len(old))
 
     def set_guess(self, variable: Any, value: ArrayLike) -> None:
-        """Start the next solve with these numbers of a variable, given by its symbol or its name."""
+        """Set the start of a variable, by its symbol or name."""
         name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
         self.variables[name].guess = _table(f"guess of {name!r}", value, len(self.variables[name].guess))
 
     def set_bounds(self, variable: Any, lower: ArrayLike, upper: ArrayLike) -> None:
-        """Give a variable, by its symbol or its name, other bounds."""
+        """Set the bounds of a variable, by its symbol or name."""
         name = self._name_of(variable, {key: each.symbol for key, each in self.variables.items()}, "variable")
-        own, inputs = self.variables[name], {"lower": lower, "upper": upper}
-        table = {key: _table(f"{key} of {name!r}", value, len(own.guess)) for key, value in inputs.items()}
-        _ordered(name, {**table, "scale": own.scale})
-        own.lower, own.upper = table["lower"], table["upper"]
+        each, bounds = self.variables[name], {"lower": lower, "upper": upper}
+        table = {key: _table(f"{key} of {name!r}", value, len(each.guess)) for key, value in bounds.items()}
+        _ordered(name, {**table, "scale": each.scale})
+        each.lower, each.upper = table["lower"], table["upper"]
 
     def rename(self, name: str, entries: Sequence[str]) -> None:
-        """Give the rows of a constraint other words."""
+        """Set the labels of the rows of a constraint."""
         self._constraints[name].entries = tuple(entries)
 
     def enter(self, block: Any) -> str:
-        """Take note of a block; returns what it is called."""
+        """Register a block and return its default name."""
         self.blocks.append(block)
         return f"equilibrium {len(self.blocks)}"
 
     def symbol(self, name: str) -> Any:
-        """The symbol of a variable, a column.
+        """Symbol of a variable, a column.
 
         Raises:
             InputError: an unknown name.
@@ -473,7 +490,7 @@ class NamedProgram:
         return self.variables[self._name_of(name, self.variables, "variable")].symbol
 
     def constraint(self, name: str) -> Any:
-        """The expression of a constraint, a column.
+        """Expression of a constraint, a column.
 
         Raises:
             InputError: an unknown name.
@@ -481,7 +498,7 @@ class NamedProgram:
         return self._constraints[self._name_of(name, self._constraints, "constraint")].expression
 
     def entries(self, name: str) -> tuple[str, ...]:
-        """The words for the rows of a constraint.
+        """Labels of the rows of a constraint.
 
         Raises:
             InputError: an unknown name.
@@ -491,8 +508,8 @@ class NamedProgram:
     # --- solution -----------------------------------------------------------------------------------------------------
 
     def attempt(self, solver: Ipopt, *, start: ProblemSolution | None = None) -> ProblemSolution:
-        """One solve, whatever comes of it; breakpoints keep their order."""
-        began = time.perf_counter()
+        """Solve once and return the result, solved or not; breakpoints keep their order."""
+        start_time = time.perf_counter()
         function = self._solver(in_time(solver), warm=start is not None)
         variables, constraints = self.variables.values(), self._constraints.values()
         x, g = (Stacked(list(part)) for part in (variables, constraints))
@@ -500,6 +517,7 @@ class NamedProgram:
         inputs: dict[str, Any] = {}
         if start is not None:
             guess |= {name: v for name, v in start.values.items() if name in guess and v.shape == guess[name].shape}
+            # IPOPT minimises f + lam g: its signs are opposite to those of `ProblemSolution`.
             inputs["lam_x0"] = -self._known(start.bound_multipliers, self.variables) * x.scale
             inputs["lam_g0"] = -self._known(start.multipliers, self._constraints) * g.scale
         inputs["x0"] = np.concatenate([*guess.values(), np.zeros(0)]) / x.scale
@@ -509,8 +527,8 @@ class NamedProgram:
         result = function(p=p, **inputs, **bounds)
         stats = function.stats()
         solution = {key: np.array(result[key]).ravel() for key in ("x", "g", "lam_x", "lam_g")}
-        names = [word for each in constraints for word in each.entries]
-        missed = violations_of(names, solution["g"] * g.scale, (g.lower, g.upper), g.scale, 10 * solver.tolerance)
+        names = [label for each in constraints for label in each.entries]
+        violations = violations_of(names, solution["g"] * g.scale, (g.lower, g.upper), g.scale, 10 * solver.tolerance)
         return ProblemSolution(
             status=ProblemStatus.of(stats["return_status"]),
             objective=float(result["f"]),
@@ -518,11 +536,11 @@ class NamedProgram:
             multipliers=self._split(-solution["lam_g"] / g.scale, self._constraints),
             bound_multipliers=self._split(-solution["lam_x"] / x.scale, self.variables),
             parameters={name: numbers.copy() for name, (_, numbers) in self._parameters.items()},
-            violations=worst(missed, 10),
+            violations=worst(violations, 10),
             statistics=ProblemStatistics(
                 verdict=stats["return_status"],
                 iterations=int(stats["iter_count"]),
-                seconds=time.perf_counter() - began,
+                seconds=time.perf_counter() - start_time,
                 unknowns=len(x.scale),
                 constraints=len(g.scale),
             ),
@@ -530,26 +548,40 @@ class NamedProgram:
         )
 
     def failure(self, solution: ProblemSolution) -> str:
-        """In words, why a solve is no success."""
-        missed = "; ".join(str(each) for each in solution.violations[:MENTIONED]) or "all constraints hold"
+        """Message of a failed solve, with its status and worst constraints."""
+        missed = "; ".join(str(each) for each in solution.violations[:NAMED_VIOLATIONS]) or "all constraints hold"
         verdict = solution.statistics.verdict.replace("_", " ").lower()
         return (
             f"{self.name}: {solution.status} (IPOPT: {verdict}, {solution.statistics.iterations} iterations): {missed}"
         )
 
     def evaluate(self, expression: Any, values: dict[str, Array], parameters: dict[str, Array]) -> Array:
-        """An expression at numbers of the variables and parameters.
+        """Value of an expression at numbers of the variables and parameters.
 
         Raises:
-            InputError: it has symbols of another program.
+            InputError: the expression has symbols of another program.
         """
         symbols = [each.symbol for each in self.variables.values()] + [p for p, _ in self._parameters.values()]
         names = [*self.variables, *self._parameters]
-        known = {name: each.guess for name, each in self.variables.items()}
-        known |= {name: numbers for name, (_, numbers) in self._parameters.items()} | values | parameters
-        return np.array(function_of(symbols, [expression])(*(known[name] for name in names)))
+        numbers = {name: each.guess for name, each in self.variables.items()}
+        numbers |= {name: value for name, (_, value) in self._parameters.items()} | values | parameters
+        # Blocks evaluate the same expressions after every solve. The expression is kept, so that its hash stays unique.
+        key = expression.__hash__() if isinstance(expression, ca.MX) else None
+        if key is None or key not in self._functions:
+            function = function_of(symbols, [expression])
+            if key is None:
+                return np.array(function(*(numbers[name] for name in names)))
+            while len(self._functions) >= MAX_FUNCTIONS:
+                self._functions.pop(next(iter(self._functions)))
+            self._functions[key] = expression, function
+        return np.array(self._functions[key][1](*(numbers[name] for name in names)))
 
-    # --- within -------------------------------------------------------------------------------------------------------
+    # --- internal -----------------------------------------------------------------------------------------------------
+
+    def _changed(self) -> None:
+        """Drop solvers and functions, which are those of an earlier program."""
+        self._solvers.clear()
+        self._functions.clear()
 
     def _free(self, name: str) -> None:
         if name in self.variables or name in self._parameters or name in self._constraints:
@@ -568,7 +600,7 @@ class NamedProgram:
         raise InputError(f"{what} is no {kind} of {self.name}; it must be one of its symbols or their name")
 
     def _known(self, numbers: dict[str, Array], table: dict[str, Any]) -> Array:
-        """What an earlier solution knows of these, 0 of the others."""
+        """Numbers of an earlier solution as one column, 0 for names or sizes that it does not have."""
         sizes = {name: len(each.scale) for name, each in table.items()}
         parts = [
             numbers[k] if k in numbers and len(numbers[k]) == size else np.zeros(size) for k, size in sizes.items()
@@ -586,15 +618,24 @@ class NamedProgram:
                 raise InputError(f"{self.name} has no variables")
             variables, constraints = list(self.variables.values()), list(self._constraints.values())
             parameters = [symbol for symbol, _ in self._parameters.values()]
-            self._solvers[key] = ipopt_function(variables, parameters, self._objective, constraints, solver, warm=warm)
-            while len(self._solvers) > MOST_SOLVERS:
+            # Cold and warm starts differ in options of IPOPT only.
+            self._solvers[key] = ipopt_function(
+                variables,
+                parameters,
+                self._objective,
+                constraints,
+                solver,
+                warm=warm,
+                derivatives=self._solvers.get((solver, not warm)),
+            )
+            while len(self._solvers) > MAX_SOLVERS:
                 self._solvers.pop(next(iter(self._solvers)), None)
         function: ca.Function = self._solvers[key]
         return function
 
 
 def in_time(solver: Ipopt) -> Ipopt:
-    """Settings with the time that is left of the nearest limit, cut to a power of two: a solver is built for each."""
+    """Settings with the time left to the nearest limit, rounded down to a power of two: a solver is built for each."""
     check_time()
     left = time_left()
     if left >= solver.time_limit:
@@ -603,7 +644,7 @@ def in_time(solver: Ipopt) -> Ipopt:
 
 
 def _table(what: str, value: ArrayLike, size: int) -> Array:
-    """(size,) numbers, infinite ones allowed as bounds."""
+    """Column (size,) of finite numbers; bounds may be infinite."""
     try:
         numbers = np.asarray(value, dtype=float)
         table = np.broadcast_to(numbers.ravel() if numbers.ndim else numbers, (size,)).copy()

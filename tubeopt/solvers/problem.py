@@ -1,4 +1,4 @@
-"""A nonlinear program with names: composed of variables, constraints and blocks, solved by IPOPT."""
+"""A nonlinear program of variables, constraints and blocks by name, solved by IPOPT in every order of breakpoints."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .settings import Ipopt
 class Problem(NamedProgram):
     """A nonlinear program with names, for IPOPT with exact second derivatives.
 
-    Variables, constraints and parameters have a name each; a failed solve says by name what was violated. Everything is
-    in its own units; `scale` is the size that it typically has.
+    Variables, constraints and parameters have a name each; a failed solve reports violated constraints by name.
+    Quantities are in their own units; `scale` is their typical size.
 
     Args:
-        name: what to call it in messages.
+        name: name of the problem in messages.
 
     Example:
         >>> import tubeopt
@@ -39,8 +39,9 @@ class Problem(NamedProgram):
     ) -> ProblemSolution:
         """Solve the program from its guesses, or from an earlier solution with its multipliers.
 
-        Breakpoints of a block that meet at the optimum and press against each other are swapped. The solve then
-        continues as long as the objective does not grow. The same happens at the end of a failed solve.
+        If breakpoints of a block meet at the optimum and their order has a multiplier, they are swapped, and the
+        problem is solved again from there, as long as the objective does not grow. The same happens after a failed
+        solve. `statistics` has the number of swaps and solves, and the decrease of the objective.
 
         Args:
             solver: settings.
@@ -50,20 +51,20 @@ class Problem(NamedProgram):
         Raises:
             SolveError: no optimum was found. The message names the worst constraints; `solution` is the last point.
         """
-        own = solver or Ipopt()
-        solution = self.attempt(own, start=start)
+        settings = solver or Ipopt()
+        solution = self.attempt(settings, start=start)
         if solution.status is not ProblemStatus.SOLVED:
-            solution = _retry(self, own, solution, reorderings)
+            solution = _retry(self, settings, solution, reorderings)
         if solution.status is not ProblemStatus.SOLVED:
             raise SolveError(self.failure(solution), solution)
-        return _improve(self, own, solution, reorderings)
+        return _improve(self, settings, solution, reorderings)
 
     def multistart(
         self, over: Sequence[str], count: int = 16, *, seed: int = 0, solver: Ipopt | None = None
     ) -> ProblemSolution:
-        """The best of `count` solves with starts that fill the bounds of the variables `over` evenly (Sobol).
+        """The best of `count` solves, with starts that fill the bounds of the variables `over` evenly (Sobol).
 
-        At every start the blocks begin at the equilibrium of their joint values and dimensions there.
+        Every start includes the equilibria of the blocks at its joint values and dimensions.
 
         Raises:
             InputError: an unknown variable, or one without finite bounds.
@@ -74,93 +75,108 @@ class Problem(NamedProgram):
         if count < 1:
             raise InputError(f"count is {count}; it must be at least 1")
         best: tuple[ProblemSolution, list[object]] | None = None
-        missed: ProblemSolution | None = None
-        objectives, astray, failed = [], 0, 0
+        nearest_miss: ProblemSolution | None = None
+        objectives, without_equilibrium, failed = [], 0, 0
         for point in lower + sobol(len(lower), count, seed) * (upper - lower):
             try:
-                _begin_at_point(self, names, point)
+                sizes = np.cumsum([len(self.variables[name].guess) for name in names])[:-1]
+                _guess(self, dict(zip(names, np.split(point, sizes), strict=True)))
+                for block in self.blocks:
+                    block.start_at(lambda part: self.evaluate(part, {}, {}))
             except (InputError, SolveError):
-                astray += 1
+                without_equilibrium += 1
                 continue
             try:
                 result = self.solve(solver)
             except SolveError as error:
-                failed, missed = failed + 1, _nearer(missed, error.solution)
+                failed += 1
+                if nearest_miss is None or _violation(error.solution) < _violation(nearest_miss):
+                    nearest_miss = error.solution
                 continue
             objectives.append(result.objective)
             if best is None or result.objective < best[0].objective:
                 best = result, _layouts(self)
-        attempts = Attempts(count, len(objectives), astray, failed, tuple(sorted(objectives)))
+        attempts = Attempts(count, len(objectives), without_equilibrium, failed, tuple(sorted(objectives)))
         if best is None:
-            worst = f"; nearest: {self.failure(missed)}" if missed else ""
-            raise SolveError(f"{self.name}: {attempts}{worst}", missed)
+            worst = f"; nearest: {self.failure(nearest_miss)}" if nearest_miss else ""
+            raise SolveError(f"{self.name}: {attempts}{worst}", nearest_miss)
         _restore(self, best[1])
         _guess(self, best[0].values)
         return replace(best[0], attempts=attempts)
 
 
 def _improve(problem: NamedProgram, solver: Ipopt, solution: ProblemSolution, limit: int) -> ProblemSolution:
-    """Let breakpoints that press against each other change places, and keep the best that comes of it.
+    """Swap breakpoints that press against each other and solve again, as long as the objective does not grow.
 
-    A change that neither gains nor loses is kept as well: of several breakpoints at one place, one after the other has
-    to move before anything is gained. No arrangement is visited twice.
+    A swap that changes nothing is kept as well: of several breakpoints at one position, all have to be swapped before
+    the objective decreases. No arrangement is solved twice.
     """
-    best, at, seconds, count = solution, _layouts(problem), solution.statistics.seconds, 0
-    seen = {_arrangement(problem)}
+    best, at, seconds, count, solves = solution, _layouts(problem), solution.statistics.seconds, 0, 1
+    visited = {_arrangement(problem)}
     while count < limit:
         pressed = [(block, row) for block in problem.blocks if (row := block.pressing(best)) is not None]
         if not pressed:
             break
         for block, row in pressed:
             block.reorder(best, row)
-        if _arrangement(problem) in seen:
+        if _arrangement(problem) in visited:
             _restore(problem, at)
             break
-        seen.add(_arrangement(problem))
+        visited.add(_arrangement(problem))
         _begin_at(problem, best)
-        result = problem.attempt(solver)
-        seconds += result.statistics.seconds
-        slack = 1e-7 * max(1.0, abs(best.objective))
-        if result.status is not ProblemStatus.SOLVED or result.objective > best.objective + slack:
+        # The point is feasible and nearly optimal in the new order too, so the solve starts with the multipliers of
+        # the old one. Only those of the order itself would hold the breakpoints together.
+        multipliers = {name: v for name, v in best.multipliers.items() if name not in order_names(problem)}
+        result = problem.attempt(solver, start=replace(best, values={}, multipliers=multipliers))
+        solves, seconds = solves + 1, seconds + result.statistics.seconds
+        tolerance = 1e-7 * max(1.0, abs(best.objective))
+        if result.status is not ProblemStatus.SOLVED or result.objective > best.objective + tolerance:
             _restore(problem, at)
             break
         best, at, count = result, _layouts(problem), count + 1
-    return replace(best, statistics=replace(best.statistics, reorderings=count, seconds=seconds))
+    gained = solution.objective - best.objective if count else 0.0
+    statistics = replace(best.statistics, reorderings=count, seconds=seconds, solves=solves, gained=gained)
+    return replace(best, statistics=statistics)
+
+
+def order_names(problem: NamedProgram) -> set[str]:
+    """Names of the constraints on the order of breakpoints."""
+    return {f"{block.label}order of breakpoints" for block in problem.blocks}
 
 
 def _retry(problem: NamedProgram, solver: Ipopt, missed: ProblemSolution, limit: int) -> ProblemSolution:
-    """After a failed solve: let breakpoints that meet where it ended change places, one a time, and solve again.
+    """Swap breakpoints that meet at the end of a failed solve, one of every block at a time, and solve again.
 
-    Where the order of breakpoints keeps the robot from what is demanded, the solver halts where they meet. Returns the
-    first success, or the first failure with everything as it was.
+    If the order of breakpoints makes the problem infeasible, the solver ends where they meet. Returns the first
+    success, or the first failure with the problem as it was.
     """
-    laid, first = _layouts(problem), missed
+    layouts, first = _layouts(problem), missed
     guesses = {name: each.guess for name, each in problem.variables.items()}
-    seen = {_arrangement(problem)}
+    visited = {_arrangement(problem)}
     for _ in range(limit):
         blocked = [block for block in problem.blocks if block.closed(missed)]
         for block in blocked:
             block.reorder(missed)
-        if not blocked or _arrangement(problem) in seen:
+        if not blocked or _arrangement(problem) in visited:
             break
-        seen.add(_arrangement(problem))
+        visited.add(_arrangement(problem))
         _begin_at(problem, missed)
         missed = problem.attempt(solver)
         if missed.status is ProblemStatus.SOLVED:
             return missed
-    _restore(problem, laid)
+    _restore(problem, layouts)
     _guess(problem, guesses)
     return first
 
 
 def _begin_at(problem: NamedProgram, solution: ProblemSolution) -> None:
-    """Start the variables that no block has set where a solution has them."""
+    """Start the variables that belong to no block at a solution; blocks have set their own start."""
     owned = {name for name in solution.values for block in problem.blocks if block.owns(name)}
     _guess(problem, {name: value for name, value in solution.values.items() if name not in owned})
 
 
 def _guess(problem: NamedProgram, values: Mapping[str, Array]) -> None:
-    """Start variables at these numbers."""
+    """Set the start of variables by name."""
     for name, value in values.items():
         problem.set_guess(name, value)
 
@@ -170,41 +186,30 @@ def _layouts(problem: NamedProgram) -> list[object]:
 
 
 def _restore(problem: NamedProgram, layouts: list[object]) -> None:
-    for block, laid in zip(problem.blocks, layouts, strict=True):
-        if block.layout is not laid:
-            block.restore(laid)
+    for block, layout in zip(problem.blocks, layouts, strict=True):
+        if block.layout is not layout:
+            block.restore(layout)
 
 
 def _arrangement(problem: NamedProgram) -> Hashable:
-    """The orders of all breakpoints."""
+    """Orders of the breakpoints of all blocks."""
     return tuple((block.layout.order.front, block.layout.order.behind) for block in problem.blocks)
 
 
 def _box(problem: NamedProgram, names: list[str]) -> tuple[Array, Array]:
-    """Bounds of the variables, one below the other."""
-    known = problem.variables
+    """Bounds of variables as one column each."""
+    variables = problem.variables
     for name in names:
-        if name not in known:
-            raise InputError(f"over has {name!r}; there is no such variable{nearest(name, known)}")
-        if not np.isfinite([known[name].lower, known[name].upper]).all():
+        if name not in variables:
+            raise InputError(f"over has {name!r}; there is no such variable{nearest(name, variables)}")
+        if not np.isfinite([variables[name].lower, variables[name].upper]).all():
             raise InputError(f"variable {name!r} has no finite bounds; starts are spread between lower and upper")
     if not names:
         raise InputError("over is empty; it must name variables")
-    lower, upper = (np.concatenate([getattr(known[name], side) for name in names]) for side in ("lower", "upper"))
+    lower, upper = (np.concatenate([getattr(variables[name], side) for name in names]) for side in ("lower", "upper"))
     return lower, upper
 
 
-def _begin_at_point(problem: NamedProgram, names: list[str], point: Array) -> None:
-    """Guesses at a point, and every block at the equilibrium there."""
-    sizes = np.cumsum([len(problem.variables[name].guess) for name in names])[:-1]
-    _guess(problem, dict(zip(names, np.split(point, sizes), strict=True)))
-    for block in problem.blocks:
-        block.start_at(lambda part: problem.evaluate(part, {}, {}))
-
-
-def _nearer(one: ProblemSolution | None, other: ProblemSolution | None) -> ProblemSolution | None:
-    """The one whose worst violation is smaller."""
-    if one is None or other is None:
-        return other if one is None else one
-    size = [each.violations[0].relative if each.violations else 0.0 for each in (one, other)]
-    return one if size[0] <= size[1] else other
+def _violation(solution: ProblemSolution) -> float:
+    """Largest violation of a constraint over its scale, 0 if none is violated."""
+    return solution.violations[0].relative if solution.violations else 0.0
