@@ -39,9 +39,9 @@ class Problem(NamedProgram):
     ) -> ProblemSolution:
         """Solve the program from its guesses, or from an earlier solution with its multipliers.
 
-        If breakpoints of a block meet at the optimum and their order has a multiplier, they are swapped, and the
-        problem is solved again from there, as long as the objective does not grow. The same happens after a failed
-        solve. `statistics` has the number of swaps and solves, and the decrease of the objective.
+        If breakpoints of a block meet at the optimum and their order has a multiplier, they are swapped. The problem is
+        then solved again from there, as long as the objective does not grow. The same happens after a failed solve.
+        `statistics` has the number of swaps and solves, and the decrease of the objective.
 
         Args:
             solver: settings.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..block.transcription.loaded import LoadedProblem, evaluate
-from ..block.transcription.mesh import needs
+from ..block.transcription.mesh import section_needs
 from ..equilibrium.jacobian import STEP, Side, sides_of
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import LOADED_DISCRETISATION, loaded_problem
@@ -78,7 +78,7 @@ def find_stroke_force(
 def _push(first: Equilibrium, up_to: float) -> tuple[float, Load]:
     """Force against the tip, N, near the buckling load of the weakest part as a column of the whole length."""
     arm = first.robot.assembly(first.translations)
-    weakest = float(needs(arm)[3].min())
+    weakest = float(section_needs(arm).stiffness.min())
     unit = min(up_to, 1.1 * weakest / arm.total_length**2)
     return unit, Load(tuple((-unit * first.tip_rotation[:, 2]).tolist()))
 

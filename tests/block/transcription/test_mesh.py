@@ -10,13 +10,13 @@ from hypothesis import given
 
 from tests.examples import CRL, MM, THESIS, TWO_TUBE, nested, poses
 from tubeopt import ConcentricRobot
-from tubeopt.block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT, make_mesh, needs, piece_counts
+from tubeopt.block.transcription.mesh import BEND_PER_PIECE, WAVES_PER_ELEMENT, make_mesh, piece_counts, section_needs
 from tubeopt.typing import Array
 
 
 def test_coupling_rate_of_two_tubes_is_the_closed_form() -> None:
     # Equal nu: c = (1 + nu) kappa_1 kappa_2, which the file of this robot chooses as 2 / L^2.
-    rate = needs(TWO_TUBE.assembly(np.zeros(2)))[0]
+    rate = section_needs(TWO_TUBE.assembly(np.zeros(2))).rate
     assert rate == pytest.approx([np.sqrt(2) / 0.1])
 
 
@@ -24,7 +24,7 @@ def test_coupling_rate_bounds_the_fastest_growth() -> None:
     for robot in (THESIS, CRL):
         assembly = robot.assembly(np.zeros(3))
         kb, kt, kappa = assembly.bending_stiffness, assembly.torsional_stiffness, assembly.curvature
-        for rate, present, curved in zip(needs(assembly)[0], assembly.present, assembly.curved, strict=True):
+        for rate, present, curved in zip(section_needs(assembly).rate, assembly.present, assembly.curved, strict=True):
             m = kb * kappa * curved
             c = np.outer(m, m) / kb[present].sum()
             aligned = (np.diag(c.sum(1)) - c) / kt[:, None]  # V'' / kt where all tubes point the same way
@@ -42,7 +42,7 @@ def test_pieces_fill_the_sections(pose: tuple[ConcentricRobot, Array, Array]) ->
     assert sorted(set(mesh.section)) == list(range(assembly.n_sections))
     assert (mesh.collocated == assembly.coupled[mesh.section]).all()
     bend = np.abs(assembly.curvature) * assembly.curved
-    assert (mesh.length * needs(assembly)[0][mesh.section] <= WAVES_PER_ELEMENT + 1e-6).all()
+    assert (mesh.length * section_needs(assembly).rate[mesh.section] <= WAVES_PER_ELEMENT + 1e-6).all()
     assert (mesh.length * bend.max(1, initial=0.0)[mesh.section] <= BEND_PER_PIECE + 1e-6).all()
 
 

@@ -1,8 +1,9 @@
-"""A mesh over the sections of an arm, on each piece of which theta is one polynomial, and integrals over it."""
+"""Mesh over the sections of an arm, with theta as one polynomial on each piece, and integrals over it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,31 +16,33 @@ from ...typing import Array, Index, Mask
 from .buffered import mapped
 from .tableau import Tableau, tableau
 
-# Gauss collocation of degree 6 has order 12: twice as long elements have errors up to 4,000 times as large.
+# Gauss collocation of degree 6 has order 12: doubling the length of an element multiplies the error by up to 4,000.
 WAVES_PER_ELEMENT = 0.75
-"""Largest sqrt(c) h of an element, c being the greatest stiffness of the torsional coupling: with Gauss points of
-degree 6 the error of theta then stays near 1e-10 rad, so that refinement is the exception."""
+"""Largest sqrt(c) h of an element of length h, c being the largest stiffness of the torsional coupling.
+
+With Gauss points of degree 6 the error of theta then is near 1e-10 rad, so that refinement is rare."""
 
 BEND_PER_PIECE = 1.0
 """Largest bend (rad) of a piece, for the integration of the shape."""
 
 
 TWIST_PER_PIECE = 0.75
-"""Largest natural twist (rad) of a tube along a piece, and of two against each other: it turns the curvature of the arm
-in the Bishop frame, and how they pull at each other."""
+"""Largest natural twist (rad) along a piece, of a tube and between two tubes.
+
+Natural twist rotates the curvature of the arm in the Bishop frame, and the coupling of tubes."""
 
 DETAIL_PER_PIECE = 4.0
 """Largest polynomial degree of precurvature and stiffness along a piece."""
 
-MOST_ROTATIONS = 5000
-"""Rotations of tubes at collocation points that are solved for at most: their matrices are dense."""
+MAX_ROTATIONS = 5000
+"""Maximum number of unknown rotations at collocation points: their matrices are dense."""
 
 KNOWN = 2.0
-"""How many times as many pieces there are where nothing is unknown and bends turn: a helix then is one to 1e-12 m."""
+"""Refinement factor of uncoupled sections with natural twist: the position of a helix is then accurate to 1e-12 m."""
 
 # Gauss points lie inside the section: at its ends the tubes of two sections meet.
 SAMPLES = (np.polynomial.legendre.leggauss(8)[0] + 1) / 2
-"""Fractions of a section where coupling and curvature of tubes made of pieces are looked at."""
+"""Fractions of a section at which coupling and curvature of tubes made of pieces are evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +51,9 @@ class Mesh:
 
     Attributes:
         tableau: collocation points of every element.
-        start, length: (p,) arc length of each piece, m.
-        section: (p,) the section that the piece is a part of.
-        collocated: (p,) whether it carries collocation points; torsion is linear in arc length where it does not.
+        start, length: arc length (P,) at which each piece begins, and its length, m.
+        section: section (P,) of each piece.
+        collocated: True (P,) for pieces with collocation points; on the others torsion is linear in arc length.
     """
 
     tableau: Tableau
@@ -60,94 +63,121 @@ class Mesh:
     collocated: Mask
 
     def places(self, arc_length: Array) -> tuple[Index, Array]:
-        """The pieces in which arc lengths lie, and how far inside each, 0 to 1; beyond the ends the nearest place."""
+        """Pieces in which arc lengths lie, and fractions inside each, 0 to 1; beyond the ends of the nearest point."""
         piece = np.clip(np.searchsorted(self.start, arc_length, side="right") - 1, 0, len(self.start) - 1)
         return piece, np.clip((arc_length - self.start[piece]) / self.length[piece], 0.0, 1.0)
 
     def interpolated(self, values: Array, arc_length: Array, *, integrals: int = 0) -> Array:
-        """(S, k) at arc lengths (S,): the polynomials through values at the collocation points that all pieces would
-        have (P, K, k); or how often integrated from where a piece begins, as if it had length 1."""
+        """Values (S, k) at arc lengths (S,) of the polynomials through values (P, K, k) at the points of every piece.
+
+        With `integrals` the polynomials are integrated that often from the start of a piece, as if it had length 1.
+        """
         piece, x = self.places(arc_length)
         inner = values.reshape(len(self.start), self.tableau.degree, -1)[piece]
         return np.asarray(np.einsum("ak,aki->ai", self.tableau.lagrange(x, integrals=integrals), inner))
 
 
 def _rate(stiffness: Array, moment: Array, torsional_stiffness: Array) -> Array:
-    """(m,) bound sqrt(c) of the fastest growth or oscillation of torsion, 1/m, in cross-sections with kb_i, m_i (m, n)
-    and kt (n,) or (m, n)."""
+    """Bound sqrt(c) (m,) on the rate of torsion, 1/m, in cross-sections with kb, m (m, n) and kt (n,) or (m, n)."""
     count, n = stiffness.shape
     return mapped(coupling_rate_function(n), count)(stiffness, moment, torsional_stiffness)[0][:, 0].copy()
 
 
-def needs(assembly: Assembly) -> tuple[Array, ...]:
-    """Of sections (m,): coupling rate, largest curvature, pieces for twist and detail of tubes made of pieces, least
-    sum of kb, and largest |m_i| / kt_i."""
+class SectionNeeds(NamedTuple):
+    """Quantities (m,) that determine the number of pieces of each section."""
+
+    rate: Array
+    """Bound on the rate of torsion, 1/m."""
+    curvature: Array
+    """Largest precurvature, 1/m."""
+    twist_pieces: Array
+    """Number of pieces for natural twist and detail of tubes made of pieces."""
+    stiffness: Array
+    """Smallest sum of kb, N m^2."""
+    moment_ratio: Array
+    """Largest |m| / kt of a tube, 1/m."""
+
+
+def section_needs(assembly: Assembly) -> SectionNeeds:
+    """Quantities that determine the number of pieces of each section."""
     if assembly.even:
-        here = assembly.of_sections(np.arange(assembly.n_sections))
-        rate = _rate(here.stiffness, here.moment, assembly.torsional_stiffness)
-        steepest = (np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0)
-        pull = (np.abs(here.moment) / assembly.torsional_stiffness).max(1, initial=0.0)
-        return rate, steepest, np.zeros(1), np.maximum(here.stiffness.sum(1), 1e-300), pull
+        sections = assembly.of_sections(np.arange(assembly.n_sections))
+        return SectionNeeds(
+            rate=_rate(sections.stiffness, sections.moment, assembly.torsional_stiffness),
+            curvature=(np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0),
+            twist_pieces=np.zeros(1),
+            stiffness=np.maximum(sections.stiffness.sum(1), 1e-300),
+            moment_ratio=(np.abs(sections.moment) / assembly.torsional_stiffness).max(1, initial=0.0),
+        )
     table, count = assembly.lengthwise, len(SAMPLES)
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
-    here = assembly.cross_sections(s, s)
-    rate = _rate(here.stiffness, here.moment, here.torsional_stiffness).reshape(-1, count).max(1, initial=0.0)
-    # Where no tube is, kb = 0 and m = 0: the quotient is to be 0.
-    own = here.moment / np.maximum(here.stiffness, 1e-300)
-    steepest = own.max(1, initial=0.0).reshape(-1, count).max(1, initial=0.0)
+    sections = assembly.cross_sections(s, s)
+
+    def largest(values: Array) -> Array:
+        """Maximum (m,) over the samples of each section."""
+        return np.asarray(values.reshape(-1, count).max(1, initial=0.0))
+
+    # An absent tube has kb = m = 0: its precurvature is to be 0.
+    precurvature = sections.moment / np.maximum(sections.stiffness, 1e-300)
     panel, tube = table.panel(s[:, None] + assembly.transmission), np.arange(assembly.n_tubes)
-    # A straight tube may be twisted as it likes: nobody sees it.
-    there, bent = here.stiffness > 0, here.moment > 0
-    each = np.maximum(
-        there * table.detail[tube, panel] / DETAIL_PER_PIECE, bent * table.twist[tube, panel] / TWIST_PER_PIECE
+    # Twist of a straight tube has no effect, so it needs no refinement.
+    present, curved = sections.stiffness > 0, sections.moment > 0
+    per_length = np.maximum(
+        present * table.detail[tube, panel] / DETAIL_PER_PIECE, curved * table.twist[tube, panel] / TWIST_PER_PIECE
+    ).max(1, initial=0.0)
+    # Difference of natural twist between curved tubes.
+    fastest = np.where(curved, sections.twist, -np.inf).max(1, initial=-np.inf)
+    difference = fastest - np.where(curved, sections.twist, np.inf).min(1)
+    per_length = np.maximum(per_length, np.maximum(difference, 0.0) / TWIST_PER_PIECE)
+    return SectionNeeds(
+        rate=largest(_rate(sections.stiffness, sections.moment, sections.torsional_stiffness)),
+        curvature=largest(precurvature.max(1, initial=0.0)),
+        twist_pieces=largest(per_length) * assembly.length,
+        stiffness=sections.stiffness.sum(1).reshape(-1, count).min(1),
+        moment_ratio=largest((sections.moment / sections.torsional_stiffness).max(1)),
     )
-    # How fast bends turn against one another.
-    turning = np.where(bent, here.twist, -np.inf).max(1, initial=-np.inf) - np.where(bent, here.twist, np.inf).min(1)
-    finest = np.maximum(each.max(1, initial=0.0), np.maximum(turning, 0.0) / TWIST_PER_PIECE)
-    finest = finest.reshape(-1, count).max(1, initial=0.0) * assembly.length
-    pull = (here.moment / here.torsional_stiffness).max(1)
-    return rate, steepest, finest, here.stiffness.sum(1).reshape(-1, count).min(1), pull.reshape(-1, count).max(1)
 
 
 def piece_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
-    """(m,) pieces per section, short enough for coupling and bend, each split in two `refinement` times."""
-    rate, steepest, finest, *_ = needs(assembly)
-    waves, bend = rate * assembly.length / WAVES_PER_ELEMENT, steepest * assembly.length / BEND_PER_PIECE
-    shape = np.maximum(bend, finest)
-    shape = np.where(~assembly.coupled & (finest > 0), KNOWN * shape, shape)
+    """Number of pieces (m,) per section, short enough for coupling and bend, each halved `refinement` times."""
+    needs = section_needs(assembly)
+    waves, bend = needs.rate * assembly.length / WAVES_PER_ELEMENT, needs.curvature * assembly.length / BEND_PER_PIECE
+    shape = np.maximum(bend, needs.twist_pieces)
+    shape = np.where(~assembly.coupled & (needs.twist_pieces > 0), KNOWN * shape, shape)
     need = np.maximum(waves, shape)
-    # 1e-9 is round-off: a section of exactly one length stays in one piece.
+    # 1e-9 is round-off: a section that needs exactly one piece gets one.
     pieces: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
     pieces[need <= 0] = 1
     return pieces
 
 
 LOADED_WAVES = 0.5
-"""The same of what bends under load: the margin, close to 1 where loads are small, then is right to 1e-8."""
+"""Largest sqrt(c) h of an element under load: margins, close to 1 under small loads, are then accurate to 1e-8."""
 
 
 def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np.intp]:
-    """(m,) pieces per section of a loaded arm.
+    """Number of pieces (m,) per section of a loaded arm.
 
-    A force of at most `force`, N, acts on its cross-sections, and the moment `moment`, N m, on its tip. Bending under a
-    force n varies at the rate sqrt(n / K). Its curvature is at most twice this rate, as in an elastica. It is also at
-    most that under a lever as long as the arm.
+    Args:
+        force: largest force on a cross-section, N.  moment: moment at the tip, N m.
     """
-    rate, natural, finest, stiffness, pull = needs(assembly)
-    # Elastica: K u^2 / 2 + n.t is constant along the arm, so that u^2 <= 4 n / K.
-    fast = np.sqrt(force / stiffness)
-    # The bound of an elastica and that of a lever both apply; a moment at the tip adds its own bend.
-    bent = np.minimum(2 * fast, force * assembly.total_length / stiffness) + moment / stiffness
-    # Torsion under a bend u varies at the rate sqrt(|m_i| u / kt_i), as a pendulum under gravity.
-    waves = np.maximum(np.maximum(rate, fast), np.sqrt(pull * bent)) / LOADED_WAVES
-    need = np.maximum(np.maximum(waves, (natural + bent) / BEND_PER_PIECE) * assembly.length, finest)
+    needs = section_needs(assembly)
+    # Bending under a force n varies at the rate sqrt(n / K).
+    rate = np.sqrt(force / needs.stiffness)
+    # Elastica: K u^2 / 2 + n.t is constant along the arm, so that u^2 <= 4 n / K. The curvature is also at most that by
+    # a lever as long as the arm. A moment at the tip adds its own curvature.
+    curvature = np.minimum(2 * rate, force * assembly.total_length / needs.stiffness) + moment / needs.stiffness
+    # Torsion at a curvature u varies at the rate sqrt(|m| u / kt), as a pendulum under gravity.
+    waves = np.maximum(np.maximum(needs.rate, rate), np.sqrt(needs.moment_ratio * curvature)) / LOADED_WAVES
+    bend = (needs.curvature + curvature) / BEND_PER_PIECE
+    need = np.maximum(np.maximum(waves, bend) * assembly.length, needs.twist_pieces)
     pieces = np.ceil(need - 1e-9)
     return np.asarray(np.maximum(1, pieces).astype(np.intp))
 
 
 def loaded_mesh(assembly: Assembly, pieces: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:
-    """Mesh with collocation points in all pieces: a loaded arm also bends where its tubes are straight."""
+    """Mesh with collocation points on all pieces, since a load also bends straight tubes."""
     everywhere = np.ones(assembly.n_sections, dtype=bool)
     return _mesh(assembly, pieces, everywhere, tableau(family, degree))
 
@@ -161,13 +191,13 @@ def make_mesh(
 
 
 def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: Tableau) -> Mesh:
-    """Mesh with `counts` (m,) pieces in the sections; those marked in `collocated` (m,) have collocation points."""
+    """Mesh with `counts` (m,) pieces per section; sections marked in `collocated` (m,) have collocation points."""
     # Only coupled sections have unknown rotations, all of which share one dense matrix.
     unknown = int(counts[assembly.coupled].sum()) * rule.degree * assembly.n_tubes
-    if max(unknown, int(counts.sum())) > MOST_ROTATIONS:
+    if max(unknown, int(counts.sum())) > MAX_ROTATIONS:
         raise InputError(
             f"the tubes vary so quickly along them that {counts.sum()} pieces of the arm with {unknown} unknown "
-            f"rotations would have to be solved; there may be {MOST_ROTATIONS}: are units right, and are tables smooth?"
+            f"rotations would have to be solved; there may be {MAX_ROTATIONS}: are units right, and are tables smooth?"
         )
     section = np.repeat(np.arange(assembly.n_sections), counts)
     rank = np.arange(len(section)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -181,20 +211,20 @@ def _mesh(assembly: Assembly, counts: NDArray[np.intp], collocated: Mask, rule: 
     )
 
 
-# --- What a couple on a tube at one place turns at another: integrals, collocated -------------------------------------
+# --- Torsional compliance: rotations at one point by a couple at another, collocated ----------------------------------
 
 INWARDS = 1e-6
-"""How far towards the middle of a piece one looks for the cross-section at its ends, where it may jump."""
+"""Offset, relative to half a piece, at which the cross-section at the end of a piece is read: it may jump there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compliant:
-    """The tubes of an assembly on a mesh.
+    """Torsional compliance of the tubes of an assembly on a mesh.
 
     Attributes:
-        sections: (P K, n) the cross-sections at the points that all pieces would have.
-        rate: (P, K, n) 1 / kt there.
-        transmission: (n,) int ds / kt from where each tube is held to the plate.
+        sections: cross-sections (P K, n) at the points of all pieces, collocated or not.
+        rate: 1 / kt (P, K, n) at these points.
+        transmission: int ds / kt (n,) from clamp to plate.
     """
 
     sections: CrossSections
@@ -203,29 +233,29 @@ class Compliant:
 
 
 def compliant(assembly: Assembly, mesh: Mesh) -> Compliant:
-    """The tubes of an assembly on a mesh."""
+    """Torsional compliance of the tubes of an assembly on a mesh."""
     sections = sections_at(assembly, mesh, mesh.tableau.nodes)
     rate = 1 / sections.torsional_stiffness.reshape(len(mesh.length), mesh.tableau.degree, assembly.n_tubes)
     return Compliant(sections, rate, assembly.compliant(assembly.transmission))
 
 
 def sections_at(assembly: Assembly, mesh: Mesh, x: Array) -> CrossSections:
-    """(P X, n) cross-sections at fractions x (X,) of every piece of a mesh."""
+    """Cross-sections (P X, n) at fractions x (X,) of every piece of a mesh."""
     if assembly.even:
         return assembly.of_sections(np.repeat(mesh.section, len(x)))
-    # Cross-sections jump where pieces meet: values at an end belong to the side of this piece.
+    # Cross-sections may jump where pieces meet: values at an end are those of this piece.
     s, inside = (mesh.start[:, None] + mesh.length[:, None] * at for at in (x, x + INWARDS * (0.5 - x)))
     return assembly.cross_sections(s.ravel(), inside.ravel())
 
 
 def reach(mesh: Mesh, here: Compliant) -> Array:
-    """(P + 1, n) int ds / kt from where each tube is held to where the pieces begin, and to the tip."""
+    """int ds / kt (P + 1, n) from the clamp of each tube to the start of every piece, and to the tip."""
     gain = mesh.length[:, None] * np.einsum("k,pki->pi", mesh.tableau.weights, here.rate)
     return np.concatenate([np.zeros((1, gain.shape[1])), np.cumsum(gain, axis=0)]) + here.transmission
 
 
 def ahead(mesh: Mesh, here: Compliant) -> Array:
-    """(N, n) int ds / kt from where each tube is held to the collocation points, collocated."""
+    """int ds / kt (N, n) from the clamp of each tube to the collocation points, collocated."""
     chosen = mesh.collocated
     inside = mesh.tableau.matrix @ (mesh.length[chosen, None, None] * here.rate[chosen])
     out = reach(mesh, here)[:-1][chosen][:, None] + inside
@@ -233,9 +263,15 @@ def ahead(mesh: Mesh, here: Compliant) -> Array:
 
 
 def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None) -> Array:
-    """(..., N, N) of tubes: int `rate` ds from where they are held to the nearer of two points, collocated, exact
-    between elements of lengths (E,); `rate` (..., E, K) at the points, None is 1, and `begin` (..., E) the integral up
-    to the elements: their arc length, where the rate is 1."""
+    """Green's functions (..., N, N) of tubes: int `rate` ds from the clamp to the nearer of two points, collocated.
+
+    They are exact between points of different elements.
+
+    Args:
+        begin: integral (..., E) up to the elements; with the rate 1 their arc length.
+        length: lengths (E,) of the elements.
+        rate: (..., E, K) at the points; None is 1.
+    """
     rate = np.ones((len(length), t.degree)) if rate is None else rate
     begin, length = begin[..., None], length[:, None]
     # int rate ds up to each point: begin of its element and what the matrix A adds inside.
@@ -252,7 +288,7 @@ def green_of(t: Tableau, begin: Array, length: Array, rate: Array | None = None)
 
 
 def integrals(mesh: Mesh, elements: Index) -> tuple[Array, Array]:
-    """(N, N) integration over the collocated elements from the base to each point, and from each point to the tip."""
+    """Matrices (N, N) that integrate over the collocated elements: from the base to each point, from it to the tip."""
     k, count = mesh.tableau.degree, len(elements)
     length = np.repeat(mesh.length[elements], k)
     whole = np.tile(mesh.tableau.weights, count) * length

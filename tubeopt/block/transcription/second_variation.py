@@ -1,13 +1,13 @@
-"""How stable a solved torsion problem is: margin, unstable directions, and the softest of all.
+"""Stability of a solved torsion problem: margin, unstable directions, and the softest direction.
 
-Of tubes off the centreline the margin is how far one equilibrium is from a fold. Their equations, theta' = g w and
+Of eccentric tubes the margin measures the distance of one equilibrium from a fold. Their equations, theta' = g w and
 kt w' = M, are not those of an energy in the rotations alone. Linearised at a solution,
 
     y' = g v + w (g' y),   kt v' = M' y,   v = 0 at the tip,   y(0) = |beta| v(0),
 
-and a y that fulfils them is a fold: the joint rotations no longer tell the shape. The margin mu is the fraction of
-their torsional stiffness that the tubes may lose, with the state held, before there is one: with the collocated
-integrals P from the base and W to the tip,
+and a nonzero solution y is a fold, where the joint rotations no longer determine the shape. The margin mu is the
+fraction of their torsional stiffness that the tubes may lose, at a fixed state, before a solution exists. With the
+collocated integrals P from the base and W to the tip,
 
     (1 - mu) y = K y,   K = -(1 - P w g')^-1 [Gamma + P (g - 1) W / kt] M',
 
@@ -15,8 +15,8 @@ and 1 - mu is the largest real eigenvalue of K, at most 1. K is the collocated e
 exactly where its Jacobian is singular. With d = 0 K is the symmetric -Gamma V'' in other coordinates, and the margin
 the smallest eigenvalue of the second variation.
 
-Tubes that are curved together make a block of their own: the tubes that run through an outer segment without being
-curved there feel it, but do not act on it, so that K is block triangular.
+Tubes that are curved in the same sections form a block: tubes that pass an outer segment without being curved there are
+bent by it but do not act on it, so that K is block triangular.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from .buffered import section_function
 from .reduced import Block, Evaluation, ReducedProblem
 
 REAL = 1e-6
-"""An eigenvalue whose imaginary part is less than this share of it is real: two that are almost one are split so far by
-round-off. Only a real eigenvalue can be that of a fold."""
+"""Imaginary part, relative to its size, below which an eigenvalue counts as real: round-off splits two that are almost
+equal by as much. Only a real eigenvalue belongs to a fold."""
 
 
 def margin(problem: ReducedProblem, state: Evaluation) -> float:
-    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; for tubes off the
-    centreline, what takes its place."""
+    """Smallest eigenvalue of the second variation relative to its torsional part, at most 1; see above for eccentric
+    tubes."""
     if not problem.size:
         return 1.0
     if problem.assembly.eccentric:
@@ -50,14 +50,14 @@ def margin(problem: ReducedProblem, state: Evaluation) -> float:
 
 
 def least(matrix: Array) -> float:
-    """Least eigenvalue of a symmetric matrix, at most 1."""
+    """Smallest eigenvalue of a symmetric matrix, at most 1."""
     if not len(matrix):
         return 1.0
     return min(1.0, float(scipy.linalg.lapack.dsyevr(matrix, compute_v=0, range="I", il=1, iu=1)[0][0]))
 
 
 def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
-    """Number of negative eigenvalues of the second variation, or of what takes its place."""
+    """Number of negative eigenvalues of the second variation; of eccentric tubes, of eigenvalues of K above 1."""
     if not problem.size:
         return 0
     if problem.assembly.eccentric:
@@ -66,7 +66,7 @@ def unstable_directions(problem: ReducedProblem, state: Evaluation) -> int:
 
 
 def softest(problem: ReducedProblem, state: Evaluation) -> Array:
-    """Direction (U,) in z in which an equilibrium is softest, without stiffness at a fold."""
+    """Direction (U,) in z of the smallest stiffness; it is 0 at a fold."""
     if not problem.assembly.eccentric:
         vectors: Array = np.linalg.eigh(state.hessian)[1]
         return vectors[:, 0]
@@ -74,8 +74,10 @@ def softest(problem: ReducedProblem, state: Evaluation) -> Array:
 
 
 def softest_of(matrix: Array) -> tuple[Array, bool]:
-    """Unit direction (U,) of the eigenvalue with the least real part of a matrix that is not symmetric, and whether
-    that is complex: then the direction is one of a plane."""
+    """Unit direction (U,) of the eigenvalue with the smallest real part, and True if that eigenvalue is complex.
+
+    The direction of a complex eigenvalue is one of a plane.
+    """
     values, columns = np.linalg.eig(matrix)
     k = int(np.argmin(values.real))
     direction = columns[:, k].real
@@ -83,7 +85,7 @@ def softest_of(matrix: Array) -> tuple[Array, bool]:
 
 
 def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
-    """(U,) eigenvalues, of a matrix that is not symmetric their real parts."""
+    """Eigenvalues (U,) of a matrix; their real parts if it is not symmetric."""
     return np.asarray(np.linalg.eigvalsh(matrix) if symmetric else np.linalg.eigvals(matrix).real)
 
 
@@ -92,26 +94,31 @@ def stiffnesses(matrix: Array, *, symmetric: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """An eigenvalue 1 - mu of K with its vectors: y (N, n), 0 but for its block, and zeta (N, n), the left one of the
-    equation before it is solved for y; `pairing`, their product with what the eigenvalue multiplies."""
+    """An eigenvalue 1 - mu of K with its vectors."""
 
     value: float
     y: Array
+    """Right vector (N, n), 0 outside its block."""
     zeta: Array
+    """Left vector (N, n) of the equation before it is solved for y."""
     pairing: float
+    """Product of both vectors with the matrix that the eigenvalue multiplies."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """Of one block: 1 - P w g' (k p, k p), by tube, then by point; the bracket (k, p, p) of each tube; M' (p, k, k)."""
+    """Linearised equations of one block of k tubes at p points."""
 
     block: Block
     left: Array
+    """1 - P w g' (k p, k p), by tube, then by point."""
     whole: Array
+    """Gamma + P (g - 1) W / kt (k, p, p) of each tube."""
     slope: Array
+    """M' (p, k, k)."""
 
     def matrix(self) -> Array:
-        """K (k p, k p)."""
+        """Matrix K (k p, k p)."""
         right = self.whole[:, :, None, :] * self.slope.transpose(1, 2, 0)[:, None]
         return np.asarray(np.linalg.solve(self.left, -right.reshape(self.left.shape)))
 
@@ -131,44 +138,44 @@ def _linearise(problem: ReducedProblem, theta: Array) -> Iterator[_Linearised]:
     for block in problem.blocks:
         t, o = block.tubes, block.points
         k, p = len(t), len(o)
-        # Gamma + P (g - 1) W / kt: what a torque turns, directly and by the stretch of its tube.
+        # Gamma + P (g - 1) W / kt: rotation by a torque, directly and by the stretch of its tube.
         whole = block.compliance + (block.up_to * extra.T[t][:, None, :]) @ block.beyond
         own = np.ix_(o, t, t)
         relative = stretched[own].transpose(2, 1, 0) * twist[np.ix_(o, t)].T[:, None, :]
-        # P w g': how the stretch that a turn makes turns the tubes, subtracted from 1 below.
+        # P w g': a turn stretches the tubes, which turns them; it is subtracted from 1 below.
         left = -(block.up_to[:, o][None, :, None, :] * relative[:, None]).reshape(k * p, k * p)
         left.ravel()[:: k * p + 1] += 1.0
         yield _Linearised(block, left, whole, turned[own].swapaxes(1, 2))
 
 
 def _real(values: NDArray[Any]) -> Array:
-    """The real ones of eigenvalues; the others as 0, the eigenvalue of what nothing couples."""
+    """Real eigenvalues; complex ones are replaced by 0, the eigenvalue without coupling."""
     return np.where(np.abs(values.imag) <= REAL * np.abs(values), values.real, 0.0)
 
 
 def softenings(problem: ReducedProblem, theta: Array) -> Array:
-    """Real eigenvalues of K at theta (N, n), of all blocks: each the share of torsional stiffness that is a fold."""
+    """Real eigenvalues of K of all blocks at theta (N, n): remaining fractions of torsional stiffness at folds."""
     # A product's eigenvalues do not change with the order of its factors, but for zeros.
-    parts = [np.linalg.eigvals(_of_moments(one)) for one in _linearise(problem, theta)]
+    parts = [np.linalg.eigvals(_moment_matrix(block)) for block in _linearise(problem, theta)]
     return _real(np.concatenate(parts)) if parts else np.zeros(0)
 
 
-def _of_moments(one: _Linearised) -> Array:
-    """K, for moments in place of y, without those of the last tube: at one place all moments add up to 0."""
-    size = len(one.left) - len(one.block.points)
-    last = len(one.block.tubes) - 1
-    whole, slope = one.whole, one.slope
+def _moment_matrix(linear: _Linearised) -> Array:
+    """K for moments instead of y, without the last tube: at a cross-section the moments sum to 0."""
+    size = len(linear.left) - len(linear.block.points)
+    last = len(linear.block.tubes) - 1
+    whole, slope = linear.whole, linear.slope
     columns = np.zeros((*whole.shape[:2], last, whole.shape[2]))
     for i in range(last):
         # M_last = -sum of the others: each unknown moment acts on its tube and, reversed, on the last.
         columns[i, :, i] = whole[i]
         columns[last, :, i] = -whole[last]
-    moved = np.linalg.solve(one.left, columns.reshape(len(one.left), size)).reshape(*whole.shape[:2], size)
+    moved = np.linalg.solve(linear.left, columns.reshape(len(linear.left), size)).reshape(*whole.shape[:2], size)
     return -np.asarray(np.einsum("bij,jbm->ibm", slope[:, :last], moved).reshape(size, size))
 
 
 def worst_mode(problem: ReducedProblem, theta: Array) -> Mode | None:
-    """The mode with the largest eigenvalue; None where nothing softens, or where the eigenvalue is double."""
+    """Mode with the largest eigenvalue, None without softening; its vectors are NaN if the eigenvalue is double."""
     best: tuple[float, _Linearised, Array, Array] | None = None
     following = 0.0
     for one in _linearise(problem, theta):
