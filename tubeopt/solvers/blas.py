@@ -1,5 +1,8 @@
-"""One thread of linear algebra while small problems are solved: to share a matrix of a hundred rows among the cores
-takes longer than to factor it, and on a busy machine, where a thread waits for the others, a hundred times as long."""
+"""Linear algebra in one thread while small problems are solved.
+
+Distributing a matrix of a hundred rows over cores takes longer than its factorisation; on a busy machine, where threads
+wait for each other, a hundred times as long.
+"""
 
 from __future__ import annotations
 
@@ -10,40 +13,42 @@ from typing import Any
 
 _LOCK = threading.Lock()
 _BEFORE: list[tuple[Any, int]] = []
-"""Libraries that have been limited, with their numbers of threads before."""
+"""Limited libraries with their earlier numbers of threads."""
 _INSIDE = [0]
-"""How many blocks are being worked at."""
+"""Number of contexts that are entered."""
 
 
 @lru_cache(maxsize=1)
 def _libraries() -> list[Any]:
-    """Those of linear algebra that NumPy and SciPy have loaded."""
-    import scipy.linalg  # noqa: F401  which brings its own
+    """Controllers of the linear algebra libraries that NumPy and SciPy have loaded."""
+    import scipy.linalg  # noqa: F401  it loads a library of its own
     from threadpoolctl import ThreadpoolController
 
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
 class _OneThread(ContextDecorator):
-    """Linear algebra runs in one thread inside of the block, or of a function, and in as many as before after it. For
-    all threads of the process, since libraries know no other way; blocks may lie within each other and beside each
-    other."""
+    """Context or decorator in which linear algebra runs in one thread.
+
+    It applies to all threads of the process, since the libraries have no finer setting. Contexts may be nested, and may
+    overlap in several threads.
+    """
 
     def __enter__(self) -> None:
         with _LOCK:
             _INSIDE[0] += 1
             if _INSIDE[0] == 1:
-                _BEFORE[:] = [(one, count) for one in _libraries() if (count := one.get_num_threads()) > 1]
-                for one, _ in _BEFORE:
-                    one.set_num_threads(1)
+                _BEFORE[:] = [(library, count) for library in _libraries() if (count := library.get_num_threads()) > 1]
+                for library, _ in _BEFORE:
+                    library.set_num_threads(1)
 
     def __exit__(self, *_: object) -> None:
         with _LOCK:
             _INSIDE[0] -= 1
             if not _INSIDE[0]:
-                for one, count in _BEFORE:
-                    one.set_num_threads(count)
+                for library, count in _BEFORE:
+                    library.set_num_threads(count)
 
 
 small = _OneThread()
-"""For blocks, and as the decorator of functions, that solve many small problems."""
+"""Context, or decorator of a function, that solves many small problems."""

@@ -1,4 +1,4 @@
-"""A Dask cluster as an `Executor`; imported only where a scheduler is asked for."""
+"""A Dask cluster as an `Executor`; imported only if a scheduler is requested."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ except ImportError as error:
 Client: Any = _Client  # without types of its own
 
 TIMEOUT = 10.0
-"""Seconds in which a scheduler must answer, and have a worker."""
+"""Time (s) in which a scheduler must answer and have a worker."""
 
 
 class _Common(WorkerPlugin):
-    """Common data on every worker, those that join or restart later included."""
+    """Common data on every worker, including those that join or restart later."""
 
     def __init__(self, token: str, packed: bytes) -> None:
         self.name = token
         self.packed = packed
 
     def setup(self, worker: Any) -> None:
-        """Called by Dask on every worker once."""
+        """Store the common data; Dask calls this once on every worker."""
         _received[self.name] = unpacked(self.packed)
 
     def teardown(self, worker: Any) -> None:
-        """Called by Dask when the run is over."""
+        """Remove the common data; Dask calls this at the end of the run."""
         _received.pop(self.name, None)
 
 
@@ -47,16 +47,19 @@ _received: dict[str, Any] = {}
 
 
 def _with_common(token: str, fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    """Call `fn` in a worker with the common data of its run in place."""
+    """Result of `fn` in a worker, with the common data of its run."""
     with using(_received[token]):
         return fn(*args, **kwargs)
 
 
 class ClusterExecutor(Executor):
-    """Tasks of one run on a cluster.   workers: threads that the cluster has at the start.
+    """Tasks of one run on a cluster.
 
-    Answers are fetched once tasks have ended. Dask's own executor looks at the state of a task after it has fetched the
-    answer, and takes an answer for an error where the worker that held it died in between.
+    Results are fetched after tasks have ended. Dask's own executor reads the state of a task after it has fetched the
+    result, and takes a result for an error if the worker that held it died in between.
+
+    Attributes:
+        workers: number of threads of the cluster at the start.
     """
 
     def __init__(self, client: Any, token: str) -> None:
@@ -65,30 +68,30 @@ class ClusterExecutor(Executor):
         self.workers = sum(client.nthreads().values())
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """A future of the call; Dask computes it again where a worker dies."""
+        """Future of the call; Dask computes it again if a worker dies."""
         future: Future[Any] = Future()
         task = self._client.submit(_with_common, self._token, fn, args, kwargs, pure=False)
         self._tasks[future] = task
-        task.add_done_callback(partial(_tell, future))
+        task.add_done_callback(partial(_complete, future))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Give up what is not done yet, or wait for it."""
-        left = {future: task for future, task in list(self._tasks.items()) if not future.done()}
+        """Cancel unfinished tasks, or wait for them."""
+        unfinished = {future: task for future, task in list(self._tasks.items()) if not future.done()}
         if cancel_futures or not wait:
-            self._client.cancel(list(left.values()))
+            self._client.cancel(list(unfinished.values()))
         else:
-            wait_for(left)
+            wait_for(unfinished)
 
 
-def _tell(future: Future[Any], task: Any) -> None:
-    """Tell a future how its task on the cluster has ended."""
+def _complete(future: Future[Any], task: Any) -> None:
+    """Set the result or error of a future from its task on the cluster."""
     try:
         answer = task.result()
     except CancelledError:
         future.cancel()
         future.set_running_or_notify_cancel()
-    except BaseException as error:  # whatever ended the task there, who waits for it gets it
+    except BaseException as error:  # the caller gets any error of the task
         future.set_exception(error)
     else:
         future.set_result(answer)
@@ -96,8 +99,8 @@ def _tell(future: Future[Any], task: Any) -> None:
 
 @contextmanager
 def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]:
-    """An executor on the cluster of a scheduler; raises InputError where there is none, or none with workers."""
-    # Of what is no address, Dask's client says so only when it is collected, on stderr.
+    """Executor on the cluster of a scheduler; raises InputError without a scheduler or workers."""
+    # For a malformed address Dask's client writes an error to stderr only when it is garbage-collected.
     if str(scheduler).partition("://")[0] not in backends or "://" not in str(scheduler):
         raise InputError(
             f"scheduler is {scheduler!r}; no Dask scheduler answers there; it must be an "
@@ -106,8 +109,8 @@ def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]
     try:
         client = Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"scheduler is {scheduler!r}; no Dask scheduler answers there ({said})") from None
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"scheduler is {scheduler!r}; no Dask scheduler answers there ({reason})") from None
     token = f"tubeopt-{uuid.uuid4().hex}"
     with client:
         try:
@@ -119,7 +122,7 @@ def cluster_executor(scheduler: str, packed: bytes) -> Iterator[ClusterExecutor]
             with ClusterExecutor(client, token) as tasks:
                 try:
                     yield tasks
-                except BaseException:  # also where a signal comes: no task goes on there
+                except BaseException:  # also after a signal: no task may keep running
                     tasks.shutdown(cancel_futures=True)
                     raise
         finally:

@@ -1,4 +1,4 @@
-"""Data that all computations of a run have in common: sent to every worker once, and found there by its tasks."""
+"""Data that all computations of a run share: sent to every worker once, and read there by its tasks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class NotLoadedError(InputError):
 
 
 def unpacked(packed: bytes) -> Any:
-    """Common data in a worker; where they cannot be loaded, the error that `common_data` raises then."""
+    """Common data in a worker, or the error that `common_data` raises if they cannot be loaded."""
     try:
         return pickle.loads(packed)
     except Exception as error:  # unpickling runs code of the user's modules, which may raise anything
@@ -29,7 +29,7 @@ def unpacked(packed: bytes) -> Any:
 
 
 def common_data() -> Any:
-    """What `executor` was given as `common`; for functions that run in its workers.
+    """Argument `common` of `executor`; for functions that run in its workers.
 
     Raises:
         NotLoadedError: the worker cannot load them.
@@ -42,7 +42,7 @@ def common_data() -> Any:
 
 @contextmanager
 def using(common: object) -> Iterator[None]:
-    """Let `common` be the common data of this thread inside of the block; for executors."""
+    """Context in which `common` is the common data of this thread; for executors."""
     token = COMMON.set(common)
     try:
         yield
@@ -51,7 +51,7 @@ def using(common: object) -> Iterator[None]:
 
 
 def packed(common: object) -> bytes:
-    """Common data as they are sent to workers; raises InputError where they cannot be."""
+    """Common data as bytes for workers; raises InputError if they cannot be pickled."""
     try:
         return pickle.dumps(common)
     except Exception as error:  # pickling runs `__reduce__` of the user's classes, which may raise anything

@@ -1,14 +1,14 @@
-"""Newton's method on any equations of equilibrium, and energy descent on those with an energy.
+"""Newton's method for any equations of equilibrium, and energy descent for those with an energy.
 
-`full_steps` go where the equations lead, to stable and unstable equilibria alike; `descend` only downhill in energy, so
-that it ends in a minimum, or in a saddle if symmetry holds it there.
+`full_steps` converges to stable and unstable equilibria alike. `descend` only decreases the energy, so that it ends in
+a minimum, or in a saddle if the start is symmetric.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import scipy
@@ -22,7 +22,7 @@ S = TypeVar("S")
 
 
 class OfEnergy(Protocol):
-    """A state with its energy (J), the gradient (U,) and the Hessian (U, U)."""
+    """State with its energy (J), gradient (U,) and Hessian (U, U)."""
 
     @property
     def energy(self) -> float: ...
@@ -35,17 +35,19 @@ class OfEnergy(Protocol):
 E = TypeVar("E", bound=OfEnergy)
 
 LONGEST = 1e3
-"""Turn (rad) of a step that leads nowhere: its matrix is all but singular."""
+"""Turn (rad) above which a step is meaningless, since its matrix is nearly singular."""
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonResult(Generic[S]):
-    """Last state, whether it converged, iterations done, and the largest ratio of successive steps."""
+    """Result of Newton's method."""
 
     state: S
+    """Last state."""
     converged: bool
     iterations: int
     contraction: float
+    """Largest ratio of successive steps."""
 
 
 def full_steps(
@@ -55,10 +57,11 @@ def full_steps(
     residual: Callable[[S], float],
     iterations: int,
 ) -> NewtonResult[S]:
-    """Newton's method: full steps, which stop early where they grow instead of shrinking.
+    """Newton's method with full steps; ends early if the steps grow.
 
     Args:
-        moved: a state after a step.   turn: largest turn of a step from a state, rad.   residual: of a state, rad.
+        moved: returns a state after a step.   turn: largest turn of a step from a state, rad.
+        residual: residual of a state, rad.
     """
     check_time()
     last, contraction = np.inf, 0.0
@@ -72,7 +75,7 @@ def full_steps(
         state = moved(state, change)
         if size <= LAST_STEP and (size <= ROUND_OFF or residual(state) <= ROUND_OFF):
             return NewtonResult(state, True, iteration, contraction)
-        # Below, the ratio is one of round-off.
+        # The ratio of smaller steps is round-off.
         if size > LAST_STEP:
             contraction = max(contraction, size / last)
         last = size
@@ -86,32 +89,38 @@ def descend(
     residual: Callable[[E], float],
     settings: Newton = NEWTON,
 ) -> NewtonResult[E]:
-    """The minimum of the energy to which `damped_newton` leads, polished by `full_steps`; arguments as of these."""
+    """Minimum of the energy by `damped_newton`, refined by `full_steps`; the arguments are theirs."""
     check_time()
-    state, iterations, ended = damped_newton(state, moved, turn, settings)
-    if not ended:
+    state, iterations, converged = damped_newton(state, moved, turn, settings)
+    if not converged:
         return NewtonResult(state, False, iterations, 0.0)
-    # A minimum, or a saddle that symmetry holds: nothing downhill that the gradient could see.
+    # A minimum, or a saddle of a symmetric start: the gradient is 0.
     last = full_steps(state, moved, turn, residual, 4)
     return NewtonResult(last.state, last.converged, iterations, 0.0)
 
 
+class Descent(NamedTuple, Generic[E]):
+    """Result of a descent."""
+
+    state: E
+    iterations: int
+    converged: bool
+    """True if the last step is at most LAST_STEP."""
+
+
 def damped_newton(
     state: E, moved: Callable[[E, Array], E], turn: Callable[[E, Array], float], settings: Newton = NEWTON
-) -> tuple[E, int, bool]:
-    """Newton on an energy with the Hessian made positive and steps shortened until the energy falls (Armijo).
+) -> Descent[E]:
+    """Newton's method on an energy, with a shifted Hessian and steps shortened until the energy falls (Armijo).
 
     Args:
-        moved: the state after a step.   turn: largest turn of a step from a state, rad.
-
-    Returns:
-        The last state, iterations, and whether no step downhill is longer than `last_step`.
+        moved: returns the state after a step.   turn: largest turn of a step from a state, rad.
     """
     for iteration in range(1, settings.descent_iterations + 1):
         step = _downhill(state)
         size = turn(state, step)
         if size <= LAST_STEP:
-            return state, iteration, True
+            return Descent(state, iteration, True)
         step *= min(1.0, LONGEST_STEP / size)
         slope = float(state.gradient @ step)
         # Armijo's condition with the usual 1e-4. Near the minimum the decrease drowns in the round-off of the energy,
@@ -122,7 +131,7 @@ def damped_newton(
                 break
             step, slope = step / 2, slope / 2
         state = trial
-    return state, settings.descent_iterations, False
+    return Descent(state, settings.descent_iterations, False)
 
 
 def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Array]:
@@ -134,14 +143,14 @@ def leave_saddle(problem: ReducedProblem, state: Evaluation) -> tuple[Array, Arr
 
 
 def torsional_turn(problem: ReducedProblem, step: Array) -> float:
-    """Largest change of a rotation that a step in z makes, rad."""
+    """Largest change of a rotation by a step in z, rad."""
     return float(abs(problem.factor @ step).max()) if len(step) else 0.0
 
 
 def _downhill(state: OfEnergy) -> Array:
-    """Newton step where the energy is convex; else of the Hessian with a shift that makes it so.
+    """Newton step, with a shifted Hessian if the energy is not convex.
 
-    The shifts are those of the compiled kernel: of several minima the two then end in the same one.
+    The shifts are those of the compiled kernel, so that both end in the same of several minima.
     """
     if not len(state.gradient):
         return state.gradient
@@ -159,7 +168,8 @@ def _downhill(state: OfEnergy) -> Array:
 
 
 def newton_step(state: Any) -> tuple[Array, bool]:
-    """Newton step, and whether the Jacobian is singular; LAPACK itself, whose NumPy wrapper costs more than it."""
+    """Newton step, and True if the Jacobian is singular."""
+    # LAPACK directly: the wrapper of NumPy takes longer than the solve.
     if not len(state.gradient):
         return state.gradient, False
     _, _, step, failed = scipy.linalg.lapack.dgesv(state.hessian, -state.gradient)
@@ -168,8 +178,6 @@ def newton_step(state: Any) -> tuple[Array, bool]:
 
 # --- Gradient flow of an energy ---------------------------------------------------------------------------------------
 
-# The gradient flow of an energy, down to where it comes to rest.
-#
 # Linearly implicit Euler steps, no longer than a stride, grow into those of Newton's method. Time steps may be as long
 # as the softest direction allows, so that a flat valley costs no more steps than a steep one.
 
@@ -190,12 +198,12 @@ def flow(
     moved: Callable[[S, Array], S | None],
     solved: Callable[[S], NewtonResult[S]],
 ) -> NewtonResult[S]:
-    """The state where the flow from another comes to rest, and the steps that took.
+    """State at which the gradient flow from another comes to rest, and the number of steps.
 
     Args:
-        step: from a state in a time: change, its largest turn (rad), and whether its matrix is not positive.
-        moved: a state after a change; None where its energy rises.
-        solved: the state at rest, from where the flow hardly moves.
+        step: returns the change of a state in a time, its largest turn (rad), and True if its matrix is not positive.
+        moved: returns the state after a change; None if its energy rises.
+        solved: returns the state at rest, from one close to it.
     """
     time = 1.0
     for count in range(1, FLOW_STEPS + 1):
@@ -205,11 +213,11 @@ def flow(
             time *= 0.25 if not_convex else shortened(turn)
             continue
         # A rise of energy means that the model of second order is valid for a shorter time only.
-        there = moved(state, change)
-        if there is None:
+        following = moved(state, change)
+        if following is None:
             time *= 0.25
             continue
-        state, time = there, grown(time, turn)
+        state, time = following, grown(time, turn)
         # A long time step that hardly moves is Newton's step close to rest.
         if turn < 1e-6 and time > 1e6:
             last = solved(state)
@@ -218,19 +226,19 @@ def flow(
 
 
 def downhill(x: Array, push: Array, gradient: Callable[[Array], Array]) -> list[Array]:
-    """Points (U,) beside x at +-`push`, on the sides that lead down; on both if none does."""
+    """Points (U,) at x +- `push` from which the energy falls away from x; both if there is none."""
     down = [side for side in (push, -push) if float(gradient(x + side) @ side) < 0]
     return [x + side for side in down or (push, -push)]
 
 
 def shortened(turn: float) -> float:
-    """By what a time is multiplied after a step with this turn (rad), which was too long."""
-    # A step is about proportional to its time: 0.8 leaves room for what is not.
+    """Factor of the time after a step with too large a turn (rad)."""
+    # A step is about proportional to its time; 0.8 is a safety factor.
     return max(0.1, 0.8 * STRIDE / turn)
 
 
 def grown(time: float, turn: float) -> float:
-    """The time after one whose step had this turn (rad)."""
+    """Time of the next step after one with this turn (rad)."""
     # At most three times as long: the curvature of the valley, which may lengthen a step, is known here only. The
     # limit 1e12 keeps 1 / time above round-off of the Hessian.
     return min(time * min(3.0, max(1.0, 0.8 * STRIDE / max(turn, 1e-12))), 1e12)

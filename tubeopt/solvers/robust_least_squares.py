@@ -3,8 +3,8 @@
     minimise  sum_v w_v rho(|r_v(x)|^2 / sigma_v^2)  +  sum_p ((x_p - start_p) / prior_p)^2
 
 by Levenberg and Marquardt's method with bounds; the loss by reweighting (Holland and Welsch, Commun. Stat. A 6 (1977)).
-A step to where there is no answer (no robot, no stable shape) is shortened like one that does not descend, and slopes
-that cost as much as a fit serve several steps: what SciPy's `least_squares`, which computes them at each, does not do.
+A step to a point without a solution (no robot, no stable shape) is shortened like one that does not descend. Costly
+derivatives serve several steps; SciPy's `least_squares` computes them at every step.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from ..typing import Array
 
 @dataclass(frozen=True)
 class LeastSquaresSolver(Settings):
-    """How a fit descends.
+    """Settings of a fit.
 
     Raises:
         InputError: a count that is no whole number of at least 1, another number that is not positive.
     """
 
     iterations: int = 50
-    """After which it gives up."""
+    """Maximum number of iterations."""
     settled: float = 1e-7
-    """Relative decrease of the cost at which it ends: a small part of what noise makes of it."""
+    """Relative decrease of the cost at which a fit ends: small compared with the effect of noise."""
     round_off: float = 1e-14
-    """The same decrease per observation, in squares of its standard deviation, where nothing is left of the cost."""
+    """Decrease of the cost per observation at which an exact fit ends, in squared standard deviations."""
     first_damping: float = 1e-6
     """Damping of the first step, relative to the diagonal of the normal equations."""
 
@@ -47,63 +47,66 @@ NEARLY_SETTLED = 1e-5
 FAITHFUL = 0.7
 """Achieved fraction of the predicted decrease above which a costly Jacobian serves another step."""
 
-MOST_DAMPING = 1e12
+MAX_DAMPING = 1e12
 """Damping at which a step is of round-off."""
 
 
 class Point(Protocol):
-    """Parameters x (P,), and what else a step moves."""
+    """Parameters, and further quantities that a step moves."""
 
     @property
     def x(self) -> Array:
-        """(P,) the parameters, which have bounds and priors."""
+        """Parameters (P,), with bounds and priors."""
 
     def moved(self, step: Array) -> Self:
-        """The point after a step (P + F,) of the parameters and of the F other freedoms."""
+        """Point after a step (P + F,) of the parameters and of F further quantities."""
 
 
 P = TypeVar("P", bound=Point)
 
 
 class Observed(Protocol[P]):
-    """V observations of k numbers each, and what predicts them."""
+    """Model with V observations of k numbers each."""
 
     @property
     def start(self) -> P:
-        """Where priors draw the parameters to."""
+        """Point of the priors, and default start."""
 
     @property
     def bounds(self) -> Array:
-        """(2, P) least and greatest parameters."""
+        """Lower and upper bounds (2, P) of the parameters."""
 
     @property
     def freedoms(self) -> int:
-        """Freedoms F beside the parameters."""
+        """Number F of further quantities that a step moves."""
 
     def residuals(self, state: P) -> Array:
-        """(V, k) prediction less observation; raises SolveError or InputError where there is none."""
+        """Predictions less observations (V, k); raises SolveError or InputError if there is no prediction."""
 
     def jacobian(self, state: P) -> Array:
-        """(V, k, P + F) their derivatives by a step."""
+        """Derivatives (V, k, P + F) of the residuals by a step."""
 
     def costly(self, state: P) -> bool:
-        """Whether derivatives cost as much as many residuals."""
+        """True if derivatives cost as much as many residuals."""
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """sigma (V,): standard deviation of a coordinate of each observation; share (V,): 0 leaves an observation out;
-    prior (P,): standard deviation of each parameter around its start, infinite for none; loss, robust_from: how a large
-    error counts, and from which size on."""
+    """Weights of observations and priors."""
 
     sigma: Array
+    """Standard deviation (V,) of a coordinate of each observation."""
     share: Array
+    """Weight (V,) of each observation; 0 leaves it out."""
     prior: Array
+    """Standard deviation (P,) of each parameter around its start, infinite without a prior."""
     loss: str = "linear"
+    """Loss of large errors: "linear" (least squares), "huber" or "soft_l1"."""
     robust_from: float = 3.0
+    """Error, in standard deviations, from which the loss grows linearly."""
 
     def losses(self, residuals: Array) -> Array:
-        """(V,) what each observation costs, in squares of its standard deviation."""
+        """Loss (V,) of each observation, in squares of its standard deviation."""
         square, edge = (residuals**2).sum(1) / self.sigma**2, self.robust_from
         if self.loss == "huber":
             size = np.sqrt(square)
@@ -114,11 +117,11 @@ class Weights:
         return np.asarray(square)
 
     def cost(self, residuals: Array) -> float:
-        """Of the observations; the priors' part comes to it."""
+        """Cost of the observations, without the priors."""
         return float(self.share @ self.losses(residuals))
 
     def of(self, residuals: Array) -> Array:
-        """(V,) weights of the squares at residuals (V, k)."""
+        """Weights (V,) of the squared residuals (V, k), by the loss."""
         size = np.sqrt((residuals**2).sum(1)) / self.sigma
         softened = np.ones(len(size))
         if self.loss == "huber":
@@ -130,22 +133,22 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[P]):
-    """Where a descent ended."""
+    """Result of a fit."""
 
     state: P
-    """There."""
+    """Last state."""
     residuals: Array
-    """(V, k)."""
+    """Residuals (V, k) at the state."""
     jacobian: Array
-    """(V, k, P + F)."""
+    """Derivatives (V, k, P + F) at the state."""
     converged: bool
-    """Whether no step was left that lessens the cost by what counts; else the steps ran out."""
+    """True if no step decreases the cost any more; False if the iterations ran out."""
     obstacle: str = ""
-    """What cut its last steps short, in words."""
+    """Error that shortened the last steps, or empty."""
 
 
 def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, Array]:
-    """J'WJ (Q, Q) and J'Wr (Q,) of observations with weights (V,)."""
+    """Sums J'WJ (Q, Q) and J'Wr (Q,) over observations with weights (V,)."""
     # One weight for all coordinates of an observation: the loss is of its distance.
     flat = jacobian.reshape(residuals.size, jacobian.shape[2])
     weighted = flat * np.repeat(w, jacobian.shape[1])[:, None]
@@ -155,7 +158,7 @@ def weighted_sums(jacobian: Array, residuals: Array, w: Array) -> tuple[Array, A
 def normal_equations(
     model: Observed[P], weights: Weights, state: P, residuals: Array, jacobian: Array
 ) -> tuple[Array, Array]:
-    """J'WJ with the priors (Q, Q), and half the gradient (Q,)."""
+    """Matrix J'WJ (Q, Q) with the priors, and half the gradient (Q,)."""
     square, slope = weighted_sums(jacobian, residuals, weights.of(residuals))
     count = len(state.x)
     inverse = 1 / weights.prior**2
@@ -173,13 +176,13 @@ def descend(
     first: Array | None = None,
     solver: LeastSquaresSolver = DEFAULT_SOLVER,
 ) -> Descent[P]:
-    """The least cost near a start at which every row can be solved.
+    """Minimum of the cost near a start at which all predictions exist.
 
     Args:
-        jacobian: to keep throughout, where the start is close to the answer; None is that of every state, or, where it
-            is costly, of those at which an older one no longer serves, and of the last.
-        first: that of the start, where it is known.
-        solver: when it ends, among others.
+        jacobian: derivatives for all steps, if the start is close to the solution. None computes them at every state;
+            if they are costly, at states where older ones no longer serve, and at the last.
+        first: derivatives at the start, if known.
+        solver: settings.
     """
     bounds = model.bounds
     # Steps stay within the bounds only from a start within them.
@@ -191,30 +194,30 @@ def descend(
     cost, damping, obstacle = cost_of(model, weights, state, residuals), solver.first_damping, ""
     for _ in range(solver.iterations):
         square, slope = normal_equations(model, weights, state, residuals, slopes)
-        least = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
-        before, accepted, enough = cost, False, least * cost + solver.round_off * len(residuals)
-        while not accepted and damping < MOST_DAMPING:
+        relative = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
+        before, accepted, enough = cost, False, relative * cost + solver.round_off * len(residuals)
+        while not accepted and damping < MAX_DAMPING:
             step = _step(square, slope, damping, state.x, bounds)
             # Within the bounds the model promises between -slope.p and twice as much.
             if -slope @ step <= enough:
                 break
             trial = state.moved(step)
             try:
-                there = model.residuals(trial)
-                cost_there, obstacle = cost_of(model, weights, trial, there), ""
+                trial_residuals = model.residuals(trial)
+                trial_cost, obstacle = cost_of(model, weights, trial, trial_residuals), ""
             except (InputError, SolveError) as error:
-                cost_there, obstacle = np.inf, str(error).splitlines()[0]
-            accepted = cost_there <= cost
+                trial_cost, obstacle = np.inf, str(error).splitlines()[0]
+            accepted = trial_cost <= cost
             if accepted:
                 # The lower limit keeps a later rise within ten steps.
-                state, residuals, cost, damping = trial, there, cost_there, max(damping / 10, 1e-9)
+                state, residuals, cost, damping = trial, trial_residuals, trial_cost, max(damping / 10, 1e-9)
             elif not fresh:
                 obstacle = ""
-                break  # old slopes that lead no further down: new ones are worth more than a shorter step
+                break  # old derivatives give no descent: compute new ones rather than shorten the step
             else:
                 damping *= 10
         if fresh and (not accepted or before - cost <= enough):
-            # After so short a step the slopes are those of the state before it.
+            # After so short a step the derivatives of the previous state are accurate.
             return Descent(state, residuals, slopes, True, obstacle)
         if jacobian is None:
             # The model's decrease of |r|^2: slope is half the gradient.
@@ -226,34 +229,34 @@ def descend(
 
 
 def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) -> float:
-    """What is minimised, at a state with its residuals (V, k)."""
+    """Cost at a state with residuals (V, k), with the priors."""
     return weights.cost(residuals) + float((((state.x - model.start.x) / weights.prior) ** 2).sum())
 
 
 def _step(square: Array, slope: Array, damping: float, x: Array, bounds: Array) -> Array:
-    """The damped step that stays within the bounds (2, P); those that a bound stops are held, the others go on."""
+    """Damped step within the bounds (2, P); parameters at a bound are fixed, and the others are solved for again."""
     size, count = len(slope), len(x)
-    held = np.zeros(size, dtype=bool)
+    at_bound = np.zeros(size, dtype=bool)
     step = np.zeros(size)
     # An active set: every pass stops at one more bound, so that it ends after as many as there are parameters.
     for _ in range(count + 1):
-        free = np.flatnonzero(~held)
-        fixed = square[np.ix_(free, held.nonzero()[0])] @ step[held]
+        free = np.flatnonzero(~at_bound)
+        fixed = square[np.ix_(free, at_bound.nonzero()[0])] @ step[at_bound]
         step[free] = -solved(square[np.ix_(free, free)], slope[free] + fixed, damping)
         target = x + step[:count]
         beyond = (target < bounds[0]) | (target > bounds[1])
-        beyond &= ~held[:count]
+        beyond &= ~at_bound[:count]
         if not beyond.any():
             break
         step[:count][beyond] = np.clip(target, *bounds)[beyond] - x[beyond]
-        held[:count] |= beyond
+        at_bound[:count] |= beyond
     return step
 
 
 def solved(square: Array, slope: Array, damping: float = 0.0) -> Array:
-    """(Q,) the answer x to normal equations (Q, Q) x = (Q,), in units of their diagonal, to which damping adds."""
-    # In units of the diagonal all parameters count alike, angles and lengths; what no observation sees, below 1e-13,
-    # does not move.
+    """Solution (Q,) of normal equations (Q, Q) x = (Q,), with damping relative to their diagonal."""
+    # In units of the diagonal angles and lengths count alike. Directions that no observation determines, below 1e-13,
+    # do not move.
     scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
     matrix = square / np.outer(scale, scale) + damping * np.eye(len(scale))
     return np.asarray(np.linalg.lstsq(matrix, slope / scale, rcond=1e-13)[0] / scale)

@@ -1,7 +1,7 @@
-"""Time limits of questions: one mechanism for all that is computed inside, however deep.
+"""Time limits of questions, for all computations inside.
 
-A question sets its limit with `limited` or `within`; what it computes calls `check_time`, at every equilibrium and
-every certificate. The nearest limit counts: a question that another one asks has no more time than that one has left.
+A question sets its limit with `limited` or `within`; computations call `check_time`, at every equilibrium and every
+certificate. The earliest limit applies: a question inside another one has no more time than the outer one has left.
 """
 
 from __future__ import annotations
@@ -18,25 +18,23 @@ from ..errors import TimeLimitError, positive
 F = TypeVar("F", bound=Callable[..., Any])
 
 TIME_LIMIT = 600.0
-"""s, of a question without a limit of its own: more than ten times what the slowest shipped example takes on two cores.
-Who asks for more gives more time."""
+"""Default limit of a question, s: more than ten times the time of the slowest shipped example on two cores."""
 
 LONG_TIME_LIMIT = 3600.0
-"""s, of what repeats a computation as often as it is asked to, as a sample or a fit to measurements: here a limit only
-ends what would not end in a working hour."""
+"""Default limit of questions with many repetitions, such as samples or fits to measurements, s."""
 
 LEAST_SECONDS = 1e-3
-"""That a solver is given, since IPOPT takes no limit of 0."""
+"""Smallest limit of a solver, s: IPOPT accepts no limit of 0."""
 
 _UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
 """Moment (of `time.time`, which processes share) at which the nearest limit is reached."""
 
 
 class LateError(Exception):
-    """Time is over, in the middle of what can be cut short. No `SolveError`: who goes on after one that failed must not
-    take it for a failure.
+    """The time limit was reached inside a computation. No `SolveError`, which some callers handle as a failed try.
 
-    `best` is the best that was found before, or None.
+    Attributes:
+        best: best result so far, or None.
     """
 
     def __init__(self, *labels: object, best: Any = None) -> None:
@@ -45,23 +43,23 @@ class LateError(Exception):
 
 
 def time_left() -> float:
-    """Seconds until the nearest limit, at least 0; infinite where there is none."""
+    """Time until the earliest limit, s, at least 0; infinite without a limit."""
     until = _UNTIL.get()
     return until if until == math.inf else max(0.0, until - time.time())
 
 
 def check_time() -> None:
-    """Raise `LateError` where the nearest limit is reached."""
+    """Raise `LateError` if the earliest limit is reached."""
     until = _UNTIL.get()
     if until != math.inf and time.time() > until:
         raise LateError
 
 
 class within:  # noqa: N801  # read as a verb: with within(seconds)
-    """A limit for all that is computed inside; no generator, since every solve enters one.
+    """Context with a time limit; a class, since a generator would cost more in every solve.
 
     Raises:
-        LateError: it is reached.
+        LateError: the limit is reached.
     """
 
     __slots__ = ("_seconds", "_token")
@@ -77,17 +75,16 @@ class within:  # noqa: N801  # read as a verb: with within(seconds)
 
 
 def limited(question: F) -> F:
-    """The question under the limit that its keyword `time_limit` (s) sets. Its default counts where nobody who asks has
-    set a limit.
+    """Decorator of a question with the keyword `time_limit` (s); its default applies if no outer limit is set.
 
     Raises:
         InputError: a limit that is no positive number.
-        TimeLimitError: it is reached, and the question has no answer by then.
+        TimeLimitError: the limit is reached before the question has an answer.
     """
     default = (question.__kwdefaults__ or {})["time_limit"]
 
     @functools.wraps(question)
-    def asked(*args: Any, **inputs: Any) -> Any:
+    def with_limit(*args: Any, **inputs: Any) -> Any:
         outer = time_left()
         if "time_limit" in inputs:
             limit = positive("time_limit", inputs["time_limit"])
@@ -99,24 +96,24 @@ def limited(question: F) -> F:
             with within(limit):
                 return question(*args, **inputs)
         except LateError as late:
-            if outer <= limit:  # of who asks, who knows what to do about it
+            if outer <= limit:  # the limit of the caller, who handles it
                 raise
             result = "" if late.best is None else " with an answer that it could not check"
             raise late_error(question.__name__, limit, late.best, result) from None
 
-    return asked  # type: ignore[return-value]
+    return with_limit  # type: ignore[return-value]
 
 
-def late_error(name: str, limit: float, best: Any = None, how: str = "") -> TimeLimitError:
-    """What ends a question whose time is over; `how` says how far it came."""
+def late_error(name: str, limit: float, best: Any = None, progress: str = "") -> TimeLimitError:
+    """Error of a question that reached its limit; `progress` describes its partial result."""
     return TimeLimitError(
-        f"{name} reached its time limit of {limit:g} s{how or ' without a result'}; increase time_limit",
+        f"{name} reached its time limit of {limit:g} s{progress or ' without a result'}; increase time_limit",
         best,
     )
 
 
 def timed(function: F) -> F:
-    """A function for other processes, under the limit that is the nearest here; the function itself without one."""
+    """A function for other processes with the earliest limit of this one, or the function itself without a limit."""
     until = _UNTIL.get()
     return function if until == math.inf else functools.partial(_until, function, until)  # type: ignore[return-value]
 
